@@ -1,0 +1,1 @@
+"""Mark3DGS: ownership watermarks for 3D Gaussian Splatting models."""

@@ -1,0 +1,1 @@
+"""Cli floor of the engine."""

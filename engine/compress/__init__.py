@@ -1,0 +1,1 @@
+"""Compress floor of the engine."""

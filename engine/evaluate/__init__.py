@@ -1,0 +1,1 @@
+"""Evaluate floor of the engine."""

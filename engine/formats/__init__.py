@@ -1,0 +1,1 @@
+"""Formats floor of the engine."""

@@ -1,0 +1,157 @@
+"""The two nouns everything speaks of: a Gaussian model and a camera. See docs/CONVENTIONS.md."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import CameraError, InputError
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+SH_C0 = 0.28209479177387814
+"""Y_00: a DC coefficient c shows as colour 0.5 + SH_C0 * c."""
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianModel:
+    """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute.
+
+    Parameters
+    ----------
+    means : (N, 3)
+        Centres, scene units.
+    log_scales : (N, 3)
+        Natural logarithm of the standard deviations, scene units. A 2DGS disc has a third scale of about 0.
+    quats : (N, 4)
+        Rotation as unit quaternion w, x, y, z.
+    opacity_logits : (N,)
+        Logit of the opacity; finite.
+    sh : (N, K, 3)
+        Spherical-harmonic colour, coefficient-major, DC first, K = (degree + 1)^2 in {1, 4, 9, 16}.
+    """
+
+    means: Float32
+    log_scales: Float32
+    quats: Float32
+    opacity_logits: Float32
+    sh: Float32
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        shapes = {
+            "means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,),
+            "sh": (n, self.sh.shape[1] if self.sh.ndim == 3 else -1, 3),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
+            if array.shape != shape:
+                raise InputError(f"{name} has shape {array.shape}, expected {shape}")
+            object.__setattr__(self, name, array)
+        if self.sh.shape[1] not in (1, 4, 9, 16):
+            raise InputError(f"sh has {self.sh.shape[1]} coefficients a channel, expected 1, 4, 9 or 16")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
+
+    @property
+    def scales(self) -> Float32:
+        """(N, 3) metric standard deviations."""
+        return np.exp(self.log_scales)
+
+    @property
+    def opacities(self) -> Float32:
+        """(N,) opacity in (0, 1)."""
+        return (1.0 / (1.0 + np.exp(-self.opacity_logits.astype(np.float64)))).astype(np.float32)
+
+    def take(self, index: npt.NDArray[Any]) -> GaussianModel:
+        """The Gaussians at an integer index or under a boolean mask, in that order."""
+        return GaussianModel(
+            self.means[index], self.log_scales[index], self.quats[index], self.opacity_logits[index],
+            self.sh[index],
+        )  # fmt: skip
+
+    def with_(self, **arrays: npt.NDArray[Any]) -> GaussianModel:
+        """A copy with some attributes replaced."""
+        return replace(self, **arrays)
+
+    def with_dc(self, dc: npt.NDArray[Any]) -> GaussianModel:
+        """A copy with the DC coefficients replaced; dc is (N, 3)."""
+        sh = self.sh.copy()
+        sh[:, 0] = dc
+        return replace(self, sh=sh)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera, OpenCV frame (x right, y down, z forward); pixel centres lie at half integers.
+
+    Parameters
+    ----------
+    viewmat : (4, 4) float64
+        World to camera.
+    K : (3, 3) float64
+        Intrinsics in pixels.
+    width, height : int
+        Image size, pixels.
+    """
+
+    viewmat: Float64
+    K: Float64
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        for name, shape in (("viewmat", (4, 4)), ("K", (3, 3))):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise CameraError(f"{name} must be a finite {shape} matrix, got shape {array.shape}")
+            object.__setattr__(self, name, array)
+        if self.width < 1 or self.height < 1:
+            raise CameraError(f"image size must be positive, got {self.width}x{self.height}")
+        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise CameraError(f"focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
+
+    @property
+    def position(self) -> Float64:
+        """(3,) the camera's centre in the world."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view with another number of pixels (intrinsics scaled per axis)."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(self.viewmat, np.diag([sx, sy, 1.0]) @ self.K, width, height)
+
+
+def look_at(
+    eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike, focal: float, width: int, height: int
+) -> Camera:
+    """Camera at `eye` looking at `target`, `up` pointing up in the image, focal length in pixels."""
+    eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
+    z = target - eye
+    distance = float(np.linalg.norm(z))
+    if distance == 0:
+        raise CameraError("camera and target coincide")
+    z = z / distance
+    x = np.cross(z, up)
+    if np.linalg.norm(x) < 1e-9:  # looking along up: any right vector will do
+        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    x = x / np.linalg.norm(x)
+    y = np.cross(z, x)
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = [x, y, z]
+    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
+    K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return Camera(viewmat, K, width, height)

@@ -1,0 +1,1 @@
+"""Numerics floor of the engine."""

@@ -1,0 +1,1 @@
+"""Pipeline floor of the engine."""

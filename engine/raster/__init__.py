@@ -1,0 +1,1 @@
+"""Raster floor of the engine."""

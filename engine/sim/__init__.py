@@ -1,0 +1,1 @@
+"""Sim floor of the engine."""

@@ -1,0 +1,1 @@
+"""Watermark floor of the engine."""

@@ -1,0 +1,1 @@
+"""The ownership-verification service (arrives with its own issue)."""
