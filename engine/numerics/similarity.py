@@ -1,0 +1,95 @@
+"""Similarity transforms of a Gaussian model: x_new = scale * R @ x + t."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from engine.errors import InputError
+from engine.model import Float64, GaussianModel
+from engine.numerics.spherical_harmonics import sh_rotation
+
+
+def quaternion_product(p: npt.ArrayLike, q: npt.ArrayLike) -> Float64:
+    """Hamilton product p * q of quaternions (..., 4) in the order w, x, y, z; float64, broadcasting."""
+    a, b = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    pw, px, py, pz = (a[..., i] for i in range(4))
+    qw, qx, qy, qz = (b[..., i] for i in range(4))
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def rotation_to_quaternion(R: npt.ArrayLike) -> Float64:
+    """Unit quaternions (..., 4), w, x, y, z with w >= 0, of proper rotation matrices (..., 3, 3)."""
+    matrices = np.asarray(R, dtype=np.float64)
+    xyzw = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.ascontiguousarray(np.roll(xyzw, 1, axis=-1).reshape(*matrices.shape[:-2], 4))
+
+
+def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w, x, y, z."""
+    q = np.asarray(quats, dtype=np.float64)
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
+
+
+def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt.ArrayLike) -> GaussianModel:
+    """The model moved by a similarity: the same scene, seen from an equally moved camera.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    scale : float
+        Positive.
+    R : (3, 3)
+        Proper rotation.
+    t : (3,)
+        Translation, in units of the result.
+
+    Returns
+    -------
+    GaussianModel
+        Means, log scales, quaternions and SH moved; opacities as they were.
+
+    Raises
+    ------
+    InputError
+        If the scale is not positive and finite, R is not a proper rotation, or t is not three finite numbers.
+    """
+    rotation, shift = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"scale of a similarity must be positive, got {scale}")
+    if shift.shape != (3,) or not np.isfinite(shift).all():
+        raise InputError(f"translation must be three finite numbers, got {t!r}")
+    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
+        raise InputError("R is not a (3, 3) rotation matrix")
+    if np.linalg.det(rotation) < 0:
+        raise InputError("R mirrors the scene; a similarity of Gaussians needs a proper rotation")
+    turned = bool((rotation != np.eye(3)).any())
+    means = model.means.astype(np.float64) @ (scale * rotation).T + shift
+    quats, sh = model.quats, model.sh
+    if turned:
+        quats = quaternion_product(rotation_to_quaternion(rotation), model.quats).astype(np.float32)
+        if model.sh_degree > 0:
+            sh = model.sh.copy()
+            wigner = sh_rotation(rotation, model.sh_degree)[1:, 1:].astype(np.float32)
+            sh[:, 1:] = np.matmul(wigner, model.sh[:, 1:])
+    return model.with_(
+        means=means.astype(np.float32),
+        log_scales=model.log_scales + np.float32(np.log(scale)),
+        quats=quats,
+        sh=sh,
+    )
