@@ -1,0 +1,93 @@
+"""What the evidence would have shown, had the mark been there: expected Z and the power to see it.
+
+Under the alternative the observed y is taken as noise to which the mark is added: y' = y + signal * eps, eps
+the fair signs of a key that has not seen y. That is exact for an unmarked suspect, the case a "not marked"
+answer speaks about; on a marked one the mark itself counts as noise, so both numbers err on the low side.
+
+With S = sum w s, Q = sum w^2 (y^2 + s^2), R = sum w^2 y s eps: Z' = (S + sum w y eps) / sqrt(Q + 2 R). Since
+sqrt(Q + 2 R) <= sqrt(Q) + R / sqrt(Q) (tangent of a concave function), Z' >= t follows from
+
+    S - t sqrt(Q) + sum a eps >= 0,   a = w y (1 - t w s / sqrt(Q)),
+
+a Rademacher sum again: the power is *at least* 1 - exp(-x^2 / 2), x = (S - t sqrt(Q)) / |a|, whatever y is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.model import Float64
+
+
+class _Moments(NamedTuple):
+    signal: float  # S
+    root: float  # sqrt(Q)
+    spread: float  # |a|
+
+
+def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Moments:
+    y, w, signal = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (y, w, signal)))
+    if not (np.isfinite(y).all() and np.isfinite(w).all() and np.isfinite(signal).all()):
+        raise ValueError("evidence and signal must be finite")
+    if (w < 0).any() or (signal < 0).any():
+        raise ValueError("weights and signal amplitudes must be >= 0")
+    unit = max(float(np.abs(y).max(initial=0.0)), float(signal.max(initial=0.0))) or 1.0
+    wy, ws = w * (y / unit), w * (signal / unit)
+    top = max(float(np.abs(wy).max(initial=0.0)), float(ws.max(initial=0.0))) or 1.0
+    wy, ws = wy / top, ws / top
+    root = math.sqrt(float(wy @ wy + ws @ ws))
+    a = wy * (1 - threshold * ws / root) if root > 0 else wy
+    return _Moments(float(ws.sum()), root, math.sqrt(float(a @ a)))
+
+
+def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
+    """Z that a mark of amplitude `signal` would give in this evidence: S / sqrt(Q).
+
+    Parameters
+    ----------
+    y, w : (C,)
+        Displacement estimates and weights >= 0.
+    signal : (C,) or scalar
+        Amplitude >= 0 of the mark as y would show it, in the unit of y.
+    """
+    m = _moments(y, w, signal, 0.0)
+    return m.signal / m.root if m.root > 0 else 0.0
+
+
+def power(y: Float64, w: Float64, signal: Float64, threshold: float, proven: bool = True) -> float:
+    """Probability that a mark of amplitude `signal` would have reached Z >= `threshold` in this evidence.
+
+    Parameters
+    ----------
+    y, w, signal
+        As in `expected_z`.
+    threshold : float
+        From `statistics.z_threshold`, > 0.
+    proven : bool
+        True: the lower bound of this module's text, which holds for every y. False: the normal approximation,
+        close for evidence of many chips of similar weight.
+    """
+    m = _moments(y, w, signal, threshold)
+    margin = m.signal - threshold * m.root
+    if m.spread == 0:
+        return 1.0 if margin >= 0 and m.root > 0 else 0.0
+    x = margin / m.spread
+    if not proven:
+        return 0.5 * math.erfc(-x / math.sqrt(2))
+    return -math.expm1(-x * x / 2) if x > 0 else 0.0
+
+
+def evidence_needed(y: Float64, w: Float64, signal: Float64, threshold: float, target: float) -> float:
+    """How many times this evidence would give a proven power of `target`; inf where it shows nothing.
+
+    k independent pieces like this one multiply S by k and Q and |a|^2 by k, so
+    sqrt(k) S = threshold sqrt(Q) + x |a|, x = sqrt(-2 ln(1 - target)).
+    """
+    m = _moments(y, w, signal, 0.0)  # |a| without the threshold's term, which fades as 1 / sqrt(k)
+    if m.signal == 0:
+        return math.inf
+    x = math.sqrt(-2 * math.log1p(-target))
+    return ((threshold * m.root + x * m.spread) / m.signal) ** 2
