@@ -1,0 +1,89 @@
+"""Merging of near-duplicate Gaussians by an anisotropic (Mahalanobis) distance (DESIGN 4.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from engine.model import Float64, GaussianModel, Int32
+
+COLOR_GAP = 0.15
+"""Largest DC difference (SH units, about 0.04 in colour) of a pair that may be merged."""
+
+SHAPE_GAP = 0.35
+"""Largest relative difference of the two covariances (Frobenius) of a pair that may be merged."""
+
+
+def covariances(model: GaussianModel) -> Float64:
+    """(N, 3, 3) covariance matrices R S S^T R^T (Eq 2)."""
+    rotation = Rotation.from_quat(model.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    half = rotation * np.exp(model.log_scales.astype(np.float64))[:, None, :]
+    return np.asarray(half @ half.transpose(0, 2, 1))
+
+
+def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianModel, Int32, Int32]:
+    """Merge mutual nearest neighbours that are one blob written twice.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    distance : float
+        Largest squared Mahalanobis distance (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
+
+    Returns
+    -------
+    merged : GaussianModel
+        Survivors in their old order; a merged pair has the pair's first two moments, and its joint opacity.
+    kept : (n,) int32
+        Old row of each survivor.
+    partner : (n,) int32
+        Old row of the Gaussian merged into it, or -1.
+    """
+    n = len(model)
+    rows = np.arange(n, dtype=np.int32)
+    if n < 2:
+        return model, rows, np.full(n, -1, np.int32)
+    nearest = cKDTree(model.means).query(model.means, k=2, workers=2)[1][:, 1]
+    first = np.flatnonzero((nearest[nearest] == rows) & (rows < nearest))
+    second = nearest[first]
+    close = np.abs(model.sh[first, 0] - model.sh[second, 0]).max(axis=1) < COLOR_GAP
+    first, second = first[close], second[close]
+    if len(first) == 0:
+        return model, rows, np.full(n, -1, np.int32)
+    sigma_a, sigma_b = covariances(model.take(first)), covariances(model.take(second))
+    mean = 0.5 * (sigma_a + sigma_b) + 1e-12 * np.trace(sigma_a, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    gap = (model.means[second] - model.means[first]).astype(np.float64)
+    mahalanobis = np.einsum("ni,ni->n", gap, np.linalg.solve(mean, gap[:, :, None])[:, :, 0])
+    shape = np.linalg.norm(sigma_a - sigma_b, axis=(1, 2)) / np.linalg.norm(mean, axis=(1, 2))
+    same = (mahalanobis < distance) & (shape < SHAPE_GAP)
+    first, second, gap = first[same], second[same], gap[same]
+    merged = _merge_pairs(model, first, second, sigma_a[same], sigma_b[same], gap)
+    keep = np.ones(n, dtype=bool)
+    keep[second] = False
+    partner = np.full(n, -1, dtype=np.int32)
+    partner[first] = second
+    return merged.take(keep), rows[keep], partner[keep]
+
+
+def _merge_pairs(
+    model: GaussianModel, first: Int32, second: Int32, sigma_a: Float64, sigma_b: Float64, gap: Float64
+) -> GaussianModel:
+    opacity = model.opacities.astype(np.float64)
+    a, b = opacity[first], opacity[second]
+    share = (b / (a + b))[:, None]  # the two have nearly one size, so mass is opacity
+    mean = model.means[first] + share * gap
+    spread = share * (1 - share) * gap
+    sigma = (1 - share[:, :, None]) * sigma_a + share[:, :, None] * sigma_b
+    sigma += spread[:, :, None] * gap[:, None, :]
+    values, vectors = np.linalg.eigh(sigma)
+    vectors[np.linalg.det(vectors) < 0, :, 0] *= -1.0
+    joint = np.clip(1.0 - (1.0 - a) * (1.0 - b), 1e-6, 1 - 1e-6)
+    means, log_scales = model.means.copy(), model.log_scales.copy()
+    quats, logits, sh = model.quats.copy(), model.opacity_logits.copy(), model.sh.copy()
+    means[first] = mean
+    log_scales[first] = 0.5 * np.log(np.maximum(values, 1e-30))
+    quats[first] = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
+    logits[first] = np.log(joint / (1 - joint))
+    sh[first] = sh[first] + share[:, :, None].astype(np.float32) * (sh[second] - sh[first])
+    return GaussianModel(means, log_scales, quats, logits, sh)

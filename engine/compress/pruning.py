@@ -1,0 +1,185 @@
+"""Perception-aware pruning under a quality budget (Eq 5, DESIGN 4.2): no more model than the scene needs.
+
+Instead of a fixed ratio, the base threshold is bisected until the worst view of the pruned model is as far from
+the original renders as the owner's budget allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import rankdata
+
+from engine.compress.cells import split_cells
+from engine.compress.merging import merge_duplicates
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
+
+
+@dataclass(frozen=True)
+class PruneConfig:
+    """Knobs of pruning.
+
+    Parameters
+    ----------
+    budget_db : float or None
+        Wanted PSNR of the pruned model's worst view against the original renders; None leaves the count alone.
+    gamma : float
+        Aggressiveness of Eq 5 (paper: 0.2).
+    clusters : int
+        Spatial clusters with a threshold of their own.
+    merge_distance : float
+        Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing.
+    steps : int
+        Most bisection steps.
+    tolerance_db : float
+        How close to the budget is close enough (never below it).
+    """
+
+    budget_db: float | None = None
+    gamma: float = 0.2
+    clusters: int = 256
+    merge_distance: float = 0.05
+    steps: int = 12
+    tolerance_db: float = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Pruned:
+    """The pruned model, `kept` (n,) original row of each of its Gaussians, and its worst view's PSNR."""
+
+    model: GaussianModel
+    kept: Int32
+    psnr_db: float
+    merged: int
+
+
+def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float) -> Bool:
+    """Eq 5: keep what lies above tau = tau_base + gamma * (fraction of its cluster below tau_base).
+
+    Parameters
+    ----------
+    rank : (N,) in (0, 1]
+        Impact as its rank, so that thresholds are fractions of the scene whatever its units.
+    clusters : (N,) int32
+    tau_base, gamma : float
+
+    Returns
+    -------
+    (N,) bool
+    """
+    below = np.bincount(clusters, rank < tau_base) / np.maximum(np.bincount(clusters), 1)
+    # A cluster that is mostly redundant is cut harder, one that is mostly needed is left alone.
+    tau = tau_base * (1.0 + gamma * below) if tau_base < 1.0 else np.full_like(below, tau_base)
+    return np.asarray(rank >= tau[clusters])
+
+
+def prune(
+    model: GaussianModel,
+    impact: Float64,
+    worst_psnr: Callable[[GaussianModel], float],
+    radius: float,
+    config: PruneConfig,
+) -> Pruned:
+    """Remove what the budget says is not needed.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    impact : (N,) float64
+        Eq 4.
+    worst_psnr : callable
+        Worst view's PSNR of a candidate against the original renders, dB.
+    radius : float
+        Scene radius, for the clusters.
+    config : PruneConfig
+
+    Returns
+    -------
+    Pruned
+        Rows keep their order. With `budget_db=None` the model itself.
+    """
+    n = len(model)
+    everything = np.arange(n, dtype=np.int32)
+    if config.budget_db is None or n < 16:
+        return Pruned(model, everything, float("inf"), 0)
+    goal = config.budget_db
+    merged = _merge_if_cheap(model, impact, worst_psnr, config)
+    base, rows, impact = merged
+    rank = rankdata(impact, method="ordinal") / len(base)
+    features = (base.means / radius).astype(np.float32)
+    clusters = split_cells(features, np.ones(len(base)), min(config.clusters, max(1, len(base) // 64)))
+    low, high = 0.0, 0.98
+    best = Pruned(base, rows, worst_psnr(base), n - len(base))
+    for _ in range(config.steps):
+        if best.psnr_db - goal < config.tolerance_db:
+            break
+        tau = 0.5 * (low + high)
+        keep = adaptive_keep(rank, clusters, tau, config.gamma)
+        if keep.sum() < 16:
+            high = tau
+            continue
+        candidate = base.take(keep)
+        psnr = worst_psnr(candidate)
+        if psnr >= goal:
+            low, best = tau, Pruned(candidate, rows[keep], psnr, n - len(base))
+        else:
+            high = tau
+    return best
+
+
+def _merge_if_cheap(
+    model: GaussianModel, impact: Float64, worst_psnr: Callable[[GaussianModel], float], config: PruneConfig
+) -> tuple[GaussianModel, Int32, Float64]:
+    """Merge near-duplicates first, unless that alone eats a third of the budget's error."""
+    rows = np.arange(len(model), dtype=np.int32)
+    if config.merge_distance <= 0 or config.budget_db is None:
+        return model, rows, impact
+    candidate, kept, partner = merge_duplicates(model, config.merge_distance)
+    if len(candidate) == len(model) or worst_psnr(candidate) < config.budget_db + 5.0:
+        return model, rows, impact
+    summed = impact.copy()
+    np.add.at(summed, kept[partner >= 0], impact[partner[partner >= 0]])
+    return candidate, kept, summed[kept]
+
+
+def drop_unseen_bands(
+    model: GaussianModel, curvature: Float32, pixels: int, error_budget: float
+) -> tuple[GaussianModel, int]:
+    """Zero the SH bands, per Gaussian, that no view needs.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    curvature : (N, K) float32
+        H of `sh_curvature`: to second order, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2.
+    pixels : int
+        Pixels of all views together.
+    error_budget : float
+        Mean squared error per pixel and channel that may be spent.
+
+    Returns
+    -------
+    model : GaussianModel
+    dropped : int
+        Coefficients set to zero (triples).
+    """
+    if model.sh_degree == 0:
+        return model, 0
+    cost = curvature * (model.sh.astype(np.float32) ** 2).sum(axis=2)  # (N, K)
+    bands = [cost[:, degree**2 : (degree + 1) ** 2].sum(axis=1) for degree in range(1, model.sh_degree + 1)]
+    flat = np.stack(bands, axis=1)  # (N, degree)
+    order = np.argsort(flat, axis=None, kind="stable")
+    # Neighbouring errors add up coherently (Gaussians overlap): allow a tenth of the second-order estimate.
+    affordable = np.cumsum(flat.reshape(-1)[order].astype(np.float64)) <= 0.1 * error_budget * pixels * 3
+    drop = np.zeros(flat.size, dtype=bool)
+    drop[order[affordable]] = True
+    drop = drop.reshape(flat.shape)
+    sh = model.sh.copy()
+    dropped = 0
+    for degree in range(1, model.sh_degree + 1):
+        band = slice(degree**2, (degree + 1) ** 2)
+        dropped += int((sh[drop[:, degree - 1], band] != 0).any(axis=2).sum())
+        sh[drop[:, degree - 1], band] = 0.0
+    return model.with_(sh=sh), dropped

@@ -1,0 +1,80 @@
+"""What is delivered before it is marked: as many Gaussians, SH bands and codes as the scene needs, no more."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
+from engine.compress.impact import Impact, sh_curvature, uncertainty
+from engine.compress.pruning import drop_unseen_bands, prune
+from engine.model import Float64, GaussianModel
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.rigs import Extent
+from engine.pipeline.scenes import ViewSet, worst_psnr_against
+
+BAND_SHARE = 0.05
+"""Share of the pruning budget's squared error that dropping SH bands may use."""
+
+MOST_STAGES = 5
+
+
+def slim_down(
+    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
+) -> tuple[GaussianModel, dict[str, Any]]:
+    """Prune Gaussians and SH bands within the owner's budget; with no budget the model stays as it is.
+
+    Returns
+    -------
+    model : GaussianModel
+    report : dict
+        budget_db, psnr_pruned_worst_view, merged, sh_bands_dropped; empty without a budget.
+    """
+    budget = config.prune.budget_db
+    if budget is None:
+        return model, {}
+    measure = worst_psnr_against(original.images, original.cameras)
+    pixels = sum(c.width * c.height for c in original.cameras)
+    curvature = sh_curvature(model, original.views, original.cameras)
+    thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
+    pruned = prune(thin, impact.impact, measure, extent.radius, config.prune)
+    if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
+        dropped = 0
+        pruned = prune(model, impact.impact, measure, extent.radius, config.prune)
+    return pruned.model, {
+        "budget_db": budget,
+        "psnr_pruned_worst_view": pruned.psnr_db,
+        "merged": pruned.merged,
+        "sh_bands_dropped": dropped,
+    }
+
+
+def color_weights(model: GaussianModel, impact: Impact) -> Float64:
+    """(N,) how much an error in each Gaussian's colour is seen: the inverse of its Laplace uncertainty.
+
+    That is the curvature of the render error itself; W^freq of the paper (impact times ||DWT(g)||) in its place
+    is what the ablation compares it with.
+    """
+    return np.asarray(1.0 / uncertainty(impact.squared))
+
+
+def unmarked_delivery(
+    model: GaussianModel, stages: tuple[Stage, ...], original: ViewSet, impact: Impact, config: EmbedConfig
+) -> tuple[GaussianModel, tuple[Stage, ...]]:
+    """The unmarked model as delivered: itself ("fidelity"), or the sum of its code vectors ("compact").
+
+    "compact" learns residual stages until the worst view keeps `compact_db` against the original (with room for
+    the mark), up to MOST_STAGES: as many codes as the scene needs.
+    """
+    if config.output == "fidelity":
+        return model, stages
+    measure = worst_psnr_against(original.images, original.cameras)
+    weights = color_weights(model, impact)
+    while True:
+        compact = model.with_(sh=decode_stages(stages))
+        if measure(compact) >= config.compact_db + 0.8 or len(stages) > MOST_STAGES:
+            return compact, stages
+        residual = (model.sh - compact.sh).reshape(len(model), -1)
+        number = len(stages)
+        stages = (*stages, learn_residual_stage(residual, weights, 1024, config.quantize, seed=number))

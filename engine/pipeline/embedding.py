@@ -1,0 +1,210 @@
+"""The embedding flow: model -> prune -> quantise -> displace code vectors -> refine -> marked model and record.
+
+1. Look at the model from the key views.            5. Plan carriers and amplitudes; commit to them.
+2. Prune to the budget, if one was given.           6. Draw bits and chips from the owner's key.
+3. Fix the canonical reference.                     7. Solve the strength; refine; solve it again.
+4. Quantise hierarchically.                         8. Write the record: all that verification needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.compress.hvq import quantize
+from engine.compress.impact import measure_impact, uncertainty
+from engine.errors import InputError
+from engine.model import Camera, Float32, GaussianModel
+from engine.pipeline.delivery import color_weights, slim_down, unmarked_delivery
+from engine.pipeline.profiles import EmbedConfig, config_dict
+from engine.pipeline.progress import Clock, Progress
+from engine.pipeline.rigs import Extent, make_rig, measure_extent
+from engine.pipeline.scenes import look, worst_psnr_against
+from engine.pipeline.sealing import make_record, mark_context
+from engine.pipeline.strength import Strength, add_dc, solve_strength
+from engine.watermark.keys import POSE, OwnerKey, uniform
+from engine.watermark.landmarks import Landmarks, make_landmarks
+from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
+from engine.watermark.planning import capacity_bits, check_capacity, make_plan, predict_z
+from engine.watermark.record import Record
+from engine.watermark.reference_codec import encode_reference, reference_digest
+from engine.watermark.spreading import signed_amplitudes, spread
+
+LANDMARK_SIZE = (640, 480)
+"""Pixels of a view of the landmark bank."""
+
+
+@dataclass(frozen=True, eq=False)
+class Embedding:
+    """What an embedding gives back.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The marked model to deliver.
+    record : Record
+        What the owner keeps.
+    report : dict
+        Measurements for people and machines (`embed --json`).
+    """
+
+    model: GaussianModel
+    record: Record
+    report: dict[str, Any]
+
+
+def embed(
+    model: GaussianModel,
+    key: OwnerKey,
+    *,
+    original_sha256: str,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: EmbedConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    copy: str = "",
+    registered_at: str = "",
+    progress: Progress | None = None,
+) -> Embedding:
+    """Mark a model.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    key : OwnerKey
+    original_sha256 : str
+        Hex digest of the owner's file; the record commits to it.
+    message : (B,) signs, optional
+        Derived from the key where not given.
+    bits : int
+        Length of a derived message.
+    config : EmbedConfig, optional
+    cameras : sequence of Camera, optional
+        The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
+    copy : str
+        Name of the recipient; every copy has a message and chips of its own.
+    registered_at : str
+        Time of registration as the caller knows it; no clock is read here.
+    progress : callable, optional
+
+    Returns
+    -------
+    Embedding
+
+    Raises
+    ------
+    CapacityError
+        If the scene cannot carry the message at the asked fidelity.
+    InputError
+        If the model or the options are unusable.
+    """
+    config = config or EmbedConfig()
+    clock = Clock(progress)
+    bits = len(message) if message is not None else bits
+    check_bits(bits)
+    if len(model) < 64:
+        raise InputError(f"a mark needs at least 64 Gaussians, this model has {len(model)}")
+    asset = bytes.fromhex(original_sha256)
+
+    with clock.stage("look"):  # 1
+        extent = measure_extent(model)
+        key_cameras = _key_cameras(model, key, asset, config, cameras, extent)
+        original = look(model, key_cameras, clock.advance)
+        impact = measure_impact(model, original.views, original.images)
+    with clock.stage("prune"):  # 2
+        slim, pruned = slim_down(model, original, impact, extent, config)
+    with clock.stage("quantize"):  # 3, 4
+        if len(slim) != len(model):
+            fewer = look(slim, key_cameras, clock.advance)
+            impact = measure_impact(slim, fewer.views, fewer.images)
+        stages = quantize(slim, color_weights(slim, impact), extent.radius, config.quantize)
+        delivered, stages = unmarked_delivery(slim, stages, original, impact, config)
+        reference_arrays = encode_reference(delivered)
+        digest = reference_digest(reference_arrays)
+    with clock.stage("plan"):  # 5, 6
+        views = look(delivered, key_cameras, clock.advance)
+        plan = make_plan(stages, impact, config.plan)
+        layout = plan.layout
+        sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
+        context = mark_context(digest, layout, sign, copy)
+        spreading = spread(key, context, layout.codes, len(layout.directions[0]), bits)
+        signed = signed_amplitudes(layout.amplitudes, spreading, sign)
+        displacement = layout.displace(signed)
+        strength = solve_strength(views, displacement, config.psnr_db, config.ssim)
+        capacity = capacity_bits(plan.energies, strength.factor, layout.chips)
+        check_capacity(bits, capacity)
+    displacement = np.float32(strength.factor) * displacement
+    if config.refine.steps > 0:
+        with clock.stage("refine"):  # 7
+            from engine.pipeline.refinement import refine  # torch is only needed here
+
+            doubt = uncertainty(impact.squared)
+            displacement = refine(
+                delivered, displacement, list(key_cameras), layout, signed, spreading.bit_of, bits, doubt,
+                config.refine, clock.advance,
+            )  # fmt: skip
+            again = solve_strength(views, displacement, config.psnr_db, config.ssim, start=1.0)
+            displacement = np.float32(again.factor) * displacement
+            strength = Strength(strength.factor, again.psnr_db, again.ssim)
+    marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
+    with clock.stage("record"):  # 8
+        landmarks = _landmarks(delivered, extent, config, clock)
+        record = make_record(
+            key, reference_arrays, layout, strength.factor, sign, key_cameras, landmarks,
+            original_sha256=original_sha256, copy=copy, registered_at=registered_at,
+            settings=config_dict(config),
+        )  # fmt: skip
+        total = worst_psnr_against(original.images, key_cameras)(marked)
+    predicted = predict_z(plan.energies, strength.factor, spreading.bit_of, bits)
+    report = {
+        "gaussians_in": len(model),
+        "gaussians_out": len(marked),
+        "bits": bits,
+        "message": message_hex(sign),
+        "copy": copy,
+        "record_id": record.header.record_id,
+        "psnr_worst_view": strength.psnr_db,
+        "ssim_worst_view": strength.ssim,
+        "psnr_total_worst_view": total,
+        "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
+        "capacity_bits": capacity,
+        "chips": layout.chips,
+        **pruned,
+        "seconds": clock.total,
+        "seconds_by_stage": clock.seconds,
+    }
+    return Embedding(marked, record, report)
+
+
+def _key_cameras(
+    model: GaussianModel,
+    key: OwnerKey,
+    asset: bytes,
+    config: EmbedConfig,
+    cameras: Sequence[Camera] | None,
+    extent: Extent,
+) -> list[Camera]:
+    """The pose key: views chosen by the owner's key, among the owner's cameras or around the model."""
+    draw = uniform(key.derive(POSE, asset), 4 * config.views).reshape(config.views, 4)
+    if not cameras:
+        return make_rig(model, config.views, config.view_size, config.view_size, jitter=draw, extent=extent)
+    count = min(config.views, len(cameras))
+    slots = np.linspace(0, len(cameras), count + 1)
+    chosen = [int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)]
+    chosen = [cameras[min(i, len(cameras) - 1)] for i in chosen]
+    shrink = [min(1.0, config.view_size / max(c.width, c.height)) for c in chosen]
+    return [
+        c.resized(max(1, round(c.width * f)), max(1, round(c.height * f)))
+        for c, f in zip(chosen, shrink, strict=True)
+    ]
+
+
+def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:
+    """The bank by which the camera of a screenshot is found; regular views of the unmarked model."""
+    if config.landmark_views == 0:
+        return None
+    rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
+    return make_landmarks(model, rig, clock.advance)

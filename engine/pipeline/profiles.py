@@ -1,0 +1,99 @@
+"""Settings of an embedding, and the three named points on one curve of speed against accuracy (DESIGN 10)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from engine.compress.hvq import HvqConfig
+from engine.compress.pruning import PruneConfig
+from engine.errors import InputError
+from engine.watermark.planning import PlanConfig
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Knobs of the refinement (Eq 9).
+
+    Parameters
+    ----------
+    steps : int
+        Adam steps; 0 leaves the closed-form mark as it is.
+    lambda_msg, lambda_rec, lambda_wavelet : float
+        Weights of the three losses (paper's text: 0.4, 1.0, 0.3; its appendix: 0.2, 0.5, 0.05).
+    rate : float
+        Adam step in SH units, before the uncertainty's scaling.
+    size : int
+        Side of the refined views, pixels.
+    """
+
+    steps: int = 0
+    lambda_msg: float = 0.4
+    lambda_rec: float = 1.0
+    lambda_wavelet: float = 0.3
+    rate: float = 4e-4
+    size: int = 400
+
+
+@dataclass(frozen=True)
+class EmbedConfig:
+    """Everything an embedding can be told.
+
+    Parameters
+    ----------
+    psnr_db : float
+        Wanted PSNR of the mark in the worst view, against the unmarked render.
+    ssim : float
+        Wanted SSIM of the mark in the worst view.
+    output : str
+        "fidelity" keeps each Gaussian's own residual, "compact" drops it.
+    compact_db : float
+        With "compact": least PSNR of the delivered model against the original, worst view.
+    views : int
+        Key views at which the mark is shaped.
+    view_size : int
+        Side of a key view, pixels.
+    landmark_views : int
+        Views of the landmark bank by which the camera of a screenshot is found; 0 leaves it out.
+    quantize, prune, plan, refine
+        Knobs of those stages.
+    """
+
+    psnr_db: float = 47.0
+    ssim: float = 0.998
+    output: str = "fidelity"
+    compact_db: float = 40.0
+    views: int = 8
+    view_size: int = 800
+    landmark_views: int = 48
+    quantize: HvqConfig = field(default_factory=HvqConfig)
+    prune: PruneConfig = field(default_factory=PruneConfig)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+
+    def __post_init__(self) -> None:
+        if self.output not in ("fidelity", "compact"):
+            raise InputError(f"output must be 'fidelity' or 'compact', got {self.output!r}")
+        if not 20.0 <= self.psnr_db <= 90.0:
+            raise InputError(f"psnr must lie between 20 and 90 dB, got {self.psnr_db}")
+        if self.prune.budget_db is not None and not 15.0 <= self.prune.budget_db <= 80.0:
+            raise InputError(f"budget must lie between 15 and 80 dB or be 'none', got {self.prune.budget_db}")
+
+
+PROFILES: dict[str, EmbedConfig] = {
+    "fast": EmbedConfig(views=6),
+    "balanced": EmbedConfig(views=8, refine=RefineConfig(steps=30)),
+    "strong": EmbedConfig(views=12, refine=RefineConfig(steps=100)),
+}
+
+
+def profile(name: str, **changes: Any) -> EmbedConfig:
+    """A named profile with some knobs changed; an unknown name is an InputError."""
+    if name not in PROFILES:
+        raise InputError(f"unknown profile {name!r}, choose one of {', '.join(sorted(PROFILES))}")
+    return replace(PROFILES[name], **changes)
+
+
+def config_dict(config: EmbedConfig) -> dict[str, Any]:
+    """The composed settings as plain values, as `mark3dgs config show` prints them."""
+    return asdict(config)

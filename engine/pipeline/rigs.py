@@ -1,0 +1,126 @@
+"""Camera rigs from the model alone (DESIGN 4.1): most models come without cameras.
+
+An *object* (or a piece of ground seen from the air) is looked at from shells of orbits around it; a *room* is
+looked at from inside. Which of the two is decided by where the Gaussians are: a room keeps its middle empty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Camera, Float64, GaussianModel, look_at
+
+UP = np.array([0.0, -1.0, 0.0])
+"""Captures are written with y pointing down (COLMAP, INRIA); only the roll of a generated view depends on it."""
+
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+"""Successive azimuths of a rig: any prefix of the rig covers the circle evenly."""
+
+FIELD_OF_VIEW = 0.85
+"""Horizontal field of view of generated views, radians (about 49 degrees: a phone's main lens)."""
+
+ROOM_EMPTINESS = 0.03
+"""A model is a room when less than this share of its visible area lies within 45 % of its radius."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where a model is, robust against floaters.
+
+    Parameters
+    ----------
+    center : (3,)
+        Weighted median of the centres, scene units.
+    radius : float
+        Weighted 90 % quantile of the distance from the centre.
+    axes : (3,)
+        Weighted 5 % to 95 % width along x, y, z.
+    is_room : bool
+        The middle is empty and the walls are all around.
+    """
+
+    center: Float64
+    radius: float
+    axes: Float64
+    is_room: bool
+
+
+def _weighted_quantile(values: Float64, weights: Float64, q: float) -> float:
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(cumulative, q * cumulative[-1])]])
+
+
+def measure_extent(model: GaussianModel) -> Extent:
+    """Robust centre, radius and kind of a model, from quantiles weighted by opacity times visible area."""
+    means = model.means.astype(np.float64)
+    log_area = np.sort(model.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+    # A handful of sky-sized Gaussians must not decide where the model is.
+    area = np.exp(np.minimum(log_area, np.quantile(log_area, 0.95)) - log_area.max())
+    weights = np.maximum(model.opacities.astype(np.float64) * area, 1e-300)
+    low, center, high = (
+        np.array([_weighted_quantile(means[:, d], weights, q) for d in range(3)]) for q in (0.05, 0.5, 0.95)
+    )
+    middle = 0.5 * (low + high)
+    center = np.where(np.abs(center - middle) < 0.25 * (high - low), middle, center)
+    distance = np.linalg.norm(means - center, axis=1)
+    radius = max(_weighted_quantile(distance, weights, 0.9), 1e-6)
+    inside = float(weights[distance < 0.45 * radius].sum() / weights.sum())
+    return Extent(center, radius, np.maximum(high - low, 1e-9), len(model) > 100 and inside < ROOM_EMPTINESS)
+
+
+def make_rig(
+    model: GaussianModel,
+    count: int,
+    width: int,
+    height: int,
+    *,
+    jitter: Float64 | None = None,
+    extent: Extent | None = None,
+) -> list[Camera]:
+    """Views that show the whole model, evenly spread; the same model gives the same rig.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    count : int
+        Number of cameras.
+    width, height : int
+        Image size, pixels.
+    jitter : (count, 4) in [0, 1), optional
+        Moves azimuth, elevation, distance and aim; the pose key draws it from the owner's key, trials from a
+        seed. Without it the rig is the plain, regular one.
+    extent : Extent, optional
+        Where the model is, when already measured.
+
+    Returns
+    -------
+    list of Camera
+    """
+    extent = extent or measure_extent(model)
+    u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
+    focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+    azimuth = GOLDEN_ANGLE * np.arange(count) + 2 * np.pi * (u[:, 0] - 0.5) / max(count, 1)
+    cameras = []
+    for k in range(count):
+        shell = (k + u[k, 1]) / count  # stratified: the elevations of a rig cover their range
+        if extent.is_room:
+            elevation = np.radians(-20.0 + 40.0 * shell)
+            toward = _direction(azimuth[k], elevation)
+            eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
+            target = extent.center + extent.radius * toward
+        else:
+            elevation = np.radians(8.0 + 47.0 * shell)
+            fit = extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
+            eye = extent.center + _direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
+            target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * _direction(azimuth[k] + 1.0, 0.0)
+        cameras.append(look_at(eye, target, UP, focal, width, height))
+    return cameras
+
+
+def _direction(azimuth: float, elevation: float) -> Float64:
+    """Unit vector; positive elevations lie towards UP."""
+    flat = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)]) * np.cos(elevation)
+    return np.asarray(flat + UP * np.sin(elevation))

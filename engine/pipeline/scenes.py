@@ -1,0 +1,64 @@
+"""A model seen from a set of cameras: geometry prepared once, colours rendered as often as needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.image_metrics import psnr, ssim
+from engine.raster import View, prepare_view, render, sh_colors
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSet:
+    """Prepared views of one geometry.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    cameras : sequence of Camera
+    views : sequence of View
+    images : sequence of (H, W, 3) float32
+        Renders of the model itself.
+    """
+
+    model: GaussianModel
+    cameras: Sequence[Camera]
+    views: Sequence[View]
+    images: Sequence[Float32]
+
+    def render(self, index: int, sh: Float32) -> Float32:
+        """(H, W, 3) one view with other colours, sh (N, K, 3)."""
+        colors = sh_colors(sh, self.model.means, self.cameras[index].position.astype(np.float32))
+        return self.views[index].render(colors)[0]
+
+    def worst(self, sh: Float32, metric: Callable[[Float32, Float32], float] = psnr) -> float:
+        """Worst view's metric of other colours against the model's own."""
+        return min(metric(image, self.render(k, sh)) for k, image in enumerate(self.images))
+
+
+def look(model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None]) -> ViewSet:
+    """Prepare and render all views."""
+    views, images = [], []
+    for k, camera in enumerate(cameras):
+        view = prepare_view(model, camera)
+        colors = sh_colors(model.sh, model.means, camera.position.astype(np.float32))
+        views.append(view)
+        images.append(view.render(colors)[0])
+        advance((k + 1) / len(cameras))
+    return ViewSet(model, cameras, views, images)
+
+
+def worst_psnr_against(images: Sequence[Float32], cameras: Sequence[Camera]) -> Callable[[GaussianModel], float]:
+    """Function from a candidate model to its worst view's PSNR against given renders."""
+
+    def measure(candidate: GaussianModel) -> float:
+        return min(psnr(image, render(candidate, camera)) for image, camera in zip(images, cameras, strict=True))
+
+    return measure
+
+
+__all__ = ["ViewSet", "look", "psnr", "ssim", "worst_psnr_against"]

@@ -1,0 +1,73 @@
+"""The strength of a mark: as much as the worst key view stands (DESIGN 4.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Float32
+from engine.numerics.image_metrics import psnr, ssim
+from engine.pipeline.scenes import ViewSet
+
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Factor on the displacement, and what the worst view then measures."""
+
+    factor: float
+    psnr_db: float
+    ssim: float
+
+
+def add_dc(sh: Float32, displacement: Float32) -> Float32:
+    """(N, K, 3) colours with the DC coefficients displaced by (N, 3)."""
+    marked = sh.copy()
+    marked[:, 0] += displacement
+    return marked
+
+
+def solve_strength(
+    views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float | None = None
+) -> Strength:
+    """Largest factor at which the worst view keeps both targets.
+
+    Parameters
+    ----------
+    views : ViewSet
+        Of the unmarked model.
+    displacement : (N, 3) float32
+        At factor 1.
+    psnr_db, least_ssim : float
+        Targets against the unmarked render.
+    start : float, optional
+        First guess of the factor; else `displacement` is taken to have an image energy of 1 a view.
+
+    Returns
+    -------
+    Strength
+        Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM
+        limits.
+    """
+    pixels = 3 * max(c.width * c.height for c in views.cameras)
+    factor = start or 10 ** (-psnr_db / 20.0) * float(np.sqrt(pixels))
+    for _ in range(ROUNDS):
+        found = _measure(views, displacement, factor)
+        if not np.isfinite(found.psnr_db):  # nothing in sight changes: any strength will do
+            return found
+        # PSNR falls by 20 log10 of the factor, 1 - SSIM grows with its square; aim a hair above both.
+        by_psnr = 10 ** ((found.psnr_db - psnr_db - 0.02) / 20.0)
+        by_ssim = np.sqrt((1.0 - least_ssim) / max(1.0 - found.ssim, 1e-12)) * 0.998
+        step = float(min(by_psnr, by_ssim))
+        if found.psnr_db >= psnr_db and found.ssim >= least_ssim and step < 1.006:
+            return found
+        factor *= step
+    return _measure(views, displacement, factor)
+
+
+def _measure(views: ViewSet, displacement: Float32, factor: float) -> Strength:
+    sh = add_dc(views.model.sh, np.float32(factor) * displacement)
+    pairs = [(image, views.render(k, sh)) for k, image in enumerate(views.images)]
+    return Strength(factor, min(psnr(a, b) for a, b in pairs), min(ssim(a, b) for a, b in pairs))

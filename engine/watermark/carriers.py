@@ -1,0 +1,57 @@
+"""Carrier directions: the SVD basis in which a code vector is displaced (paper Eq 6, DESIGN 4.5).
+
+The basis comes from the **unmarked** codebook only: an extractor that keeps the mark's own U, V finds that mark in
+anything. It spans the DC block: `.splat` drops the SH rest, SPZ and compressed PLY store it in 4 to 8 bits, bakes
+and truncation remove it, so energy put there is paid for in decibels and lost as evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import SH_C0, Float32, Float64
+
+LUMA = np.array([0.299, 0.587, 0.114]) / np.linalg.norm([0.299, 0.587, 0.114])
+"""Direction of luma (BT.601) in RGB: what JPEG keeps best."""
+
+CHROMA_FLOOR = 0.25
+"""Least amplitude of a carrier against a pure luma carrier. Chroma is subsampled in every screenshot, but on the
+model itself all three carriers read equally well and three carriers hold three times the chips."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carriers:
+    """Orthonormal directions (R, 3) in DC space, singular value order, and relative amplitudes (R,), norm 1."""
+
+    directions: Float64
+    amplitudes: Float64
+
+
+def make_carriers(codebook: Float32, usage: Float64, chroma_floor: float = CHROMA_FLOOR) -> Carriers:
+    """Right singular vectors of the usage-weighted codebook's DC block.
+
+    Parameters
+    ----------
+    codebook : (M, 3K) float32
+        Unmarked code vectors.
+    usage : (M,) float64
+        How much of the images each code vector covers.
+    chroma_floor : float
+        See CHROMA_FLOOR.
+
+    Returns
+    -------
+    Carriers
+        The colours are taken as they show (0.5 + C0 c, uncentred), so the first direction has one sign throughout
+        and lies near luma; signs are fixed (largest component positive) to be the same on every machine.
+    """
+    shown = 0.5 + SH_C0 * codebook[:, :3].astype(np.float64)
+    gram = (shown * (usage / max(usage.sum(), 1e-300))[:, None]).T @ shown  # V of the SVD, by its Gram matrix
+    _, vectors = np.linalg.eigh(gram)
+    directions = vectors[:, ::-1].T
+    signs = np.sign(directions[np.arange(3), np.abs(directions).argmax(axis=1)])
+    directions = directions * signs[:, None]
+    amplitudes = np.maximum(np.abs(directions @ LUMA), chroma_floor)
+    return Carriers(directions, amplitudes / np.linalg.norm(amplitudes))

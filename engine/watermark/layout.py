@@ -1,0 +1,63 @@
+"""The layout of a mark: which code vectors exist, their carriers, and how far each chip is displaced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float32, Float64, Int32
+
+Values = npt.NDArray[np.float32] | npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """All stages of a mark. It is made from the unmarked model alone and holds no chip.
+
+    Parameters
+    ----------
+    labels : tuple of (N,) int32
+        Code of each Gaussian in each stage.
+    codes : tuple of int
+        Number of code vectors of each stage.
+    directions : tuple of (R, 3) float64
+        Carriers of each stage, in DC space; the same R for all.
+    amplitudes : (C,) float64
+        Size of each chip's displacement, SH units; flat order stage, code vector, carrier.
+    """
+
+    labels: tuple[Int32, ...]
+    codes: tuple[int, ...]
+    directions: tuple[Float64, ...]
+    amplitudes: Float64
+
+    @property
+    def chips(self) -> int:
+        """Number of chips C."""
+        return sum(self.codes) * len(self.directions[0])
+
+    def split(self, flat: Float64) -> list[Float64]:
+        """(C,) per chip -> one (codes, R) array per stage."""
+        carriers = len(self.directions[0])
+        ends = np.cumsum(self.codes)[:-1] * carriers
+        return [part.reshape(-1, carriers) for part in np.split(flat, ends)]
+
+    def displace(self, signed: Float64) -> Float32:
+        """(N, 3) DC displacement of each Gaussian for the displacements (C,) of the chips.
+
+        c'_k = c_k + sum_r signed_kr v_r (Eq 6's minimum under a fixed linear response), summed over the stages.
+        """
+        total = np.zeros((len(self.labels[0]), 3))
+        for part, label, direction in zip(self.split(signed), self.labels, self.directions, strict=True):
+            total += (part @ direction)[label]
+        return total.astype(np.float32)
+
+    def gather(self, per_gaussian: Values) -> Float64:
+        """(C,) adjoint of `displace`: sums a gradient (N, 3) with respect to DC over each chip."""
+        flat = []
+        for count, label, direction in zip(self.codes, self.labels, self.directions, strict=True):
+            sums = [np.bincount(label, per_gaussian[:, c], count) for c in range(3)]
+            flat.append((np.stack(sums, axis=1) @ direction.T).reshape(-1))
+        return np.concatenate(flat)

@@ -1,0 +1,138 @@
+"""From a registered suspect model to one displacement estimate per chip (DESIGN 4.8, paper Eq 10 and 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Float32, Float64, Int32
+from engine.watermark.layout import Layout
+
+MARK_SCALE = 0.02
+"""Displacements of a mark are about this large (SH units): no residual this small is treated as an outlier."""
+
+AFFINE_SAMPLE = 30_000
+PASSES = 2
+"""Rounds of residual compensation over the stages (Eq 11); the second changes z by under a per cent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What one suspect says about each chip; made without looking at any chip (DESIGN 4.9).
+
+    Parameters
+    ----------
+    y : (C,) float64
+        Estimated displacement of each code vector along each carrier.
+    weights : (C,) float64
+        Non-negative weights: expected displacement over variance.
+    signal : (C,) float64
+        Size of y to expect if the mark is there, in the units of y.
+    """
+
+    y: Float64
+    weights: Float64
+    signal: Float64
+
+
+def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
+    """Residual minus its best global affine function of the reference colour (gain, tint, exposure).
+
+    Parameters
+    ----------
+    reference, residual : (n, 3) float64
+        Reference DC and suspect minus reference DC.
+    weights : (n,) float64
+
+    Returns
+    -------
+    (n, 3) float64
+    """
+    n = len(reference)
+    if n < 16:
+        return residual
+    step = max(1, n // AFFINE_SAMPLE)
+    design = np.concatenate([reference, np.ones((n, 1))], axis=1)
+    x, r, base = design[::step], residual[::step], weights[::step]
+    fit = np.zeros((4, 3))
+    for _ in range(8):  # iteratively re-weighted least squares, Geman-McClure weights
+        gap = np.linalg.norm(r - x @ fit, axis=1)
+        scale = max(1.5 * float(np.median(gap)), MARK_SCALE)
+        w = base / (1.0 + (gap / scale) ** 2) ** 2
+        normal = (x * w[:, None]).T @ x + 1e-9 * w.sum() * np.eye(4)
+        fit = np.linalg.solve(normal, (x * w[:, None]).T @ r)
+    return np.asarray(residual - design @ fit)
+
+
+def gather_model_evidence(
+    layout: Layout, reference_dc: Float32, suspect_dc: Float32, matches: Int32, quality: Float32
+) -> Evidence:
+    """Displacement of every code vector along every carrier, "inverse SVD" of Eq 10 with Eq 11's compensation.
+
+    Parameters
+    ----------
+    layout : Layout
+    reference_dc : (N, 3) float32
+        DC colours of the unmarked reference.
+    suspect_dc : (n, 3) float32
+        DC colours of the suspect.
+    matches : (n,) int32
+        Reference row of each suspect Gaussian, or -1.
+    quality : (n,) float32
+        Trust in each match, 0 to 1.
+
+    Returns
+    -------
+    Evidence
+    """
+    rows = np.flatnonzero((matches >= 0) & (quality > 0))
+    target = matches[rows]
+    reference = reference_dc[target].astype(np.float64)
+    residual = suspect_dc[rows].astype(np.float64) - reference
+    trust = quality[rows].astype(np.float64)
+    residual = remove_affine_color(reference, residual, trust)
+    size = np.linalg.norm(residual, axis=1)
+    scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * MARK_SCALE)
+    trust = trust / (1.0 + (size / scale) ** 2)
+    labels = [stage[target] for stage in layout.labels]
+    means = [np.zeros((count, 3)) for count in layout.codes]
+    left = residual
+    for _ in range(PASSES if len(labels) > 1 else 1):  # Eq 11: each stage sees what the others leave over
+        for s, code in enumerate(labels):
+            left = left + means[s][code]
+            means[s] = _weighted_means(left, code, trust, layout.codes[s])
+            left = left - means[s][code]
+    y, variance = [], []
+    for mean, code, direction in zip(means, labels, layout.directions, strict=True):
+        y.append((mean @ direction.T).reshape(-1))
+        variance.append(_variance_of_means(left @ direction.T, code, trust, len(mean)).reshape(-1))
+    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes)
+
+
+def _weighted_means(values: Float64, code: Int32, trust: Float64, count: int) -> Float64:
+    total = np.bincount(code, trust, count)
+    sums = np.stack([np.bincount(code, trust * values[:, c], count) for c in range(3)], axis=1)
+    return np.asarray(sums / np.maximum(total, 1e-12)[:, None])
+
+
+def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -> Float64:
+    """(count, R) variance of each weighted mean; codes nobody matched get infinity."""
+    total = np.bincount(code, trust, count)
+    squared = np.bincount(code, trust**2, count)
+    overall = (trust[:, None] * left**2).sum(axis=0) / max(trust.sum(), 1e-12)  # (R,)
+    spread = np.stack([np.bincount(code, trust * left[:, r] ** 2, count) for r in range(left.shape[1])], axis=1)
+    # A few members say little about their own spread: blend with the whole scene's, worth four members.
+    spread = (spread + 4.0 * overall) / (total[:, None] + 4.0)
+    with np.errstate(divide="ignore"):
+        effective = np.where(total > 1e-9, squared / np.maximum(total, 1e-12) ** 2, np.inf)
+    return np.asarray(spread * effective[:, None] + np.where(total > 1e-9, 0.0, np.inf)[:, None])
+
+
+def _weigh(y: Float64, variance: Float64, amplitudes: Float64) -> Evidence:
+    seen = np.isfinite(variance)
+    # Registration and quantisation leave errors that the members share: never trust a mean beyond a tenth of
+    # the mark's own size, else a handful of code vectors would outweigh all others.
+    floor = (0.1 * amplitudes) ** 2 + 1e-12
+    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + floor), 0.0)
+    return Evidence(np.where(seen, y, 0.0), weights, np.where(seen, amplitudes, 0.0))

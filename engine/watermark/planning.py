@@ -1,0 +1,184 @@
+"""The planner: how far each code vector may be displaced, and how many bits the scene then carries (DESIGN 4.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.compress.hvq import Stage
+from engine.compress.impact import Impact, uncertainty
+from engine.errors import CapacityError
+from engine.model import SH_C0, Float64
+from engine.watermark.carriers import make_carriers
+from engine.watermark.layout import Layout
+
+REFERENCE_NOISE = 0.05
+"""Per-channel noise (std, range 1) of the channel for which z is predicted: one key view, badly compressed."""
+
+BIT_Z = 3.3
+"""Least predicted z of a bit that the planner accepts: a bit error below 1 in 2,000 on that one bad image."""
+
+CHIPS_PER_BIT = 16
+"""Fewest chips a bit may rest on, so that losing most of the model still leaves each bit some."""
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """Knobs of the planner.
+
+    Parameters
+    ----------
+    residual_share : float
+        Share of the mark's image energy in the residual stages, 0 to 1. They are spread over the whole scene, so
+        a very small piece still holds every chip of theirs; as images they are noise, which JPEG removes first.
+    texture_exponent : float
+        How strongly texture masks (0: not at all).
+    balance_rounds : int
+        Rounds that even out the mark's energy over the key views.
+    """
+
+    residual_share: float = 0.08
+    texture_exponent: float = 0.25
+    balance_rounds: int = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Layout with amplitudes at unit strength, and chip energies (V, C): squared image displacement by view."""
+
+    layout: Layout
+    energies: Float64
+
+
+def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None = None) -> Plan:
+    """Carriers and relative amplitudes of every chip, from the unmarked model alone.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        Quantiser of the unmarked model; at least stage 0.
+    impact : Impact
+        Over the key views.
+    config : PlanConfig, optional
+
+    Returns
+    -------
+    Plan
+        With a mean image energy of 1 per view.
+    """
+    config = config or PlanConfig()
+    amplitudes, energies, directions = [], [], []
+    for number, stage in enumerate(stages):
+        count = len(stage.codebook)
+        coverage = np.stack([np.bincount(stage.labels, view, count) for view in impact.per_view])  # (V, M)
+        usage = coverage.sum(axis=0)
+        # In the image a cell adds up over its members; a residual code's members are strangers to each other.
+        reach = coverage if number == 0 else coverage * _incoherence(stage, impact, count)
+        mask = _visual_mask(stage, impact, usage, count, config)
+        if number == 0:
+            mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
+        carriers = make_carriers(stage.codebook, usage)
+        chip = mask[:, None] * carriers.amplitudes  # (M, R)
+        energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
+        share = 1.0 - config.residual_share if number == 0 else config.residual_share / (len(stages) - 1)
+        if len(stages) == 1:
+            share = 1.0
+        scale = share / max(float(energy.sum(axis=(1, 2)).mean()), 1e-300)
+        amplitudes.append((np.sqrt(scale) * chip).reshape(-1))
+        energies.append((scale * energy).reshape(len(energy), -1))
+        directions.append(carriers.directions)
+    layout = Layout(
+        tuple(stage.labels for stage in stages),
+        tuple(len(stage.codebook) for stage in stages),
+        tuple(directions),
+        np.concatenate(amplitudes),
+    )
+    return Plan(layout, np.concatenate(energies, axis=1))
+
+
+def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
+    """(M,) sum of w^2 over sum of w: what is left of the image energy when members do not add up in one place."""
+    squared = np.bincount(stage.labels, impact.squared, count)
+    total = np.bincount(stage.labels, impact.coverage, count)
+    return np.asarray(squared / np.maximum(total, 1e-12))
+
+
+def _visual_mask(stage: Stage, impact: Impact, usage: Float64, count: int, config: PlanConfig) -> Float64:
+    """(M,) beta: textured patches hide more, and so do patches the views are uncertain about (rarely seen)."""
+    texture = np.bincount(stage.labels, impact.busy, count) / np.maximum(usage, 1e-9)
+    seen = usage > 0.01 * np.median(usage[usage > 0]) if (usage > 0).any() else usage > 0
+    if not seen.any():
+        return np.ones(count)
+    texture = np.clip(texture / max(float(np.median(texture[seen])), 1e-12), 1e-3, 1e3) ** config.texture_exponent
+    u = uncertainty(np.bincount(stage.labels, impact.squared, count))
+    doubt = (u / np.median(u[seen])) ** 0.125
+    return np.where(seen, np.clip(texture, 0.75, 1.5) * np.clip(doubt, 0.8, 1.25), 1.0)
+
+
+def _balance_views(energy: Float64, rounds: int) -> Float64:
+    """(M,) factors that bring the views' total energies together.
+
+    The worst view limits the strength everywhere; a view with little energy reads badly from one image. Each
+    code vector's factor is the mean of one multiplier per view, weighted by where the code vector is seen.
+    """
+    views = len(energy)
+    share = energy / np.maximum(energy.sum(axis=0), 1e-300)  # (V, M)
+    multiplier = np.ones(views)
+    factor = np.ones(energy.shape[1])
+    for _ in range(rounds):
+        factor = np.clip(multiplier @ share, 0.35, 3.0)
+        factor[energy.sum(axis=0) <= 0] = 1.0
+        totals = energy @ factor
+        multiplier *= (totals.mean() / np.maximum(totals, 1e-300)) ** 0.7
+        multiplier = np.clip(multiplier, 1e-3, 1e3)
+    return np.sqrt(factor)
+
+
+def predict_z(energies: Float64, strength: float, bit_of: np.ndarray, bits: int) -> Float64:  # type: ignore[type-arg]
+    """(V, B) z of each bit, read from one key view through the reference channel.
+
+    Parameters
+    ----------
+    energies : (V, C)
+        Of `Plan`.
+    strength : float
+        Factor on all amplitudes.
+    bit_of : (C,) int
+    bits : int
+
+    Returns
+    -------
+    (V, B) float64
+        sqrt(E / sigma^2), saturating at the root of the number of chips the view shows (the statistic's own cap).
+    """
+    out = np.empty((len(energies), bits))
+    for v, energy in enumerate(energies):
+        energy = energy * strength**2
+        total = np.bincount(bit_of, energy, bits)
+        squares = np.bincount(bit_of, energy**2, bits)
+        signal = total / REFERENCE_NOISE**2
+        effective = total**2 / np.maximum(squares, 1e-300)  # chips that matter
+        out[v] = np.sqrt(1.0 / (1.0 / np.maximum(signal, 1e-12) + 1.0 / np.maximum(effective, 1e-12)))
+    return out
+
+
+def capacity_bits(energies: Float64, strength: float, chips: int) -> int:
+    """Bits the scene carries at this strength: the median key view must give every bit BIT_Z."""
+    energy = energies * strength**2
+    signal = energy.sum(axis=1) / REFERENCE_NOISE**2
+    effective = energy.sum(axis=1) ** 2 / np.maximum((energy**2).sum(axis=1), 1e-300)
+    z_squared = 1.0 / (1.0 / np.maximum(signal, 1e-12) + 1.0 / np.maximum(effective, 1e-12))
+    return int(min(float(np.median(z_squared)) / BIT_Z**2, chips / CHIPS_PER_BIT))
+
+
+def check_capacity(wanted: int, capacity: int) -> None:
+    """Refuse a message the scene cannot carry (CapacityError names both numbers)."""
+    if wanted > capacity:
+        raise CapacityError(
+            f"this scene carries {capacity} bits at the asked fidelity, {wanted} were asked for; "
+            "ask for fewer bits or a lower --psnr",
+            wanted=wanted,
+            capacity=capacity,
+        )

@@ -1,0 +1,62 @@
+"""Which bit and which secret sign each chip carries (DESIGN 4.5): all of it from the owner's key.
+
+A chip is one code vector in one carrier direction. The flat order of chips is stage, code vector, direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float64, Int32
+from engine.watermark.keys import ASSIGNMENT, CHIPS, OwnerKey, permutation, signs
+
+
+@dataclass(frozen=True, eq=False)
+class Spreading:
+    """bit_of (C,) int32 in 0..bits-1 and chips (C,) int8 of +-1, for C chips in flat order."""
+
+    bit_of: Int32
+    chips: npt.NDArray[np.int8]
+
+
+def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: int, bits: int) -> Spreading:
+    """Deal the bits to the code vectors and draw the chips.
+
+    Parameters
+    ----------
+    key : OwnerKey
+    context : bytes
+        Digest of the canonical reference and record id (`chip_context`): binds the chips to this asset.
+    codes : tuple of int
+        Code vectors of each stage. Neighbouring numbers of stage 0 are neighbours in the scene (tree order).
+    directions : int
+        Carriers per code vector.
+    bits : int
+        Length of the message.
+
+    Returns
+    -------
+    Spreading
+        Bits are dealt like cards: each run of `bits` neighbouring code vectors holds every bit once, in keyed
+        order. So any piece of the scene carries the whole message, and every bit gets the same evidence.
+    """
+    total = sum(codes)
+    order_key, chip_key = key.derive(ASSIGNMENT, context), key.derive(CHIPS, context)
+    rounds = sum(-(-count // bits) for count in codes)
+    decks = permutation(order_key, rounds * bits)  # ranks within each deck are a keyed shuffle
+    decks = decks.reshape(rounds, bits).argsort(axis=1).astype(np.int32)
+    dealt, used = np.empty(total, dtype=np.int32), 0
+    start = 0
+    for count in codes:
+        hands = -(-count // bits)
+        dealt[start : start + count] = decks[used : used + hands].reshape(-1)[:count]
+        start, used = start + count, used + hands
+    return Spreading(np.repeat(dealt, directions), signs(chip_key, total * directions))
+
+
+def signed_amplitudes(amplitudes: Float64, spreading: Spreading, message: npt.NDArray[np.int8]) -> Float64:
+    """(C,) displacement of each chip: amplitude times chip times the sign of its bit (message of +-1)."""
+    return amplitudes * spreading.chips * message[spreading.bit_of]
