@@ -1,0 +1,142 @@
+"""Attacks that take Gaussians away or add copies: which Gaussians there are, not what they are.
+
+All are pure functions `(model, strength, rng) -> model`; survivors keep their order and their values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.similarity import quaternion_to_rotation
+from engine.sim.attack import check_fraction
+
+__all__ = ["clone", "clone_plain", "crop", "impact", "prune_low_impact", "prune_opacity", "prune_random"]
+
+CLONE_JITTER = 0.05
+"""Shift of a clone in standard deviations of its Gaussian, along its own axes."""
+
+IMPACT_VIEWS = 12
+IMPACT_SIZE = 256
+"""Views generated where no cameras are given, and their side in pixels."""
+
+
+def crop(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Keep the share `strength` of the Gaussians nearest to a random one: a connected piece is stolen."""
+    share = check_fraction(strength, "kept share", zero=False, one=True)
+    seed = model.means[rng.integers(len(model))]
+    distance = np.linalg.norm(model.means.astype(np.float64) - seed, axis=1)
+    return model.take(_lowest(distance, max(1, round(share * len(model)))))
+
+
+def prune_random(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Remove a random share `strength` of the Gaussians."""
+    return _prune(model, rng.random(len(model)), strength)
+
+
+def prune_opacity(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Remove the share `strength` of the lowest opacities."""
+    return _prune(model, model.opacity_logits, strength)
+
+
+def prune_low_impact(
+    model: GaussianModel,
+    strength: float,
+    rng: np.random.Generator,
+    *,
+    cameras: Sequence[Camera] | None = None,
+) -> GaussianModel:
+    """Remove the share `strength` that weighs least in the images, as compressors and GSPure do.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    strength : float
+        Removed share, in [0, 1).
+    rng : numpy.random.Generator
+        Places the views where no cameras are given.
+    cameras : sequence of Camera, optional
+        Views over which the blending weights alpha * T are added up; 12 generated ones where not given.
+
+    Returns
+    -------
+    GaussianModel
+
+    Raises
+    ------
+    InputError
+        If the strength is out of range or there is no camera.
+    """
+    check_fraction(strength, "removed share")  # before the views are rendered
+    if cameras is None:
+        from engine.pipeline.rigs import make_rig
+
+        jitter = rng.random((IMPACT_VIEWS, 4))
+        cameras = make_rig(model, IMPACT_VIEWS, IMPACT_SIZE, IMPACT_SIZE, jitter=jitter)
+    return _prune(model, impact(model, cameras), strength)
+
+
+def impact(model: GaussianModel, cameras: Sequence[Camera]) -> Float64:
+    """(N,) blending weight alpha * T of each Gaussian, added up over all pixels of all views."""
+    from engine.raster import prepare_view
+
+    if not cameras:
+        raise InputError("blending weights need at least one camera")
+    total = np.zeros(len(model))
+    for camera in cameras:
+        total += prepare_view(model, camera).weights()[0]
+    return total
+
+
+def clone(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Split a random share `strength` into pairs that together look like the one they replace.
+
+    Each of a pair gets the opacity 1 - sqrt(1 - o), so that at the centre both let as much light through as
+    the one did, and the second is moved by a twentieth of its standard deviations. The copies come last.
+    """
+    chosen = _chosen(model, strength, rng)
+    opacity = model.opacity_logits.astype(np.float64)
+    # 1 - o' = sqrt(1 - o) in logits: softplus(x) = -log(1 - o) is halved, x' = log(expm1(softplus(x) / 2)).
+    half = 0.5 * np.logaddexp(0.0, opacity[chosen])
+    opacity[chosen] = half + np.log(-np.expm1(-half))
+    thinned = model.with_(opacity_logits=opacity.astype(np.float32))
+    steps = CLONE_JITTER * rng.standard_normal((len(chosen), 3)) * np.exp(model.log_scales[chosen])
+    moves = np.einsum("nij,nj->ni", quaternion_to_rotation(model.quats[chosen]), steps)
+    return _with_copies(thinned, chosen, moves.astype(np.float32))
+
+
+def clone_plain(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Append exact duplicates of a random share `strength`, opacities as they were: the look gets denser."""
+    chosen = _chosen(model, strength, rng)
+    return _with_copies(model, chosen, np.zeros((len(chosen), 3), dtype=np.float32))
+
+
+def _chosen(model: GaussianModel, strength: float, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    share = check_fraction(strength, "cloned share", one=True)
+    return np.sort(rng.permutation(len(model))[: round(share * len(model))])
+
+
+def _with_copies(model: GaussianModel, chosen: npt.NDArray[np.int64], moves: Float32) -> GaussianModel:
+    both = model.take(np.concatenate([np.arange(len(model)), chosen]))
+    means = both.means.copy()
+    means[len(model) :] += moves
+    return both.with_(means=means)
+
+
+def _prune(model: GaussianModel, score: npt.NDArray[Any], strength: float) -> GaussianModel:
+    """The model without the share of the lowest scores; at least one Gaussian stays."""
+    share = check_fraction(strength, "removed share")
+    removed = min(round(share * len(model)), len(model) - 1)
+    keep = np.ones(len(model), dtype=bool)
+    keep[_lowest(score, removed)] = False
+    return model.take(keep)
+
+
+def _lowest(score: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
+    """Indices, ascending, of the `count` lowest scores; of equal ones the first."""
+    return np.sort(np.argsort(score, kind="stable")[:count])
