@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.compress import cells
+from tests.reference.cells import split_cells as slow_split
+
+
+def blob(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    features = rng.standard_normal((n, 6)).astype(np.float32) * np.array([3, 2, 1, 0.5, 0.2, 0.1], np.float32)
+    return features, rng.gamma(0.5, 1.0, n)
+
+
+@pytest.mark.parametrize(("n", "count"), [(1, 1), (2, 2), (37, 16), (500, 64), (3000, 256)])
+def test_agrees_with_slow_twin(n: int, count: int) -> None:
+    features, weights = blob(n)
+    np.testing.assert_array_equal(
+        cells.split_cells(features, weights, count), slow_split(features.astype(np.float64), weights, count)
+    )
+
+
+def test_kernel_without_compiler_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    features, weights = blob(120)
+    fast = cells.split_cells(features, weights, 16)
+    monkeypatch.setattr(cells, "_split_level", cells._split_level.py_func)
+    np.testing.assert_array_equal(cells.split_cells(features, weights, 16), fast)
+
+
+def test_cells_cover_equal_weight_and_none_is_empty() -> None:
+    features, weights = blob(20_000)
+    weights = weights + 0.5
+    labels = cells.split_cells(features, weights, 256)
+    counts, mass = np.bincount(labels), np.bincount(labels, weights)
+    assert len(counts) == 256
+    assert counts.min() >= 1
+    assert mass.max() / mass.min() < 1.6
+
+
+def test_more_cells_than_gaussians_gives_one_each() -> None:
+    features, weights = blob(10)
+    labels = cells.split_cells(features, weights, 1024)
+    assert labels.max() + 1 == 8  # a power of two, at most N
+
+
+def test_identical_gaussians_do_not_hang() -> None:
+    labels = cells.split_cells(np.zeros((300, 6), np.float32), np.zeros(300), 64)
+    assert np.bincount(labels).min() >= 1

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.errors import CapacityError, InputError
+from engine.watermark.carriers import LUMA, make_carriers
+from engine.watermark.keys import OwnerKey
+from engine.watermark.layout import Layout
+from engine.watermark.messages import derive_message, message_hex, message_signs
+from engine.watermark.planning import check_capacity
+from engine.watermark.spreading import signed_amplitudes, spread
+
+KEY = OwnerKey(bytes(range(32)))
+
+
+def small_layout(seed: int = 0, n: int = 400) -> Layout:
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    codes = (32, 16)
+    labels = tuple(np.concatenate([np.arange(c), rng.integers(0, c, n - c)]).astype(np.int32) for c in codes)
+    return Layout(labels, codes, (basis, np.eye(3)), rng.uniform(0.01, 0.03, sum(codes) * 3))
+
+
+def test_gather_is_the_adjoint_of_displace() -> None:
+    layout = small_layout()
+    rng = np.random.default_rng(1)
+    signed, gradient = rng.standard_normal(layout.chips), rng.standard_normal((400, 3))
+    left = float((layout.displace(signed).astype(np.float64) * gradient).sum())
+    right = float(signed @ layout.gather(gradient))
+    assert left == pytest.approx(right, rel=1e-5)
+
+
+def test_displacement_of_one_chip_moves_its_members_along_its_carrier() -> None:
+    layout = small_layout()
+    signed = np.zeros(layout.chips)
+    signed[3 * 5 + 2] = 0.5  # stage 0, code 5, carrier 2
+    moved = layout.displace(signed)
+    member = layout.labels[0] == 5
+    np.testing.assert_allclose(moved[member], np.tile(0.5 * layout.directions[0][2], (member.sum(), 1)), atol=1e-6)
+    assert not moved[~member].any()
+
+
+def test_carriers_are_orthonormal_luma_first_and_see_no_sh_rest() -> None:
+    rng = np.random.default_rng(2)
+    book = rng.standard_normal((64, 48)).astype(np.float32)
+    usage = rng.gamma(1.0, 1.0, 64)
+    carriers = make_carriers(book, usage)
+    np.testing.assert_allclose(carriers.directions @ carriers.directions.T, np.eye(3), atol=1e-12)
+    assert abs(carriers.directions[0] @ LUMA) > 0.8
+    assert np.linalg.norm(carriers.amplitudes) == pytest.approx(1.0)
+    book[:, 3:] += 10.0
+    np.testing.assert_array_equal(make_carriers(book, usage).directions, carriers.directions)
+
+
+def test_any_run_of_neighbours_carries_every_bit() -> None:
+    spreading = spread(KEY, b"asset", (256, 100), 3, 32)
+    bits = spreading.bit_of.reshape(-1, 3)
+    assert (bits == bits[:, :1]).all()  # a code vector carries one bit in all its carriers
+    for start in range(0, 256, 32):
+        assert sorted(bits[start : start + 32, 0]) == list(range(32))
+    assert len(spreading.chips) == 356 * 3
+    assert abs(int(spreading.chips.sum())) < 150
+
+
+def test_other_key_or_asset_gives_unrelated_chips() -> None:
+    def chips(key: OwnerKey, context: bytes) -> np.ndarray:
+        return spread(key, context, (4096,), 1, 32).chips.astype(int)
+
+    base = chips(KEY, b"asset")
+    np.testing.assert_array_equal(base, chips(KEY, b"asset"))
+    for other in (chips(OwnerKey(bytes(range(1, 33))), b"asset"), chips(KEY, b"other")):
+        assert abs(int(base @ other)) < 5 * np.sqrt(4096)
+
+
+def test_signed_amplitudes_flip_with_the_message() -> None:
+    layout = small_layout()
+    spreading = spread(KEY, b"x", layout.codes, 3, 16)
+    message = message_signs("a5c3")
+    signed = signed_amplitudes(layout.amplitudes, spreading, message)
+    np.testing.assert_allclose(signed, -signed_amplitudes(layout.amplitudes, spreading, -message))
+    np.testing.assert_allclose(np.abs(signed), layout.amplitudes)
+
+
+@pytest.mark.parametrize("text", ["zz", "a", "ab", "ab" * 33, ""])
+def test_bad_messages_are_refused_by_name(text: str) -> None:
+    with pytest.raises(InputError):
+        message_signs(text)
+
+
+def test_messages_round_trip_and_derive() -> None:
+    assert message_hex(message_signs("0xDEADBEEF")) == "deadbeef"
+    assert message_signs("8001")[[0, 1, 15]].tolist() == [1, -1, 1]
+    drawn = derive_message(KEY, 64, b"asset")
+    assert len(drawn) == 64
+    assert message_hex(drawn) != message_hex(derive_message(KEY, 64, b"copy"))
+
+
+def test_capacity_refusal_names_both_numbers() -> None:
+    with pytest.raises(CapacityError, match=r"carries 23 bits.*32 were asked") as caught:
+        check_capacity(32, 23)
+    assert (caught.value.wanted, caught.value.capacity) == (32, 23)
