@@ -1,0 +1,186 @@
+"""The registry: names, data, seeds, and that not one attack leaves its target as it was."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.model import Float32, GaussianModel
+from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
+
+MODEL_NAMES = [
+    "rotate",
+    "scale",
+    "translate",
+    "similarity",
+    "shuffle",
+    "crop",
+    "prune_random",
+    "prune_opacity",
+    "prune_low_impact",
+    "clone",
+    "noise_means",
+    "noise_colors",
+    "noise_all",
+    "drop_sh",
+    "quantize",
+    "merge_into",
+    "convert",
+]
+IMAGE_NAMES = ["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"]
+ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
+ALL_READINGS = [
+    pytest.param(attack, reading.label, id=f"{attack.name}-{reading.label}")
+    for attack in (*MODEL_ATTACKS.values(), *IMAGE_ATTACKS.values())
+    for reading in attack.readings
+]
+
+
+def arrays(target: GaussianModel | Float32) -> list[np.ndarray]:
+    if isinstance(target, GaussianModel):
+        return [getattr(target, name) for name in ATTRIBUTES]
+    return [target]
+
+
+def same(a: GaussianModel | Float32, b: GaussianModel | Float32) -> bool:
+    return all(x.shape == y.shape and np.array_equal(x, y) for x, y in zip(arrays(a), arrays(b), strict=True))
+
+
+@pytest.fixture
+def target(request: pytest.FixtureRequest, attack: Attack) -> GaussianModel | Float32:
+    return request.getfixturevalue(attack.kind)
+
+
+def test_names_are_the_documented_ones() -> None:
+    assert list(MODEL_ATTACKS) == MODEL_NAMES
+    assert list(IMAGE_ATTACKS) == IMAGE_NAMES
+    assert all(attack.name == name for name, attack in (MODEL_ATTACKS | IMAGE_ATTACKS).items())
+
+
+@pytest.mark.parametrize(("attack", "label"), ALL_READINGS)
+def test_data_are_complete(attack: Attack, label: str) -> None:
+    reading = attack.reading(label)
+    assert attack.kind in ("model", "image")
+    assert "\n" not in attack.summary + reading.meaning
+    assert attack.summary
+    assert reading.meaning
+    assert len(set(reading.grid)) == len(reading.grid) >= 3
+    assert reading.default in reading.grid
+
+
+@pytest.mark.parametrize(("attack", "label"), ALL_READINGS)
+def test_changes_its_target_repeats_under_a_seed_and_is_pure(
+    attack: Attack, label: str, target: GaussianModel | Float32
+) -> None:
+    before = [a.copy() for a in arrays(target)]
+    first = attack.apply(target, rng=5, reading=label)
+    again = attack.apply(target, rng=np.random.default_rng(5), reading=label)
+    assert same(first, again)
+    assert not same(first, target)
+    for was, now, out in zip(before, arrays(target), arrays(first), strict=True):
+        np.testing.assert_array_equal(was, now)
+        assert np.isfinite(out).all()
+        assert out.dtype == np.float32
+    if attack.kind == "image":
+        assert 0 <= first.min() <= first.max() <= 1
+
+
+RANDOM = [
+    "rotate",
+    "translate",
+    "similarity",
+    "shuffle",
+    "crop",
+    "prune_random",
+    "clone",
+    "noise_means",
+    "noise_colors",
+    "noise_all",
+    "merge_into",
+    "noise_image",
+    "crop_image",
+]
+
+
+@pytest.mark.parametrize("attack", [find_attack(name) for name in RANDOM], ids=lambda a: a.name)
+def test_another_seed_is_another_attack(attack: Attack, target: GaussianModel | Float32) -> None:
+    assert not same(attack.apply(target, rng=5), attack.apply(target, rng=6))
+
+
+@pytest.mark.parametrize(("attack", "label"), ALL_READINGS)
+def test_every_strength_of_the_grid_runs(attack: Attack, label: str, target: GaussianModel | Float32) -> None:
+    for strength in attack.reading(label).grid:
+        out = attack.apply(target, strength, rng=1, reading=label)
+        assert len(out) >= 1
+        assert all(np.isfinite(a).all() for a in arrays(out))
+
+
+def test_two_readings_where_the_field_has_two(image: Float32) -> None:
+    both = {name for name, a in (MODEL_ATTACKS | IMAGE_ATTACKS).items() if len(a.readings) == 2}
+    assert both == {"clone", "noise_image", "blur", "rotate_image", "scale_image", "crop_image"}
+    noise = image_attack("noise_image")
+    assert noise.apply(image) is not None
+    assert (noise.reading("literal").default, noise.reading("as_code").default) == (0.1, 0.01)
+    crop = image_attack("crop_image")
+    area = image.shape[0] * image.shape[1]
+    literal, as_code = crop.apply(image), crop.apply(image, reading="as_code")
+    assert literal.shape[0] * literal.shape[1] / area == pytest.approx(0.6, abs=0.02)
+    assert as_code.shape[0] * as_code.shape[1] / area == pytest.approx(0.16, abs=0.02)
+
+
+def test_default_reading_is_the_first() -> None:
+    attack = image_attack("crop_image")
+    reading = attack.readings[0]
+    assert attack.reading() is reading
+    assert (attack.default, attack.grid, attack.meaning) == (reading.default, reading.grid, reading.meaning)
+
+
+def test_unknown_names_are_refused_with_the_known_ones(model: GaussianModel) -> None:
+    with pytest.raises(InputError, match=r"jpg.*rotate.*jpeg"):
+        find_attack("jpg")
+    with pytest.raises(InputError, match="no attack is called 'jpeg'"):
+        model_attack("jpeg")
+    with pytest.raises(InputError, match="no attack is called 'rotate'"):
+        image_attack("rotate")
+    with pytest.raises(InputError, match="no reading 'as_code'"):
+        model_attack("rotate").apply(model, reading="as_code")
+
+
+OUT_OF_RANGE = {
+    "rotate": float("nan"), "scale": 0.0, "translate": float("inf"), "similarity": 0.9, "shuffle": 1.1,
+    "crop": 0.0, "prune_random": 1.0, "prune_opacity": -0.1, "prune_low_impact": 1.0, "clone": 1.5,
+    "noise_means": -1.0, "noise_colors": float("nan"), "noise_all": float("inf"), "drop_sh": 4, "quantize": 0,
+    "merge_into": 0.0, "convert": "ksplat", "jpeg": 0, "noise_image": -0.1, "blur": -1.0,
+    "rotate_image": float("nan"), "scale_image": 0.0, "crop_image": 1.0, "brightness": -1.0,
+}  # fmt: skip
+
+
+def test_a_refused_strength_is_known_for_every_attack() -> None:
+    assert set(OUT_OF_RANGE) == set(MODEL_ATTACKS) | set(IMAGE_ATTACKS)
+
+
+@pytest.mark.parametrize("attack", [find_attack(n) for n in OUT_OF_RANGE], ids=lambda a: a.name)
+def test_strength_out_of_range_is_an_input_error(attack: Attack, target: GaussianModel | Float32) -> None:
+    with pytest.raises(InputError):
+        attack.apply(target, OUT_OF_RANGE[attack.name])
+
+
+def test_strength_of_the_wrong_type_is_an_input_error(model: GaussianModel) -> None:
+    with pytest.raises(InputError, match="degrees"):
+        model_attack("rotate").apply(model, "much")
+    with pytest.raises(InputError, match="format"):
+        model_attack("convert").apply(model, 3.0)
+
+
+@pytest.mark.parametrize("attack", [*MODEL_ATTACKS.values()], ids=lambda a: a.name)
+def test_an_empty_model_is_an_input_error(attack: Attack, model: GaussianModel) -> None:
+    with pytest.raises(InputError, match="empty"):
+        attack.apply(model.take(np.arange(0)))
+
+
+@pytest.mark.parametrize("attack", [*IMAGE_ATTACKS.values()], ids=lambda a: a.name)
+def test_what_is_no_image_is_an_input_error(attack: Attack, image: Float32) -> None:
+    for wrong in (image[..., 0], image[:0], image.astype(np.float64), (255 * image).astype(np.uint8)):
+        with pytest.raises(InputError):
+            attack.apply(wrong)
