@@ -1,0 +1,299 @@
+"""Sums per (tile, Gaussian) pair: the colour gradient, and the blending weights themselves.
+
+The image is linear in the colours, dL/dcolor_i = sum over pixels of w_i * cotangent. The passes walk the tiles as
+`forward` does and take the same decisions. Each batch keeps one accumulator row (16 lanes) per Gaussian and quantity;
+at the end of the batch 16 rows at a time collapse into one vector by a transposed sum. Every pair has its own place
+in the output, so nothing is shared between threads, and `gather_sums` adds a Gaussian's pairs in the order of tiles:
+the result has the same bits whatever the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from engine.numerics.jit import inlined, parallel_kernel
+from engine.raster.lane_memory import fetch_add, load, max_rows, prefetch, store, sum_rows
+from engine.raster.lanes import fma, maximum, spread
+from engine.raster.settings import TILE
+from engine.raster.tiles import (
+    BATCH,
+    FIELD,
+    FIELDS,
+    GRID_X,
+    GRID_Y,
+    OCCLUSION,
+    STAGE_ROW,
+    STATE,
+    blend,
+    blocks_in_image,
+    end_by_impact,
+    lay_grid,
+    living_blocks,
+    log2_alpha,
+    stage_batch,
+)  # fmt: skip
+
+__all__ = [
+    "WEIGHT_SUMS", "backward_scratch", "gather_maxima", "gather_sums", "pair_colors", "pair_weights", "pair_width",
+]  # fmt: skip
+
+_KERNEL_VERSION = 1
+
+_f = np.float32
+_i = np.int32
+_AHEAD = 32
+_SIXTEEN = (0,) * 16
+
+WEIGHT_SUMS = 4
+"""Sums of `pair_weights`: w, w^2, w * map, w^2 * map."""
+
+
+def pair_width(channels: int) -> int:
+    """Numbers a pair takes in the output, a divisor of 16."""
+    return 1 if channels == 1 else 4 if channels <= 4 else 8 if channels <= 8 else 16
+
+
+def backward_scratch(fields: int, width: int) -> int:
+    """Floats of scratch a worker needs."""
+    return FIELDS + fields * FIELD + (BATCH + 1) * STAGE_ROW + BATCH * width * 16 + 16
+
+
+@inlined
+def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):  # type: ignore[no-untyped-def]
+    """One channel of an image to a field of the tile at (x0, y0); zero outside the image."""
+    for place in range(FIELD):
+        own[field + place] = _f(0.0)
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            p, q = x - x0, y - y0
+            place = ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
+            own[field + place] = pixels[(y * width + x) * channels + channel]
+
+
+@inlined
+def open_tile(own, x0, y0, width, height):  # type: ignore[no-untyped-def]
+    """Transmittance 1 and no occlusion; returns the blocks inside the image."""
+    for block in range(16):
+        store(own, STATE + block * 16, spread(_f(1.0)))
+        store(own, OCCLUSION + block * 16, spread(_f(0.0)))
+    return blocks_in_image(x0, y0, width, height)
+
+
+@inlined
+def clear_rows(own, rows, count):  # type: ignore[no-untyped-def]
+    """Zero accumulator rows."""
+    for row in range(count):
+        store(own, rows + row * 16, spread(_f(0.0)))
+
+
+@inlined
+def write_sums(own, rows, count, spare, out, to):  # type: ignore[no-untyped-def]
+    """out[to : to + count] = sums of the first `count` accumulator rows."""
+    whole = count // 16
+    for group in range(whole):
+        store(out, to + group * 16, sum_rows(own, rows + group * 256, _SIXTEEN))
+    if whole * 16 < count:  # the next numbers belong to another tile, maybe another thread's
+        store(own, spare, sum_rows(own, rows + whole * 256, _SIXTEEN))
+        for k in range(whole * 16, count):
+            out[to + k] = own[spare + k - whole * 16]
+
+
+@parallel_kernel
+def pair_colors(
+    records, channel_tuple, pair_tuple, ids, starts, width, height, tiles_x, limits, impact, cotangent, out,
+    scratch, items, counter,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Per pair and channel: sum over the tile's pixels of w * cotangent.
+
+    `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of `pair_tuple`). The
+    rest as in `forward.blend_tiles`.
+    """
+    channels, pair = len(channel_tuple), len(pair_tuple)
+    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    tiles = starts.shape[0] - 1
+    stage = FIELDS + channels * FIELD
+    rows = stage + (BATCH + 1) * STAGE_ROW
+    spare = rows + BATCH * pair * 16
+    counter[0] = 0
+    for worker in prange(scratch.shape[0]):
+        own = scratch[worker]
+        list_ = items[worker]
+        lay_grid(own)
+        clear_rows(own, rows, BATCH * pair)
+        while True:
+            tile = fetch_add(counter, 0, 1)
+            if tile >= tiles:
+                break
+            at, end = starts[tile], starts[tile + 1]
+            if at == end:
+                continue
+            row = tile // tiles_x
+            x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            alive = open_tile(own, x0, y0, width, height)
+            for channel in range(channels):
+                fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
+            while at < end and alive != 0:
+                size = min(BATCH, end - at)
+                count = stage_batch(
+                    own,
+                    stage,
+                    list_,
+                    records,
+                    cotangent,
+                    0,
+                    ids,
+                    at,
+                    size,
+                    end,
+                    _f(x0),
+                    _f(y0),
+                    alive,
+                    log2_skip,
+                )
+                for t in range(count):
+                    item = list_[t]
+                    place = np.int64(item & _i(15)) * 16
+                    j = np.int64(item >> _i(4))
+                    from_ = stage + j * STAGE_ROW
+                    dx = load(own, GRID_X + place) - own[from_]
+                    dy = load(own, GRID_Y + place) - own[from_ + 1]
+                    q = log2_alpha(own, from_, dx, dy)
+                    a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    for channel in range(channels):
+                        to = rows + (j * pair + channel) * 16
+                        store(own, to, fma(w, load(own, FIELDS + channel * FIELD + place), load(own, to)))
+                    if impact is not None:
+                        after = end_by_impact(own, place, a, w, after, clamp, impact[ids[at + j]], threshold)
+                    store(own, STATE + place, after)
+                write_sums(own, rows, size * pair, spare, out, at * pair)
+                clear_rows(own, rows, size * pair)
+                at += size
+                alive = living_blocks(own, alive, stop)
+            for k in range(at * pair, end * pair):  # behind the pixels' ends
+                out[k] = _f(0.0)
+
+
+@parallel_kernel
+def pair_weights(
+    records,
+    ids,
+    starts,
+    width,
+    height,
+    tiles_x,
+    limits,
+    impact,
+    pixel_map,
+    sums,
+    maxima,
+    scratch,
+    items,
+    counter,
+):  # type: ignore[no-untyped-def]
+    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
+    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    tiles = starts.shape[0] - 1
+    stage = FIELDS + FIELD
+    rows = stage + (BATCH + 1) * STAGE_ROW
+    top = rows + BATCH * WEIGHT_SUMS * 16
+    spare = top + BATCH * 16
+    counter[0] = 0
+    for worker in prange(scratch.shape[0]):
+        own = scratch[worker]
+        list_ = items[worker]
+        lay_grid(own)
+        clear_rows(own, rows, BATCH * (WEIGHT_SUMS + 1))
+        while True:
+            tile = fetch_add(counter, 0, 1)
+            if tile >= tiles:
+                break
+            at, end = starts[tile], starts[tile + 1]
+            if at == end:
+                continue
+            row = tile // tiles_x
+            x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            alive = open_tile(own, x0, y0, width, height)
+            fill_field(own, FIELDS, pixel_map, 1, 0, x0, y0, width, height)
+            while at < end and alive != 0:
+                size = min(BATCH, end - at)
+                count = stage_batch(
+                    own,
+                    stage,
+                    list_,
+                    records,
+                    pixel_map,
+                    0,
+                    ids,
+                    at,
+                    size,
+                    end,
+                    _f(x0),
+                    _f(y0),
+                    alive,
+                    log2_skip,
+                )
+                for t in range(count):
+                    item = list_[t]
+                    place = np.int64(item & _i(15)) * 16
+                    j = np.int64(item >> _i(4))
+                    from_ = stage + j * STAGE_ROW
+                    dx = load(own, GRID_X + place) - own[from_]
+                    dy = load(own, GRID_Y + place) - own[from_ + 1]
+                    q = log2_alpha(own, from_, dx, dy)
+                    a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    to = rows + j * (WEIGHT_SUMS * 16)
+                    w2 = w * w
+                    m = load(own, FIELDS + place)
+                    store(own, to, load(own, to) + w)
+                    store(own, to + 16, load(own, to + 16) + w2)
+                    store(own, to + 32, fma(w, m, load(own, to + 32)))
+                    store(own, to + 48, fma(w2, m, load(own, to + 48)))
+                    store(own, top + j * 16, maximum(load(own, top + j * 16), w))
+                    if impact is not None:
+                        after = end_by_impact(own, place, a, w, after, clamp, impact[ids[at + j]], threshold)
+                    store(own, STATE + place, after)
+                write_sums(own, rows, size * WEIGHT_SUMS, spare, sums, at * WEIGHT_SUMS)
+                for group in range(BATCH // 16):
+                    store(own, spare, max_rows(own, top + group * 256, _SIXTEEN))
+                    for k in range(min(16, size - group * 16)):
+                        maxima[at + group * 16 + k] = own[spare + k]
+                clear_rows(own, rows, BATCH * (WEIGHT_SUMS + 1))
+                at += size
+                alive = living_blocks(own, alive, stop)
+            for k in range(at, end):
+                maxima[k] = _f(0.0)
+                for s in range(WEIGHT_SUMS):
+                    sums[k * WEIGHT_SUMS + s] = _f(0.0)
+
+
+@parallel_kernel
+def gather_sums(values, pair_tuple, firsts, slots, shares, out):  # type: ignore[no-untyped-def]
+    """out[i] (N, C) = sum of the pairs of Gaussian i, in the order of tiles; `values` is flat (pairs, pair width)."""
+    n, channels = out.shape
+    pair = len(pair_tuple)
+    total = np.int64(firsts[n])
+    share = (n + shares - 1) // shares
+    for part in prange(shares):
+        for i in range(part * share, min(n, (part + 1) * share)):
+            for channel in range(channels):
+                out[i, channel] = _f(0.0)
+            for s in range(np.int64(firsts[i]), np.int64(firsts[i + 1])):
+                if s + _AHEAD < total:
+                    prefetch(values, np.int64(slots[s + _AHEAD]) * pair)
+                at = np.int64(slots[s]) * pair
+                for channel in range(channels):
+                    out[i, channel] += values[at + channel]
+
+
+@parallel_kernel
+def gather_maxima(values, firsts, slots, shares, out):  # type: ignore[no-untyped-def]
+    """out[i] = largest value among the pairs of Gaussian i, 0 if it has none."""
+    n = out.shape[0]
+    share = (n + shares - 1) // shares
+    for part in prange(shares):
+        for i in range(part * share, min(n, (part + 1) * share)):
+            largest = _f(0.0)
+            for s in range(np.int64(firsts[i]), np.int64(firsts[i + 1])):
+                largest = max(largest, values[slots[s]])
+            out[i] = largest

@@ -1,0 +1,144 @@
+"""Pass 3: per tile, the list of Gaussians that touch it, front to back.
+
+A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: per row of tiles
+the ellipse's span in x. Two walks over the depth order, one to count and one to fill, need no capacity guess; both
+split the order into contiguous shares, so lists come out in depth order whatever the number of shares.
+A tile mask leaves tiles out altogether.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from engine.numerics.jit import inlined, kernel, parallel_kernel
+from engine.raster.lane_memory import prefetch
+from engine.raster.projection import RECORD
+from engine.raster.settings import TILE
+
+__all__ = ["count_pairs", "fill_pairs", "list_starts"]
+
+_KERNEL_VERSION = 1
+
+_f = np.float32
+_AHEAD = 16
+_PER_TILE = _f(1.0 / TILE)
+
+
+@inlined
+def _row_span(records, o, hx, hy, row, log2_skip):  # type: ignore[no-untyped-def]
+    """Interval of x in which the ellipse meets the pixel centres of a row of tiles; low > high where it does not."""
+    u, v, a, b, c = records[o], records[o + 1], records[o + 2], records[o + 3], records[o + 4]
+    below = records[o + 5] - log2_skip  # a dx^2 + b dx dy + c dy^2 + below >= 0 inside
+    first = max(_f(row * TILE) + _f(0.5) - v, -hy)
+    last = min(_f(row * TILE) + _f(TILE - 0.5) - v, hy)
+    if first > last:
+        return _f(1.0), _f(-1.0)
+    peak = records[o + 7] * hx  # dy at which the ellipse reaches its largest dx; at -peak its smallest
+    dy = min(max(peak, first), last)
+    inside = (b * dy) * (b * dy) - _f(4.0) * a * (c * dy * dy + below)
+    high = min((-(b * dy) - math.sqrt(max(inside, _f(0.0)))) / (_f(2.0) * a), hx)
+    dy = min(max(-peak, first), last)
+    inside = (b * dy) * (b * dy) - _f(4.0) * a * (c * dy * dy + below)
+    low = max((-(b * dy) + math.sqrt(max(inside, _f(0.0)))) / (_f(2.0) * a), -hx)
+    return u + low, u + high
+
+
+@inlined
+def _columns(records, extents, rects, i, row, log2_skip):  # type: ignore[no-untyped-def]
+    """First and last tile column that Gaussian i touches in a row of tiles."""
+    first, last = np.int64(rects[4 * i]), np.int64(rects[4 * i + 1])
+    if first == last or rects[4 * i + 2] == rects[4 * i + 3]:  # one column or one row: the rectangle is exact
+        return first, last
+    low, high = _row_span(records, i * RECORD, extents[2 * i], extents[2 * i + 1], row, log2_skip)
+    if low > high:
+        return np.int64(0), np.int64(-1)
+    first = max(first, np.int64(math.floor((low - _f(0.5)) * _PER_TILE)))
+    last = min(last, np.int64(math.floor((high - _f(0.5)) * _PER_TILE)))
+    return first, last
+
+
+@parallel_kernel
+def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes):  # type: ignore[no-untyped-def]
+    """Count the tiles of every Gaussian (`sizes`, (N,)) and, share by share, the Gaussians of every tile."""
+    shares = histograms.shape[0]
+    share = (visible + shares - 1) // shares
+    masked = tile_mask.shape[0] > 0
+    for part in prange(shares):
+        own = histograms[part]
+        for tile in range(own.shape[0]):
+            own[tile] = 0
+        end = min(visible, (part + 1) * share)
+        for k in range(part * share, end):
+            if k + _AHEAD < end:
+                ahead = np.int64(order[k + _AHEAD])
+                prefetch(rects, 4 * ahead)
+                prefetch(records, RECORD * ahead)
+                prefetch(extents, 2 * ahead)
+            i = np.int64(order[k])
+            size = 0
+            for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
+                first, last = _columns(records, extents, rects, i, row, log2_skip)
+                for column in range(first, last + 1):
+                    tile = row * tiles_x + column
+                    if masked and not tile_mask[tile]:
+                        continue
+                    own[tile] += 1
+                    size += 1
+            sizes[i] = size
+
+
+@parallel_kernel
+def fill_pairs(
+    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, ids, firsts, slots
+):  # type: ignore[no-untyped-def]
+    """Write the lists.
+
+    `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the lists, tile
+    after tile. ``slots[firsts[i]:firsts[i + 1]]`` are the places of Gaussian i in `ids`; left out if `slots` is empty.
+    """
+    shares = histograms.shape[0]
+    share = (visible + shares - 1) // shares
+    masked = tile_mask.shape[0] > 0
+    keep = slots.shape[0] > 0
+    for part in prange(shares):
+        own = histograms[part]
+        end = min(visible, (part + 1) * share)
+        for k in range(part * share, end):
+            if k + _AHEAD < end:
+                ahead = np.int64(order[k + _AHEAD])
+                prefetch(rects, 4 * ahead)
+                prefetch(records, RECORD * ahead)
+                prefetch(extents, 2 * ahead)
+                if keep:
+                    prefetch(firsts, ahead)
+            i = np.int64(order[k])
+            slot = np.int64(firsts[i]) if keep else 0
+            for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
+                first, last = _columns(records, extents, rects, i, row, log2_skip)
+                for column in range(first, last + 1):
+                    tile = row * tiles_x + column
+                    if masked and not tile_mask[tile]:
+                        continue
+                    to = own[tile]
+                    own[tile] = to + 1
+                    ids[to] = i
+                    if keep:
+                        slots[slot] = to
+                        slot += 1
+
+
+@kernel
+def list_starts(histograms, starts):  # type: ignore[no-untyped-def]
+    """Turn counts per share and tile into places to write; `starts` (tiles + 1,) gets where each list begins."""
+    total = 0
+    for tile in range(histograms.shape[1]):
+        starts[tile] = total
+        for part in range(histograms.shape[0]):
+            size = histograms[part, tile]
+            histograms[part, tile] = total
+            total += size
+    starts[histograms.shape[1]] = total
+    return total

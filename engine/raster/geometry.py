@@ -1,0 +1,171 @@
+"""The passes that do not depend on colours, in order: project, sort, count, fill."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
+from engine.numerics.jit import thread_count
+from engine.raster.binning import count_pairs, fill_pairs, list_starts
+from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
+from engine.raster.settings import TILE, RasterSettings
+from engine.raster.sorting import BUCKETS, sort_by_depth
+from engine.raster.workspace import Workspace
+
+__all__ = ["Geometry", "build_geometry"]
+
+_CHUNKS = 32
+_LANES = 16
+_MOST_PAIRS = 2**31 - 1
+_NO_MASK = np.zeros(0, dtype=np.bool_)
+_EMPTY = np.zeros(0, dtype=np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A model seen by a camera: everything blending needs except colours.
+
+    Parameters
+    ----------
+    camera : Camera
+    settings : RasterSettings
+    count : int
+        Gaussians in the model, N.
+    records : flat (at least N * RECORD,)
+        See `engine.raster.projection`; only the visible rows are written.
+    visible : (V,) int32
+        Indices of the visible Gaussians, nearest first.
+    ids : (P,) int32
+        The tiles' lists, one after the other.
+    starts : (tiles + 1,) int64
+        Where each tile's list begins.
+    firsts : (N + 1,) int32, slots : (P,) int32
+        ``slots[firsts[i]:firsts[i + 1]]``: places of Gaussian i in `ids`. Empty if they were not asked for.
+    """
+
+    camera: Camera
+    settings: RasterSettings
+    count: int
+    records: Float32
+    visible: Int32
+    ids: Int32
+    starts: Int64
+    firsts: Int32
+    slots: Int32
+
+    @property
+    def tiles_x(self) -> int:
+        """Tiles per row."""
+        return -(-self.camera.width // TILE)
+
+    @property
+    def tiles_y(self) -> int:
+        """Rows of tiles."""
+        return -(-self.camera.height // TILE)
+
+    @property
+    def limits(self) -> Float32:
+        """The numbers that decide what is blended, as the kernels take them."""
+        s = self.settings
+        threshold = np.inf if s.impact_stop is None else s.impact_stop
+        return np.array([s.log2_alpha_skip, s.alpha_clamp, s.transmittance_stop, threshold], dtype=np.float32)
+
+
+def padded(model: GaussianModel) -> GaussianModel:
+    """The model with at least 16 Gaussians; those added are far too faint to be seen."""
+    missing = _LANES - len(model)
+    if missing <= 0:
+        return model
+
+    def grown(array: Float32, fill: float) -> Float32:
+        rest = np.full((missing, *array.shape[1:]), fill, dtype=np.float32)
+        return np.concatenate([array, rest])
+
+    return GaussianModel(
+        grown(model.means, 0.0), grown(model.log_scales, 0.0), grown(model.quats, 0.5),
+        grown(model.opacity_logits, -100.0), grown(model.sh, 0.0),
+    )  # fmt: skip
+
+
+def build_geometry(
+    model: GaussianModel,
+    camera: Camera,
+    settings: RasterSettings,
+    work: Workspace,
+    *,
+    keep: bool,
+    tile_mask: Bool | None = None,
+) -> tuple[Geometry, Int32]:
+    """Project, sort and bin.
+
+    Parameters
+    ----------
+    keep : bool
+        True: the result owns its arrays and has `slots`, so that gradients can follow. False: its arrays live in
+        the workspace and `slots` is empty.
+    tile_mask : (tiles_y, tiles_x) bool, optional
+        Tiles to draw.
+
+    Returns
+    -------
+    Geometry
+    sizes : (N,) int32
+        Tiles each Gaussian touches; lives in the workspace.
+    """
+    n = len(model)
+    tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
+    if max(tiles_x, tiles_y) > np.iinfo(np.int16).max:
+        raise InputError(f"an image of {camera.width}x{camera.height} is too large to draw")
+    mask = _NO_MASK if tile_mask is None else np.ascontiguousarray(tile_mask, dtype=np.bool_)
+    if tile_mask is not None and mask.shape != (tiles_y, tiles_x):
+        raise InputError(f"tile_mask has shape {mask.shape}, expected {(tiles_y, tiles_x)}")
+    mask = mask.ravel()
+
+    def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:  # type: ignore[type-arg]
+        return np.empty(size, dtype) if keep else work.array(name, (size,), dtype)
+
+    model = padded(model)
+    rows = len(model)
+    workers = thread_count()
+    records = lasting("records", (rows + 2) * RECORD, np.float32)
+    extents, rects = work.array("extents", (2 * rows,)), work.array("rects", (4 * rows,), np.int16)
+    depths, index = work.array("depths", (rows,)), work.array("index", (rows,), np.int32)
+    chunk = -(-rows // (_CHUNKS * _LANES)) * _LANES
+    counts = np.zeros(-(-rows // chunk), dtype=np.int64)
+    project(
+        model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits,
+        pack_lens(camera, settings), chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)),
+        records, extents, rects, depths, index, counts,
+    )  # fmt: skip
+
+    order = work.array("order b", (rows,), np.int32)
+    seen = sort_by_depth(
+        depths.view(np.uint32), index, counts, chunk, work.array("keys a", (rows,), np.uint32),
+        work.array("keys b", (rows,), np.uint32), work.array("order a", (rows,), np.int32), order,
+        work.array("radix", (workers, BUCKETS), np.int64),
+    )  # fmt: skip
+
+    tiles = tiles_x * tiles_y
+    sizes = work.array("sizes", (rows,), np.int32)
+    sizes.fill(0)
+    histograms = work.array("tile histograms", (workers, tiles), np.int64)
+    skip = np.float32(settings.log2_alpha_skip)
+    count_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes)
+    starts = np.empty(tiles + 1, dtype=np.int64)
+    pairs = list_starts(histograms, starts)
+    if pairs > _MOST_PAIRS:
+        raise InputError(
+            f"{pairs} pairs of tile and Gaussian are too many to draw at once (at most {_MOST_PAIRS}); "
+            "draw a smaller image or mask tiles"
+        )
+    ids = lasting("ids", pairs, np.int32)
+    firsts, slots = _EMPTY, _EMPTY
+    if keep:
+        firsts, slots = np.zeros(rows + 1, dtype=np.int32), np.empty(pairs, dtype=np.int32)
+        np.cumsum(sizes, out=firsts[1:])
+    fill_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, ids, firsts, slots)
+    visible = order[:seen].copy() if keep else order[:seen]
+    return Geometry(camera, settings, n, records, visible, ids, starts, firsts[: n + 1], slots), sizes[:n]

@@ -1,0 +1,74 @@
+"""What defines the image, beside the model and the camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from engine.errors import InputError
+
+__all__ = ["ALPHA_SKIP", "BLOCK", "MAX_SIGMA_PX", "TILE", "RasterSettings"]
+
+TILE = 16
+"""Side of a tile, pixels. A Gaussian's list entry is one (tile, Gaussian) pair."""
+
+BLOCK = 4
+"""Side of a block, pixels: 4 x 4 pixels are the 16 lanes of one vector, and a tile is 4 x 4 blocks."""
+
+ALPHA_SKIP = 1.0 / 255.0
+"""An alpha below one grey level of an 8-bit image is not blended (gsplat's ALPHA_THRESHOLD)."""
+
+MAX_SIGMA_PX = 1e6
+"""A Gaussian wider than this on the image plane is not drawn: float32 can no longer place it."""
+
+FRUSTUM_MARGIN = 0.3
+"""The Jacobian of the projection is taken at most this part of the half field of view outside the image (gsplat)."""
+
+
+@dataclass(frozen=True)
+class RasterSettings:
+    """Definition of the image. The defaults are gsplat's, so that CPU and GPU agree.
+
+    Parameters
+    ----------
+    eps2d : float
+        Dilation added to both variances of the projected Gaussian, square pixels. Default 0.3.
+    near : float
+        Gaussians whose centre is nearer than this are not drawn, scene units. Default 0.01.
+    alpha_clamp : float
+        Largest alpha, in (0, 1). Default 0.999 (gsplat); INRIA's code has 0.99.
+    alpha_skip : float
+        Smallest alpha that is blended, in (0, alpha_clamp). Default 1/255.
+    transmittance_stop : float
+        A Gaussian that would bring a pixel's transmittance to this or less is not blended and ends the pixel.
+        Default 1e-4.
+    impact_stop : float or None
+        The paper's Eq 8: end a pixel as soon as the sum of alpha * W_j^freq over the Gaussians blended there
+        reaches this (tau, paper 0.95). Needs `impact` in `prepare_view`. Default None: off.
+    """
+
+    eps2d: float = 0.3
+    near: float = 0.01
+    alpha_clamp: float = 0.999
+    alpha_skip: float = ALPHA_SKIP
+    transmittance_stop: float = 1e-4
+    impact_stop: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.eps2d <= 100.0:
+            raise InputError(f"eps2d is {self.eps2d}, expected 0 to 100 square pixels")
+        if not 1e-6 <= self.near < math.inf:
+            raise InputError(f"near is {self.near}, expected at least 1e-6")
+        if not 0.0 < self.alpha_skip < self.alpha_clamp < 1.0:
+            raise InputError(
+                f"need 0 < alpha_skip < alpha_clamp < 1, got {self.alpha_skip} and {self.alpha_clamp}"
+            )
+        if not 0.0 < self.transmittance_stop < 1.0:
+            raise InputError(f"transmittance_stop is {self.transmittance_stop}, expected 0 to 1")
+        if self.impact_stop is not None and not 0.0 < self.impact_stop < math.inf:
+            raise InputError(f"impact_stop (tau of Eq 8) is {self.impact_stop}, expected more than 0")
+
+    @property
+    def log2_alpha_skip(self) -> float:
+        """Exponent below which a Gaussian is skipped: alpha = 2^q, so the cut is a compare before the exponential."""
+        return math.log2(self.alpha_skip)

@@ -1,0 +1,139 @@
+"""Spherical harmonics, sixteen Gaussians at a time: colours from coefficients, and back.
+
+The basis is evaluated with one Gaussian per lane and transposed, so that a Gaussian's coefficients, which lie next to
+each other, meet its basis values in one multiplication per channel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from engine.model import SH_C0
+from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
+from engine.raster.lane_memory import load, load_some, store, store_some, sum_rows, transpose, unzip3, zip3
+from engine.raster.lanes import maximum, root, spread
+
+__all__ = ["SH_SCRATCH", "evaluate_sh", "spread_sh"]
+
+_KERNEL_VERSION = 1
+
+SH_SCRATCH = 3 * 16 + 5 * 256
+"""Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""
+
+_f = np.float32
+_i = np.int32
+_BASIS, _TURNED, _PRODUCTS = 48, 48 + 256, 48 + 512
+_SIXTEEN = (0,) * 16
+_C0, _C1 = _f(SH_C0), _f(SH_C1)
+_C20, _C21, _C22 = (_f(c) for c in SH_C2)
+_C30, _C31, _C32, _C33, _C34 = (_f(c) for c in SH_C3)
+
+
+@inlined
+def sh_lanes(own, coefficients):  # type: ignore[no-untyped-def]
+    """Basis values of the 16 directions at own[0:48] (x, y, z rows, any length), transposed: 16 of one Gaussian a row."""
+    x, y, z = load(own, 0), load(own, 16), load(own, 32)
+    scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
+    x, y, z = x * scale, y * scale, z * scale
+    for k in range(coefficients, 16):
+        store(own, _BASIS + k * 16, spread(_f(0.0)))
+    store(own, _BASIS, spread(_C0))
+    if coefficients > 1:
+        store(own, _BASIS + 16, y * -_C1)
+        store(own, _BASIS + 32, z * _C1)
+        store(own, _BASIS + 48, x * -_C1)
+    if coefficients > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        store(own, _BASIS + 64, x * y * _C20)
+        store(own, _BASIS + 80, y * z * -_C20)
+        store(own, _BASIS + 96, (zz + zz - xx - yy) * _C21)
+        store(own, _BASIS + 112, x * z * -_C20)
+        store(own, _BASIS + 128, (xx - yy) * _C22)
+        if coefficients > 9:
+            store(own, _BASIS + 144, y * (xx * _f(3.0) - yy) * -_C30)
+            store(own, _BASIS + 160, x * y * z * _C31)
+            store(own, _BASIS + 176, y * (zz * _f(4.0) - xx - yy) * -_C32)
+            store(own, _BASIS + 192, z * (zz * _f(2.0) - (xx + yy) * _f(3.0)) * _C33)
+            store(own, _BASIS + 208, x * (zz * _f(4.0) - xx - yy) * -_C32)
+            store(own, _BASIS + 224, z * (xx - yy) * _C34)
+            store(own, _BASIS + 240, x * (xx - yy * _f(3.0)) * -_C30)
+    transpose(own, _BASIS, _TURNED)
+
+
+@inlined
+def set_direction(own, lane, means, i, position):  # type: ignore[no-untyped-def]
+    """Direction from the camera to Gaussian i, in one lane; not normalised."""
+    own[lane] = means[3 * i] - position[0]
+    own[16 + lane] = means[3 * i + 1] - position[1]
+    own[32 + lane] = means[3 * i + 2] - position[2]
+
+
+@parallel_kernel
+def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):  # type: ignore[no-untyped-def]
+    """colors[i] = max(0, 0.5 + sum_k Y_k sh[i, k]).
+
+    `sh`, `means` and `colors` are flat. `wanted` (N,) int32 leaves out Gaussians where it is 0; empty: none is left
+    out. `scratch` has one row per share of the Gaussians.
+    """
+    n = means.shape[0] // 3
+    shares = scratch.shape[0]
+    share = (n + shares - 1) // shares
+    row = 3 * coefficients
+    for part in prange(shares):
+        own = scratch[part]
+        who = np.empty(16, np.int64)
+        i, end = part * share, min(n, (part + 1) * share)
+        while i < end:
+            filled = 0
+            while i < end and filled < 16:
+                if wanted.shape[0] == 0 or wanted[i] != 0:
+                    who[filled] = i
+                    set_direction(own, filled, means, i, position)
+                    filled += 1
+                i += 1
+            sh_lanes(own, coefficients)
+            for g in range(filled):
+                at = who[g] * row
+                r, g_, b = unzip3(
+                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)), load_some(sh, at + 32, _i(row - 32))
+                )  # fmt: skip
+                y = load(own, _TURNED + g * 16)
+                store(own, _PRODUCTS + g * 16, r * y)
+                store(own, _PRODUCTS + 256 + g * 16, g_ * y)
+                store(own, _PRODUCTS + 512 + g * 16, b * y)
+            for channel in range(3):
+                value = sum_rows(own, _PRODUCTS + channel * 256, _SIXTEEN) + _f(0.5)
+                store(own, _BASIS + channel * 16, maximum(value, _f(0.0)))
+            for g in range(filled):
+                for channel in range(3):
+                    colors[who[g] * 3 + channel] = own[_BASIS + channel * 16 + g]
+
+
+@parallel_kernel
+def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):  # type: ignore[no-untyped-def]
+    """out[i, k] = Y_k cotangent[i] where the colour was not clamped to 0, else 0. All arrays flat."""
+    n = means.shape[0] // 3
+    shares = scratch.shape[0]
+    share = (n + shares - 1) // shares
+    row = 3 * coefficients
+    for part in prange(shares):
+        own = scratch[part]
+        end = min(n, (part + 1) * share)
+        for first in range(part * share, end, 16):
+            size = min(16, end - first)
+            for g in range(size):
+                set_direction(own, g, means, first + g, position)
+            sh_lanes(own, coefficients)
+            for g in range(size):
+                i = first + g
+                y = load(own, _TURNED + g * 16)
+                for channel in range(3):
+                    value = cotangent[3 * i + channel] if colors[3 * i + channel] > _f(0.0) else _f(0.0)
+                    store(own, channel * 16, y * value)
+                r, g_, b = zip3(load(own, 0), load(own, 16), load(own, 32))
+                at = i * row
+                store_some(out, at, _i(row), r)
+                store_some(out, at + 16, _i(row - 16), g_)
+                store_some(out, at + 32, _i(row - 32), b)

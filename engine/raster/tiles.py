@@ -1,0 +1,161 @@
+"""What the passes over tiles share: a tile's pixels as vectors, and which blocks of it a Gaussian reaches.
+
+A worker keeps one tile at a time in its own flat float32 scratch. 4 x 4 pixels are a block, one vector; 16 blocks
+are a tile, so a field of a tile is 256 numbers in block order. The scratch holds
+
+    STATE      transmittance T; minus |T| once the pixel has ended
+    GRID_X, GRID_Y   pixel centres relative to the tile's corner
+    OCCLUSION  sum of alpha * impact, for Eq 8's stop
+    FIELDS     one field per channel (colours out, or cotangents in), then what the pass needs
+
+Gaussians come in batches of `BATCH`. For each, one vector test finds the blocks its ellipse reaches; the (Gaussian,
+block) items of a batch go to a compact list, and the inner loop runs over that list without a branch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.numerics.jit import inlined
+from engine.raster.lane_math import exp2
+from engine.raster.lane_memory import append_set_bits, count_bits, load, lowest_bit, prefetch, store
+from engine.raster.lanes import (
+    bits_of,
+    constant_lanes,
+    fma,
+    maximum,
+    minimum,
+    minus_magnitude,
+    select,
+    spread,
+)
+from engine.raster.projection import RECORD
+from engine.raster.settings import BLOCK, TILE
+
+__all__ = [
+    "BATCH", "FIELD", "FIELDS", "GRID_X", "GRID_Y", "ITEMS", "OCCLUSION", "STAGE_ROW", "STATE",
+    "blend", "blocks_in_image", "end_by_impact", "lay_grid", "living_blocks", "log2_alpha", "stage_batch",
+]  # fmt: skip
+
+BATCH = 32
+"""Gaussians per batch; pixels that have ended are looked for once a batch."""
+
+FIELD = TILE * TILE
+STATE, GRID_X, GRID_Y, OCCLUSION, FIELDS = 0, FIELD, 2 * FIELD, 3 * FIELD, 4 * FIELD
+
+STAGE_ROW = 24
+"""Floats per staged Gaussian: its record (u, v relative to the tile) at 0, its colours from `RECORD` on."""
+
+ITEMS = BATCH * 16 + 16
+"""Length of the item list (int32 each: 16 * place in the batch + block)."""
+
+_f = np.float32
+_i = np.int32
+_AHEAD = 24
+
+_block_left = constant_lanes([BLOCK * (block % 4) + 0.5 for block in range(16)])
+_block_top = constant_lanes([BLOCK * (block // 4) + 0.5 for block in range(16)])
+
+
+@inlined
+def lay_grid(own):  # type: ignore[no-untyped-def]
+    """Pixel centres of a tile, in block order."""
+    for block in range(16):
+        for lane in range(16):
+            own[GRID_X + block * 16 + lane] = _f((block & 3) * 4 + (lane & 3)) + _f(0.5)
+            own[GRID_Y + block * 16 + lane] = _f((block >> 2) * 4 + (lane >> 2)) + _f(0.5)
+
+
+@inlined
+def blocks_in_image(x0, y0, width, height):  # type: ignore[no-untyped-def]
+    """Bit per block of the tile at (x0, y0): has it pixels inside the image?"""
+    alive = _i(0)
+    for block in range(16):
+        if y0 + (block >> 2) * 4 < height and x0 + (block & 3) * 4 < width:
+            alive |= _i(1 << block)
+    return alive
+
+
+@inlined
+def living_blocks(own, alive, stop):  # type: ignore[no-untyped-def]
+    """The blocks in which some pixel has not ended."""
+    rest = alive
+    while rest != 0:
+        block = lowest_bit(rest)
+        rest &= rest - _i(1)
+        if bits_of(load(own, STATE + np.int64(block) * 16) > stop) == 0:
+            alive &= ~_i(1 << block)
+    return alive
+
+
+@inlined
+def reached_blocks(records, o, gx, gy, log2_skip):  # type: ignore[no-untyped-def]
+    """Bit per block: does q reach log2_skip inside the rectangle of the block's pixel centres?
+
+    q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in y. The
+    lanes are the 16 blocks.
+    """
+    a, b, c, l = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
+    left, top = _block_left() - gx, _block_top() - gy
+    right, bottom = left + _f(BLOCK - 1), top + _f(BLOCK - 1)
+    zero = spread(_f(0.0))
+    x = minimum(maximum(zero, left), right)
+    y = minimum(maximum(zero, top), bottom)
+    along_y = minimum(maximum(x * records[o + 7], top), bottom)
+    along_x = minimum(maximum(y * records[o + 6], left), right)
+    on_x = fma(fma(a, x, along_y * b), x, fma(along_y * c, along_y, l))
+    on_y = fma(fma(a, along_x, y * b), along_x, fma(y * c, y, l))
+    return bits_of((on_x >= log2_skip) | (on_y >= log2_skip))
+
+
+@inlined
+def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):  # type: ignore[no-untyped-def]
+    """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items."""
+    count = np.int64(0)
+    for j in range(size):
+        if at + j + _AHEAD < end:
+            ahead = np.int64(ids[at + j + _AHEAD])
+            prefetch(records, ahead * RECORD)
+            if channels > 0:
+                prefetch(colors, ahead * channels)
+        i = np.int64(ids[at + j])
+        o, row = i * RECORD, stage + j * STAGE_ROW
+        gx, gy = records[o] - x0, records[o + 1] - y0
+        store(own, row, load(records, o))  # reads on into the next record; the array ends with spare room
+        own[row], own[row + 1] = gx, gy
+        for channel in range(channels):
+            own[row + RECORD + channel] = colors[i * channels + channel]
+        reached = reached_blocks(records, o, gx, gy, log2_skip) & alive
+        append_set_bits(items, count, reached, _i(j << 4))
+        count += np.int64(count_bits(reached))
+    return count
+
+
+@inlined
+def log2_alpha(own, row, dx, dy):  # type: ignore[no-untyped-def]
+    """q of a staged Gaussian at offsets (dx, dy) from its centre: alpha = 2^q."""
+    return fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
+
+
+@inlined
+def blend(q, transmittance, log2_skip, clamp, stop):  # type: ignore[no-untyped-def]
+    """Blend one Gaussian over the pixels of a block.
+
+    Returns alpha before the clamp, the blending weight w (0 where it is skipped or the pixel has ended) and the
+    transmittance afterwards (minus its magnitude where the pixel has ended).
+    """
+    zero = spread(_f(0.0))
+    alpha = exp2(q)
+    weight = select(q >= log2_skip, minimum(alpha, clamp) * transmittance, zero)
+    after = transmittance - weight
+    blended = after > stop
+    return alpha, select(blended, weight, zero), select(blended, after, minus_magnitude(transmittance))
+
+
+@inlined
+def end_by_impact(own, place, alpha, weight, after, clamp, impact, threshold):  # type: ignore[no-untyped-def]
+    """Eq 8: end the pixels whose sum of alpha * impact has reached the threshold; returns their transmittance."""
+    zero = spread(_f(0.0))
+    total = load(own, OCCLUSION + place) + select(weight > zero, minimum(alpha, clamp) * impact, zero)
+    store(own, OCCLUSION + place, total)
+    return select(total >= threshold, minus_magnitude(after), after)
