@@ -32,11 +32,11 @@ def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Mome
     y, w, signal = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (y, w, signal)))
     if not (np.isfinite(y).all() and np.isfinite(w).all() and np.isfinite(signal).all()):
         raise ValueError("evidence and signal must be finite")
-    if (w < 0).any() or (signal < 0).any():
-        raise ValueError("weights and signal amplitudes must be >= 0")
-    unit = max(float(np.abs(y).max(initial=0.0)), float(signal.max(initial=0.0))) or 1.0
+    if (w < 0).any():
+        raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
+    unit = max(float(np.abs(y).max(initial=0.0)), float(np.abs(signal).max(initial=0.0))) or 1.0
     wy, ws = w * (y / unit), w * (signal / unit)
-    top = max(float(np.abs(wy).max(initial=0.0)), float(ws.max(initial=0.0))) or 1.0
+    top = max(float(np.abs(wy).max(initial=0.0)), float(np.abs(ws).max(initial=0.0))) or 1.0
     wy, ws = wy / top, ws / top
     root = math.sqrt(float(wy @ wy + ws @ ws))
     a = wy * (1 - threshold * ws / root) if root > 0 else wy
@@ -51,7 +51,8 @@ def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
     y, w : (C,)
         Displacement estimates and weights >= 0.
     signal : (C,) or scalar
-        Amplitude >= 0 of the mark as y would show it, in the unit of y.
+        Amplitude of the mark as y would show it, in the unit of y. Negative where neighbouring chips push a
+        chip's y against its own sign.
     """
     m = _moments(y, w, signal, 0.0)
     return m.signal / m.root if m.root > 0 else 0.0
@@ -87,7 +88,7 @@ def evidence_needed(y: Float64, w: Float64, signal: Float64, threshold: float, t
     sqrt(k) S = threshold sqrt(Q) + x |a|, x = sqrt(-2 ln(1 - target)).
     """
     m = _moments(y, w, signal, 0.0)  # |a| without the threshold's term, which fades as 1 / sqrt(k)
-    if m.signal == 0:
+    if m.signal <= 0:
         return math.inf
     x = math.sqrt(-2 * math.log1p(-target))
     return ((threshold * m.root + x * m.spread) / m.signal) ** 2

@@ -122,7 +122,6 @@ class RecordHeader:
         if type(self.format_version) is not int or self.format_version != FORMAT_VERSION:
             raise MalformedRecordError(f"a record of format {self.format_version!r} cannot be made here")
 
-    @property
     def chip_context(self) -> bytes:
         """`chip_context` of this record."""
         return chip_context(bytes.fromhex(self.reference_digest), bytes.fromhex(self.record_id))

@@ -1,0 +1,290 @@
+"""The claim: what a verification answers, and the numbered steps that lead to it (DESIGN 4.9)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Float64
+from engine.watermark.messages import message_hex
+from engine.watermark.power import evidence_needed, expected_z, power
+from engine.watermark.statistics import (
+    CHANCE_RATE,
+    DISHONEST_CLAIMANT_RATE,
+    Signs,
+    bit_statistics,
+    claim_z,
+    decode_bits,
+    log10_binomial_tail,
+    log10_false_claim_bound,
+    z_threshold,
+)
+
+
+class Verdict(StrEnum):
+    """The three answers. "No mark found" is a result, not an error."""
+
+    MARKED = "marked"
+    NOT_MARKED = "not_marked"
+    INCONCLUSIVE = "inconclusive"
+
+
+@dataclass(frozen=True)
+class ClaimConfig:
+    """What an answer must satisfy.
+
+    Parameters
+    ----------
+    false_claim_rate : float
+        Largest false-claim bound, all tries counted, of the answer `marked`; in (0, 1).
+    power : float
+        Least proven power of the answer `not_marked`; in (0, 1).
+    surviving : float
+        Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that
+        even a mark worn down to this share would have been seen.
+    doubt_rate : float
+        A bound below this, though above the false-claim rate, forbids the answer `not_marked`; in (0, 1).
+    derived_least : float
+        Share of the reference to be found before a suspect is called derived from it; in [0, 1].
+    """
+
+    false_claim_rate: float = CHANCE_RATE
+    power: float = 0.999
+    surviving: float = 0.5
+    doubt_rate: float = 1e-3
+    derived_least: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("false_claim_rate", "power", "doubt_rate"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
+        if not 0 < self.surviving <= 1:
+            raise InputError(f"surviving must lie in (0, 1], got {self.surviving}")
+        if not 0 <= self.derived_least <= 1:
+            raise InputError(f"derived_least must lie in [0, 1], got {self.derived_least}")
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The answer of one verification, with everything it rests on.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    confidence : float
+        1 - min(1, tries * bound): one minus the largest probability that a key with no part in the suspect
+        would have come this far. It is not a probability that the suspect is marked.
+    log10_false_claim : float
+        log10 of that bound, tries counted; <= 0.
+    z : float
+        Observed: the claim statistic.
+    unmarked_z : float
+        Expected without a mark (or under a wrong key): 0, with a standard deviation of 1.
+    expected_z : float
+        Expected if the mark were there at full strength.
+    z_threshold : float
+        The z at which the bound meets `false_claim_rate` for this number of tries.
+    false_claim_rate : float
+        The rate asked for, fixed before the evidence was seen.
+    meets_dishonest_claimant_rate : bool
+        Whether the bound is at most 2^-128 too: needed where the record is not known to be older than the
+        suspect.
+    tries : int
+        Hypotheses tried (records x transforms x routes).
+    power : float
+        Proven lower bound of the probability to reach the threshold, had the mark been there at the
+        `surviving` share of its strength.
+    message : str
+        Extracted bits in hexadecimal (a bit without evidence reads 0).
+    bits, matching_bits : int
+        Length of the message; how many bits equal the registered ones (a bit without evidence does not).
+    bit_accuracy : float
+        matching_bits / bits.
+    bit_reliability : tuple of float
+        For each bit, the probability that it was read right; 0.5 is a coin.
+    log10_binomial_tail : float
+        log10 of the chance that as many bits match by luck, tries not counted. Weaker than the bound above,
+        which also uses how clearly each bit was read; reported because the literature does.
+    derived_fraction : float or None
+        Share of the reference found in the suspect; None where the route does not measure it.
+    derived_but_unmarked : bool
+        The suspect comes from this asset, but does not carry this mark.
+    transform : dict or None
+        From suspect to reference, as the route found it.
+    route : str
+        Kind of evidence.
+    copy : str
+        Name of the copy whose mark was looked for.
+    missing : str
+        What an inconclusive answer lacks; otherwise empty.
+    notes : tuple of str
+        For the reader.
+    """
+
+    verdict: Verdict
+    confidence: float
+    log10_false_claim: float
+    z: float
+    unmarked_z: float
+    expected_z: float
+    z_threshold: float
+    false_claim_rate: float
+    meets_dishonest_claimant_rate: bool
+    tries: int
+    power: float
+    message: str
+    bits: int
+    matching_bits: int
+    bit_accuracy: float
+    bit_reliability: tuple[float, ...]
+    log10_binomial_tail: float
+    derived_fraction: float | None
+    derived_but_unmarked: bool
+    transform: dict[str, Any] | None
+    route: str
+    copy: str
+    missing: str
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dict of JSON values."""
+        plain = asdict(self)
+        plain.update(
+            verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes)
+        )
+        return plain
+
+
+def decide(
+    y: Float64,
+    w: Float64,
+    signal: Float64,
+    bit_of: npt.NDArray[np.integer],
+    chips: Signs,
+    message: Signs,
+    *,
+    tries: int = 1,
+    config: ClaimConfig | None = None,
+    route: str = "",
+    copy: str = "",
+    derived_fraction: float | None = None,
+    absence_power: float | None = None,
+    transform: Mapping[str, Any] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Claim:
+    """From evidence to claim.
+
+    Parameters
+    ----------
+    y, w : (C,)
+        Displacement estimates and weights >= 0, made without looking at chips or message.
+    signal : (C,)
+        What chip times bit times y would be if the mark were there unharmed and y had no noise. Enters power,
+        expectation and reliability, never Z.
+    bit_of, chips : (C,)
+        Bit and secret sign of each chip.
+    message : (B,) +-1
+        The registered message.
+    tries : int
+        Number of (record, transform, route) hypotheses tried in this verification, >= 1.
+    config : ClaimConfig, optional
+    route, copy : str
+    derived_fraction : float, optional
+        Share of the reference found in the suspect.
+    absence_power : float, optional
+        For a suspect in which nothing of the reference was found (no signal to expect): the probability that
+        it would have been found. At `config.power` or above the answer is then `not_marked`.
+    transform : mapping, optional
+    notes : tuple of str
+
+    Returns
+    -------
+    Claim
+    """
+    config = config or ClaimConfig()
+    signal = np.broadcast_to(np.asarray(signal, dtype=np.float64), np.shape(y))
+
+    # 1. The bar is set before the evidence is looked at.
+    threshold = z_threshold(config.false_claim_rate, tries)
+    # 2. One statistic, for the registered message.
+    z = claim_z(y, w, bit_of, chips, message)
+    # 3. How often would a key with no part in this suspect come as far, all tries counted?
+    log10_bound = log10_false_claim_bound(z, tries)
+    # 4. Would this evidence have shown the mark, even a worn one?
+    expected = expected_z(y, w, signal)
+    if expected > 0:
+        strength = power(y, w, config.surviving * signal, threshold)
+    else:
+        strength = absence_power or 0.0
+    # 5. The answer.
+    doubtful = log10_bound < math.log10(config.doubt_rate)
+    if z >= threshold:
+        verdict = Verdict.MARKED
+    elif strength >= config.power and not doubtful:
+        verdict = Verdict.NOT_MARKED
+    else:
+        verdict = Verdict.INCONCLUSIVE
+    # 6. What an undecided answer lacks.
+    missing = ""
+    if verdict is Verdict.INCONCLUSIVE:
+        if doubtful:  # the evidence itself says what a mark would give
+            needed = (threshold / z) ** 2
+        else:
+            needed = evidence_needed(y, w, config.surviving * signal, threshold, config.power)
+        missing = _missing(needed)
+    # 7. The bits: reported, but no part of the answer.
+    n_bits = len(message)
+    T, norm = bit_statistics(y, w, bit_of, chips, n_bits)
+    bits, reliability = decode_bits(T, norm, _bit_strength(w, signal, bit_of, norm))
+    matches = int((bits == message).sum())
+
+    derived = derived_fraction is not None and derived_fraction >= config.derived_least
+    return Claim(
+        verdict=verdict,
+        confidence=-math.expm1(log10_bound * math.log(10)),
+        log10_false_claim=log10_bound,
+        z=z,
+        unmarked_z=0.0,
+        expected_z=expected,
+        z_threshold=threshold,
+        false_claim_rate=config.false_claim_rate,
+        meets_dishonest_claimant_rate=log10_bound <= math.log10(DISHONEST_CLAIMANT_RATE),
+        tries=tries,
+        power=strength,
+        message=message_hex(bits),
+        bits=n_bits,
+        matching_bits=matches,
+        bit_accuracy=matches / n_bits,
+        bit_reliability=tuple(float(r) for r in reliability),
+        log10_binomial_tail=log10_binomial_tail(matches, n_bits),
+        derived_fraction=derived_fraction,
+        derived_but_unmarked=derived and verdict is Verdict.NOT_MARKED,
+        transform=dict(transform) if transform is not None else None,
+        route=route,
+        copy=copy,
+        missing=missing,
+        notes=tuple(notes),
+    )
+
+
+def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], norm: Float64) -> Float64:
+    """(B,) expected T_b / norm_b up to a common factor."""
+    if not signal.any():
+        return np.ones_like(norm)
+    sums = np.bincount(bit_of, weights=w * signal, minlength=len(norm)).astype(np.float64)
+    return np.divide(np.maximum(sums, 0), norm, out=np.zeros_like(norm), where=norm > 0)
+
+
+def _missing(times: float) -> str:
+    if not math.isfinite(times):
+        return "nothing of the reference could be measured in this evidence"
+    if times > 1000:
+        return "more than 1000x as much evidence of this kind is needed"
+    return f"about {max(times, 1.1):.1f}x as much evidence of this kind is needed"
