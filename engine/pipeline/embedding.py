@@ -23,7 +23,7 @@ from engine.pipeline.profiles import EmbedConfig, config_dict
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig, measure_extent
 from engine.pipeline.scenes import look, worst_psnr_against
-from engine.pipeline.sealing import make_record, mark_context
+from engine.pipeline.sealing import draw_spreading, make_record
 from engine.pipeline.strength import Strength, add_dc, solve_strength
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.landmarks import Landmarks, make_landmarks
@@ -31,7 +31,7 @@ from engine.watermark.messages import Signs, check_bits, derive_message, message
 from engine.watermark.planning import capacity_bits, check_capacity, make_plan, predict_z
 from engine.watermark.record import Record
 from engine.watermark.reference_codec import encode_reference, reference_digest
-from engine.watermark.spreading import signed_amplitudes, spread
+from engine.watermark.spreading import signed_amplitudes
 
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
@@ -129,11 +129,12 @@ def embed(
         plan = make_plan(stages, impact, config.plan)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
-        context = mark_context(digest, layout, sign, copy)
-        spreading = spread(key, context, layout.codes, len(layout.directions[0]), bits)
+        spreading = draw_spreading(key, digest, copy, layout, sign)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
-        strength = solve_strength(views, displacement, config.psnr_db, config.ssim)
+        pixels = 3.0 * key_cameras[0].width * key_cameras[0].height
+        guess = 10 ** (-config.psnr_db / 20.0) * float(np.sqrt(pixels / max(plan.energies.sum(axis=1).max(), 1e-30)))
+        strength = solve_strength(views, displacement, config.psnr_db, config.ssim, guess)
         capacity = capacity_bits(plan.energies, strength.factor, layout.chips)
         check_capacity(bits, capacity)
     displacement = np.float32(strength.factor) * displacement
@@ -146,7 +147,7 @@ def embed(
                 delivered, displacement, list(key_cameras), layout, signed, spreading.bit_of, bits, doubt,
                 config.refine, clock.advance,
             )  # fmt: skip
-            again = solve_strength(views, displacement, config.psnr_db, config.ssim, start=1.0)
+            again = solve_strength(views, displacement, config.psnr_db, config.ssim, 1.0)
             displacement = np.float32(again.factor) * displacement
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))

@@ -103,6 +103,7 @@ def make_rig(
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
     focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
     azimuth = GOLDEN_ANGLE * np.arange(count) + 2 * np.pi * (u[:, 0] - 0.5) / max(count, 1)
+    lowest = 8.0 if extent.axes[1] > 0.2 * max(extent.axes[0], extent.axes[2]) else 25.0  # flat ground: from above
     cameras = []
     for k in range(count):
         shell = (k + u[k, 1]) / count  # stratified: the elevations of a rig cover their range
@@ -112,8 +113,8 @@ def make_rig(
             eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
             target = extent.center + extent.radius * toward
         else:
-            elevation = np.radians(8.0 + 47.0 * shell)
-            fit = extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
+            elevation = np.radians(lowest + (55.0 - lowest) * shell)
+            fit = 1.06 * extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
             eye = extent.center + _direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
             target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * _direction(azimuth[k] + 1.0, 0.0)
         cameras.append(look_at(eye, target, UP, focal, width, height))

@@ -30,7 +30,7 @@ def add_dc(sh: Float32, displacement: Float32) -> Float32:
 
 
 def solve_strength(
-    views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float | None = None
+    views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float
 ) -> Strength:
     """Largest factor at which the worst view keeps both targets.
 
@@ -42,8 +42,8 @@ def solve_strength(
         At factor 1.
     psnr_db, least_ssim : float
         Targets against the unmarked render.
-    start : float, optional
-        First guess of the factor; else `displacement` is taken to have an image energy of 1 a view.
+    start : float
+        First guess of the factor.
 
     Returns
     -------
@@ -51,8 +51,7 @@ def solve_strength(
         Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM
         limits.
     """
-    pixels = 3 * max(c.width * c.height for c in views.cameras)
-    factor = start or 10 ** (-psnr_db / 20.0) * float(np.sqrt(pixels))
+    factor = start
     for _ in range(ROUNDS):
         found = _measure(views, displacement, factor)
         if not np.isfinite(found.psnr_db):  # nothing in sight changes: any strength will do

@@ -18,7 +18,13 @@ from engine.watermark.model_evidence import Evidence
 
 
 def gather_image_evidence(
-    layout: Layout, view: View, reference: Float32, warped: Float32, mask: Bool, mark_image: Float32 | None
+    layout: Layout,
+    view: View,
+    reference: Float32,
+    warped: Float32,
+    mask: Bool,
+    mark_image: Float32,
+    mark_signs: Float64,
 ) -> Evidence:
     """Evidence of one picture.
 
@@ -34,9 +40,12 @@ def gather_image_evidence(
         The picture in the reference's pixels.
     mask : (H, W) bool
         Pixels that carry evidence.
-    mark_image : (H, W, 3) float32, optional
-        What the mark under test would add to `reference`. It serves only to say how much evidence this picture
-        could have held (the power of a "not marked" answer); y and weights do not depend on it.
+    mark_image : (H, W, 3) float32
+        What the mark under test would add to `reference`. With `mark_signs` it serves only to say how much
+        evidence this picture could have held (the power of a "not marked" answer); y and weights do not depend
+        on it.
+    mark_signs : (C,) float64
+        Sign of each chip's displacement in that mark.
 
     Returns
     -------
@@ -47,13 +56,12 @@ def gather_image_evidence(
     cotangent = image_cotangent(reference, warped, mask)
     y = pull(cotangent)
     weights = layout.amplitudes
-    signal = np.zeros_like(y)
-    if mark_image is not None:
-        response = pull(image_cotangent(reference, warped + mark_image, mask) - cotangent)
-        shape = np.abs(response)
-        # The response holds cross-talk between neighbouring code vectors; its own matched sum does not.
-        signal = shape * (np.abs(weights) @ shape > 0)
-    return Evidence(y, weights, signal)
+    # How y answers to the mark, through the weights this very picture got. Neighbouring code vectors talk into each
+    # other, so sizes are scaled to what adds up in the matched sum.
+    response = pull(image_cotangent(reference, warped + mark_image, mask) - cotangent)
+    size = np.abs(response)
+    useful = float(weights @ (mark_signs * response)) / max(float(weights @ size), 1e-300)
+    return Evidence(y, weights, max(useful, 0.0) * size)
 
 
 def _puller(layout: Layout, view: View) -> Callable[[Float32], Float64]:

@@ -9,6 +9,10 @@ import numpy.typing as npt
 
 from engine.model import Float32, Float64, Int32
 
+MARK_SCALE = 0.02
+"""Size of a typical displacement, SH units (a mark at 47 dB moves code vectors by 0.01 to 0.05). Planned amplitudes
+have this median, and no residual this small is treated as an outlier."""
+
 Values = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 
 

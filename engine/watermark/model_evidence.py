@@ -7,10 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Float32, Float64, Int32
-from engine.watermark.layout import Layout
-
-MARK_SCALE = 0.02
-"""Displacements of a mark are about this large (SH units): no residual this small is treated as an outlier."""
+from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
 PASSES = 2
@@ -124,9 +121,8 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
     spread = np.stack([np.bincount(code, trust * left[:, r] ** 2, count) for r in range(left.shape[1])], axis=1)
     # A few members say little about their own spread: blend with the whole scene's, worth four members.
     spread = (spread + 4.0 * overall) / (total[:, None] + 4.0)
-    with np.errstate(divide="ignore"):
-        effective = np.where(total > 1e-9, squared / np.maximum(total, 1e-12) ** 2, np.inf)
-    return np.asarray(spread * effective[:, None] + np.where(total > 1e-9, 0.0, np.inf)[:, None])
+    effective = np.where(total > 1e-9, squared / np.maximum(total, 1e-12) ** 2, np.inf)
+    return np.where(np.isfinite(effective)[:, None], spread * np.minimum(effective, 1e300)[:, None], np.inf)
 
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64) -> Evidence:

@@ -12,7 +12,7 @@ from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
 from engine.model import SH_C0, Float64
 from engine.watermark.carriers import make_carriers
-from engine.watermark.layout import Layout
+from engine.watermark.layout import MARK_SCALE, Layout
 
 REFERENCE_NOISE = 0.05
 """Per-channel noise (std, range 1) of the channel for which z is predicted: one key view, badly compressed."""
@@ -66,7 +66,8 @@ def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None
     Returns
     -------
     Plan
-        With a mean image energy of 1 per view.
+        Scaled to a median amplitude of MARK_SCALE: the decoder's weights follow from the planned amplitudes and so
+        must not know the final strength, which depends on the chips (DESIGN 4.9).
     """
     config = config or PlanConfig()
     amplitudes, energies, directions = [], [], []
@@ -89,13 +90,15 @@ def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None
         amplitudes.append((np.sqrt(scale) * chip).reshape(-1))
         energies.append((scale * energy).reshape(len(energy), -1))
         directions.append(carriers.directions)
+    flat = np.concatenate(amplitudes)
+    scale = MARK_SCALE / max(float(np.median(flat)), 1e-300)
     layout = Layout(
         tuple(stage.labels for stage in stages),
         tuple(len(stage.codebook) for stage in stages),
         tuple(directions),
-        np.concatenate(amplitudes),
+        (scale * flat).astype(np.float32).astype(np.float64),  # as the record keeps them
     )
-    return Plan(layout, np.concatenate(energies, axis=1))
+    return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:

@@ -38,10 +38,11 @@ def test_cells_cover_equal_weight_and_none_is_empty() -> None:
     assert mass.max() / mass.min() < 1.6
 
 
-def test_more_cells_than_gaussians_gives_one_each() -> None:
+def test_more_cells_than_gaussians_asked_for() -> None:
     features, weights = blob(10)
     labels = cells.split_cells(features, weights, 1024)
-    assert labels.max() + 1 == 8  # a power of two, at most N
+    assert 4 <= labels.max() + 1 <= 8  # a power of two, at most N, less where one Gaussian outweighs the rest
+    assert np.bincount(labels).min() >= 1
 
 
 def test_identical_gaussians_do_not_hang() -> None:

@@ -1,0 +1,167 @@
+"""Between a record's arrays and what the flows work with: layout, chips, message, cameras, landmarks.
+
+What enters the decision (reference, labels, carriers, amplitudes, message) goes into the record's *plan*; the record
+id, and so the chips, follow from its digest. What may follow from the mark (the strength) or plays no part in the
+decision (cameras, landmarks, settings) goes beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import MalformedRecordError
+from engine.model import Camera, GaussianModel
+from engine.watermark.keys import OwnerKey
+from engine.watermark.landmarks import Landmarks
+from engine.watermark.layout import Layout
+from engine.watermark.messages import Signs, message_hex, message_signs
+from engine.watermark.record import Record, RecordHeader, chip_context, make_record_id
+from engine.watermark.spreading import Spreading, spread
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedRecord:
+    """A record opened with its key, in the terms of the flows.
+
+    Parameters
+    ----------
+    header : RecordHeader
+    copy : str
+        Name of the recipient.
+    reference : GaussianModel
+        The unmarked reference.
+    layout : Layout
+        With the planned (relative) amplitudes.
+    strength : float
+        Factor from planned amplitudes to embedded displacements.
+    message : (B,) signs
+    spreading : Spreading
+        Bits and chips, drawn anew from the key and the digests of what was opened.
+    cameras : list of Camera
+        Key views.
+    landmarks : Landmarks or None
+    settings : dict
+        Profile and configuration of the embedding.
+    """
+
+    header: RecordHeader
+    copy: str
+    reference: GaussianModel
+    layout: Layout
+    strength: float
+    message: Signs
+    spreading: Spreading
+    cameras: list[Camera]
+    landmarks: Landmarks | None
+    settings: dict[str, Any]
+
+
+def plan_of(layout: Layout, message: Signs) -> tuple[dict[str, Any], Arrays]:
+    """What a record commits to before any chip is drawn: JSON values and arrays."""
+    plan = {"message": message_hex(message), "codes": list(layout.codes)}
+    arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
+    for number, (labels, directions) in enumerate(zip(layout.labels, layout.directions, strict=True)):
+        arrays[f"labels/{number}"] = labels.astype(np.uint16 if layout.codes[number] <= 65536 else np.int32)
+        arrays[f"directions/{number}"] = directions
+    return plan, arrays
+
+
+def draw_spreading(
+    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, message: Signs
+) -> Spreading:
+    """Bits and chips of one copy, from the owner's key and everything that enters the decision."""
+    record_id = make_record_id(key, reference_digest, copy, *plan_of(layout, message))
+    context = chip_context(reference_digest, record_id)
+    return spread(key, context, layout.codes, len(layout.directions[0]), len(message))
+
+
+def make_record(
+    key: OwnerKey,
+    reference_arrays: Arrays,
+    layout: Layout,
+    strength: float,
+    message: Signs,
+    cameras: Sequence[Camera],
+    landmarks: Landmarks | None,
+    *,
+    original_sha256: str,
+    copy: str,
+    registered_at: str,
+    settings: dict[str, Any],
+) -> Record:
+    """The record of one embedding."""
+    plan, plan_arrays = plan_of(layout, message)
+    extra_arrays: Arrays = {
+        "cameras/viewmats": np.stack([c.viewmat for c in cameras]),
+        "cameras/intrinsics": np.stack([c.K for c in cameras]),
+        "cameras/sizes": np.array([(c.width, c.height) for c in cameras], dtype=np.int32),
+    }
+    if landmarks is not None:
+        extra_arrays["landmarks/points"] = landmarks.points
+        extra_arrays["landmarks/descriptors"] = landmarks.descriptors
+        extra_arrays["landmarks/views"] = landmarks.views
+    return Record.make(
+        key,
+        reference_arrays,
+        original_digest=original_sha256,
+        plan=plan,
+        plan_arrays=plan_arrays,
+        extra={"strength": strength, "settings": settings},
+        extra_arrays=extra_arrays,
+        copy=copy,
+        registered_at=registered_at,
+    )
+
+
+def open_record(data: bytes, key: OwnerKey) -> OpenedRecord:
+    """Open a record file and draw its chips again.
+
+    Raises
+    ------
+    WrongKeyError, MalformedRecordError, RecordTooNewError
+        See `Record.from_bytes`; also when the inside does not fit together.
+    """
+    record = Record.from_bytes(data, key)
+    try:
+        return _open(record, key)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise MalformedRecordError(f"the record's parts do not fit together: {error}") from error
+
+
+def _open(record: Record, key: OwnerKey) -> OpenedRecord:
+    codes = tuple(int(count) for count in record.plan["codes"])
+    arrays = record.plan_arrays
+    labels = tuple(np.ascontiguousarray(arrays[f"labels/{s}"], dtype=np.int32) for s in range(len(codes)))
+    directions = tuple(np.asarray(arrays[f"directions/{s}"], dtype=np.float64) for s in range(len(codes)))
+    layout = Layout(labels, codes, directions, arrays["amplitudes"].astype(np.float64))
+    reference = record.reference()
+    if len(layout.amplitudes) != layout.chips or (layout.amplitudes < 0).any():
+        raise ValueError(f"{len(layout.amplitudes)} amplitudes for {layout.chips} chips")
+    for stage, count in zip(labels, codes, strict=True):
+        if len(stage) != len(reference) or stage.min(initial=0) < 0 or stage.max(initial=0) >= count:
+            raise ValueError("labels outside their codebook")
+    message = message_signs(record.plan["message"])
+    spreading = spread(key, record.header.chip_context(), codes, len(directions[0]), len(message))
+    extra = record.extra_arrays
+    cameras = [
+        Camera(viewmat, K, int(size[0]), int(size[1]))
+        for viewmat, K, size in zip(
+            extra["cameras/viewmats"], extra["cameras/intrinsics"], extra["cameras/sizes"], strict=True
+        )
+    ]
+    landmarks = None
+    if "landmarks/points" in extra:
+        landmarks = Landmarks(
+            extra["landmarks/points"], extra["landmarks/descriptors"], extra["landmarks/views"]
+        )
+    return OpenedRecord(
+        record.header, record.copy, reference, layout, float(record.extra["strength"]), message, spreading,
+        cameras, landmarks, dict(record.extra["settings"]),
+    )  # fmt: skip
