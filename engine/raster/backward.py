@@ -7,6 +7,7 @@ in the output, so nothing is shared between threads, and `gather_sums` adds a Ga
 the result has the same bits whatever the number of threads.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import numpy as np
@@ -22,15 +23,14 @@ from engine.raster.tiles import (
     FIELDS,
     GRID_X,
     GRID_Y,
-    OCCLUSION,
     STAGE_ROW,
     STATE,
     blend,
-    blocks_in_image,
     end_by_impact,
     lay_grid,
     living_blocks,
     log2_alpha,
+    open_tile,
     stage_batch,
 )  # fmt: skip
 
@@ -60,7 +60,7 @@ def backward_scratch(fields: int, width: int) -> int:
 
 
 @inlined
-def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):  # type: ignore[no-untyped-def]
+def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):
     """One channel of an image to a field of the tile at (x0, y0); zero outside the image."""
     for place in range(FIELD):
         own[field + place] = _f(0.0)
@@ -72,23 +72,14 @@ def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):  #
 
 
 @inlined
-def open_tile(own, x0, y0, width, height):  # type: ignore[no-untyped-def]
-    """Transmittance 1 and no occlusion; returns the blocks inside the image."""
-    for block in range(16):
-        store(own, STATE + block * 16, spread(_f(1.0)))
-        store(own, OCCLUSION + block * 16, spread(_f(0.0)))
-    return blocks_in_image(x0, y0, width, height)
-
-
-@inlined
-def clear_rows(own, rows, count):  # type: ignore[no-untyped-def]
+def clear_rows(own, rows, count):
     """Zero accumulator rows."""
     for row in range(count):
         store(own, rows + row * 16, spread(_f(0.0)))
 
 
 @inlined
-def write_sums(own, rows, count, spare, out, to):  # type: ignore[no-untyped-def]
+def write_sums(own, rows, count, spare, out, to):
     """out[to : to + count] = sums of the first `count` accumulator rows."""
     whole = count // 16
     for group in range(whole):
@@ -103,7 +94,7 @@ def write_sums(own, rows, count, spare, out, to):  # type: ignore[no-untyped-def
 def pair_colors(
     records, channel_tuple, pair_tuple, ids, starts, width, height, tiles_x, limits, impact, cotangent, out,
     scratch, items, counter,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
 
     `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of `pair_tuple`). The
@@ -190,7 +181,7 @@ def pair_weights(
     scratch,
     items,
     counter,
-):  # type: ignore[no-untyped-def]
+):
     """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
     log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
     tiles = starts.shape[0] - 1
@@ -268,7 +259,7 @@ def pair_weights(
 
 
 @parallel_kernel
-def gather_sums(values, pair_tuple, firsts, slots, shares, out):  # type: ignore[no-untyped-def]
+def gather_sums(values, pair_tuple, firsts, slots, shares, out):
     """out[i] (N, C) = sum of the pairs of Gaussian i, in the order of tiles; `values` is flat (pairs, pair width)."""
     n, channels = out.shape
     pair = len(pair_tuple)
@@ -287,7 +278,7 @@ def gather_sums(values, pair_tuple, firsts, slots, shares, out):  # type: ignore
 
 
 @parallel_kernel
-def gather_maxima(values, firsts, slots, shares, out):  # type: ignore[no-untyped-def]
+def gather_maxima(values, firsts, slots, shares, out):
     """out[i] = largest value among the pairs of Gaussian i, 0 if it has none."""
     n = out.shape[0]
     share = (n + shares - 1) // shares

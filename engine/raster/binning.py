@@ -6,6 +6,7 @@ split the order into contiguous shares, so lists come out in depth order whateve
 A tile mask leaves tiles out altogether.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import math
@@ -28,7 +29,7 @@ _PER_TILE = _f(1.0 / TILE)
 
 
 @inlined
-def _row_span(records, o, hx, hy, row, log2_skip):  # type: ignore[no-untyped-def]
+def _row_span(records, o, hx, hy, row, log2_skip):
     """Interval of x in which the ellipse meets the pixel centres of a row of tiles; low > high where it does not."""
     u, v, a, b, c = records[o], records[o + 1], records[o + 2], records[o + 3], records[o + 4]
     below = records[o + 5] - log2_skip  # a dx^2 + b dx dy + c dy^2 + below >= 0 inside
@@ -47,7 +48,7 @@ def _row_span(records, o, hx, hy, row, log2_skip):  # type: ignore[no-untyped-de
 
 
 @inlined
-def _columns(records, extents, rects, i, row, log2_skip):  # type: ignore[no-untyped-def]
+def _columns(records, extents, rects, i, row, log2_skip):
     """First and last tile column that Gaussian i touches in a row of tiles."""
     first, last = np.int64(rects[4 * i]), np.int64(rects[4 * i + 1])
     if first == last or rects[4 * i + 2] == rects[4 * i + 3]:  # one column or one row: the rectangle is exact
@@ -61,7 +62,7 @@ def _columns(records, extents, rects, i, row, log2_skip):  # type: ignore[no-unt
 
 
 @parallel_kernel
-def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes):  # type: ignore[no-untyped-def]
+def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes):
     """Count the tiles of every Gaussian (`sizes`, (N,)) and, share by share, the Gaussians of every tile."""
     shares = histograms.shape[0]
     share = (visible + shares - 1) // shares
@@ -93,7 +94,7 @@ def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log
 @parallel_kernel
 def fill_pairs(
     order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, ids, firsts, slots
-):  # type: ignore[no-untyped-def]
+):
     """Write the lists.
 
     `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the lists, tile
@@ -131,7 +132,7 @@ def fill_pairs(
 
 
 @kernel
-def list_starts(histograms, starts):  # type: ignore[no-untyped-def]
+def list_starts(histograms, starts):
     """Turn counts per share and tile into places to write; `starts` (tiles + 1,) gets where each list begins."""
     total = 0
     for tile in range(histograms.shape[1]):

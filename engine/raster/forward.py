@@ -1,5 +1,6 @@
 """Pass 4: blend the lists front to back (Eq 3), tile by tile, any number of channels."""
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import numpy as np
@@ -16,15 +17,14 @@ from engine.raster.tiles import (
     FIELDS,
     GRID_X,
     GRID_Y,
-    OCCLUSION,
     STAGE_ROW,
     STATE,
     blend,
-    blocks_in_image,
     end_by_impact,
     lay_grid,
     living_blocks,
     log2_alpha,
+    open_tile,
     stage_batch,
 )  # fmt: skip
 
@@ -45,7 +45,7 @@ def forward_scratch(channels: int) -> int:
 def blend_tiles(
     records, colors, channel_tuple, ids, starts, width, height, tiles_x, limits, background, impact,
     image, alpha, scratch, items, counter, evaluated,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Image and accumulated alpha.
 
     Parameters
@@ -78,13 +78,9 @@ def blend_tiles(
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
             left, top = _f(x0), _f(y0)
             at, end = starts[tile], starts[tile + 1]
-            for block in range(16):
-                store(own, STATE + block * 16, spread(_f(1.0)))
-                if impact is not None:
-                    store(own, OCCLUSION + block * 16, spread(_f(0.0)))
-                for channel in range(channels):
-                    store(own, FIELDS + channel * FIELD + block * 16, spread(_f(0.0)))
-            alive = blocks_in_image(x0, y0, width, height)
+            alive = open_tile(own, x0, y0, width, height)
+            for place in range(0, channels * FIELD, 16):
+                store(own, FIELDS + place, spread(_f(0.0)))
             work = np.int64(0)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)

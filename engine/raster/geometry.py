@@ -42,7 +42,7 @@ class Geometry:
         The tiles' lists, one after the other.
     starts : (tiles + 1,) int64
         Where each tile's list begins.
-    firsts : (N + 1,) int32, slots : (P,) int32
+    firsts : (max(N, 16) + 1,) int32, slots : (P,) int32
         ``slots[firsts[i]:firsts[i + 1]]``: places of Gaussian i in `ids`. Empty if they were not asked for.
     """
 
@@ -124,7 +124,7 @@ def build_geometry(
         raise InputError(f"tile_mask has shape {mask.shape}, expected {(tiles_y, tiles_x)}")
     mask = mask.ravel()
 
-    def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:  # type: ignore[type-arg]
+    def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:
         return np.empty(size, dtype) if keep else work.array(name, (size,), dtype)
 
     model = padded(model)
@@ -168,4 +168,4 @@ def build_geometry(
         np.cumsum(sizes, out=firsts[1:])
     fill_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, ids, firsts, slots)
     visible = order[:seen].copy() if keep else order[:seen]
-    return Geometry(camera, settings, n, records, visible, ids, starts, firsts[: n + 1], slots), sizes[:n]
+    return Geometry(camera, settings, n, records, visible, ids, starts, firsts, slots), sizes[:n]

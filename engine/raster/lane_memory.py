@@ -1,5 +1,6 @@
 """Lanes to and from memory, and sums across lanes. Arrays are flat float32; indices count elements."""
 
+# mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
 from __future__ import annotations
 
 from typing import Any
@@ -33,7 +34,7 @@ def _vector_pointer(context: Any, b: Any, sig: Any, args: Any) -> Any:
     return b.bitcast(_pointer(context, b, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
     """array[index : index + 16]."""
 
@@ -45,7 +46,7 @@ def load(typing: Any, array: Any, index: Any) -> Any:
     return lanes(array, types.intp), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index : index + 16] = value."""
 
@@ -56,7 +57,7 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, lanes), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
     """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no further."""
 
@@ -69,7 +70,7 @@ def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
     return lanes(array, types.intp, types.int32), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def store_some(typing: Any, array: Any, index: Any, count: Any, value: Any) -> Any:
     """array[index : index + count] = the first lanes; count may be anything, also negative."""
 
@@ -93,7 +94,7 @@ def shuffle(b: Any, x: Any, y: Any, lanes_of_xy: list[int]) -> Any:
     return b.shuffle_vector(x, y, ir.Constant(INTS, lanes_of_xy))
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def unzip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
     """48 numbers r g b r g b ... in three vectors, as (r, g, b)."""
 
@@ -108,7 +109,7 @@ def unzip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
     return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def zip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
     """(r, g, b) as 48 numbers r g b r g b ... in three vectors: the inverse of `unzip3`."""
 
@@ -124,7 +125,7 @@ def zip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
     return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def unzip4(typing: Any, a: Any, b_: Any, c: Any, d: Any) -> Any:
     """64 numbers w x y z w x y z ... in four vectors, as (w, x, y, z)."""
 
@@ -135,6 +136,22 @@ def unzip4(typing: Any, a: Any, b_: Any, c: Any, d: Any) -> Any:
             low = shuffle(b, args[0], args[1], picks)
             high = shuffle(b, args[2], args[3], picks)
             parts.append(shuffle(b, low, high, [*range(8), *range(16, 24)]))
+        return context.make_tuple(b, sig.return_type, parts)
+
+    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
+
+
+@intrinsic
+def zip4(typing: Any, w: Any, x: Any, y: Any, z: Any) -> Any:
+    """(w, x, y, z) as 64 numbers w x y z w x y z ... in four vectors: the inverse of `unzip4`."""
+
+    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
+        parts = []
+        for part in range(4):
+            from_lane = [part * 4 + i // 4 for i in range(LANES)]
+            low = shuffle(b, args[0], args[1], [lane + 16 * (i % 2) for i, lane in enumerate(from_lane)])
+            high = shuffle(b, args[2], args[3], [lane + 16 * (i % 2) for i, lane in enumerate(from_lane)])
+            parts.append(shuffle(b, low, high, [i if i % 4 < 2 else 16 + i for i in range(LANES)]))
         return context.make_tuple(b, sig.return_type, parts)
 
     return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
@@ -174,7 +191,7 @@ def _max(b: Any, x: Any, y: Any) -> Any:
 
 
 def _row_reduction(combine: Any) -> Any:
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def reduce_rows(typing: Any, array: Any, index: Any, rows: Any) -> Any:
         """Lane k of the result combines the 16 numbers of row k; rows is a tuple whose length says how many."""
         count = len(rows)
@@ -198,7 +215,7 @@ sum_rows = _row_reduction(_add)
 max_rows = _row_reduction(_max)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def transpose(typing: Any, array: Any, source: Any, target: Any) -> Any:
     """The 16 x 16 numbers at `target` become the transpose of those at `source`."""
 
@@ -224,7 +241,7 @@ def transpose(typing: Any, array: Any, source: Any, target: Any) -> Any:
     return types.void(array, types.intp, types.intp), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
     """Ask for the cache line of array[index]."""
 
@@ -237,7 +254,7 @@ def prefetch(typing: Any, array: Any, index: Any) -> Any:
     return types.void(array, types.intp), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def fetch_add(typing: Any, array: Any, index: Any, amount: Any) -> Any:
     """Atomically add to an int64 array; returns the value before."""
 
@@ -248,7 +265,7 @@ def fetch_add(typing: Any, array: Any, index: Any, amount: Any) -> Any:
     return types.int64(array, types.intp, types.int64), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def append_set_bits(typing: Any, array: Any, index: Any, bits: Any, base: Any) -> Any:
     """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending."""
 
@@ -262,7 +279,7 @@ def append_set_bits(typing: Any, array: Any, index: Any, bits: Any, base: Any) -
     return types.void(array, types.intp, types.int32, types.int32), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def count_bits(typing: Any, x: Any) -> Any:
     """Number of set bits of an int32."""
     return types.int32(types.int32), lambda context, b, sig, args: call_llvm(
@@ -270,7 +287,7 @@ def count_bits(typing: Any, x: Any) -> Any:
     )
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def lowest_bit(typing: Any, x: Any) -> Any:
     """Index of the lowest set bit of a non-zero int32."""
     return types.int32(types.int32), lambda context, b, sig, args: call_llvm(

@@ -6,6 +6,7 @@ ones (AVX2, SSE, Arm). Floating-point freedoms are `FLOAT_FLAGS`; `exp2` works w
 re-associate would cancel its rounding constant.
 """
 
+# mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
 from __future__ import annotations
 
 import operator
@@ -31,14 +32,14 @@ INTS = ir.VectorType(INT32, LANES)
 BOOLS = ir.VectorType(ir.IntType(1), LANES)
 
 
-class LanesType(types.Type):  # type: ignore[misc]
+class LanesType(types.Type):
     """16 x float32."""
 
     def __init__(self) -> None:
         super().__init__(name="lanes16xf32")
 
 
-class MaskType(types.Type):  # type: ignore[misc]
+class MaskType(types.Type):
     """16 x bool."""
 
     def __init__(self) -> None:
@@ -50,13 +51,13 @@ mask = MaskType()
 
 
 @register_model(LanesType)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, type_: Any) -> None:
         super().__init__(manager, type_, FLOATS)
 
 
 @register_model(MaskType)
-class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+class _MaskModel(models.PrimitiveModel):
     def __init__(self, manager: Any, type_: Any) -> None:
         super().__init__(manager, type_, BOOLS)
 
@@ -96,7 +97,7 @@ def _operands(b: Any, sig: Any, args: Any) -> list[Any]:
 
 def _define(symbol: Any, result: Any, emit: Callable[..., Any]) -> None:
     @infer_global(symbol)
-    class _Template(ConcreteTemplate):  # type: ignore[misc]
+    class _Template(ConcreteTemplate):
         cases = [signature(result, *pair) for pair in _PAIRS]  # noqa: RUF012
 
     def lower(context: Any, b: Any, sig: Any, args: Any) -> Any:
@@ -125,7 +126,7 @@ for _symbol, _compare in ((operator.ge, ">="), (operator.gt, ">"), (operator.le,
 
 def _define_mask(symbol: Any, opcode: str) -> None:
     @infer_global(symbol)
-    class _Template(ConcreteTemplate):  # type: ignore[misc]
+    class _Template(ConcreteTemplate):
         cases = [signature(mask, mask, mask)]  # noqa: RUF012
 
     lower_builtin(symbol, mask, mask)(lambda context, b, sig, args: getattr(b, opcode)(*args))
@@ -136,7 +137,7 @@ _define_mask(operator.or_, "or_")
 
 
 @infer_global(operator.neg)
-class _Negation(ConcreteTemplate):  # type: ignore[misc]
+class _Negation(ConcreteTemplate):
     cases = [signature(lanes, lanes)]  # noqa: RUF012
 
 
@@ -145,13 +146,13 @@ lower_builtin(operator.neg, lanes)(lambda context, b, sig, args: b.fneg(args[0],
 # --- elementary operations -----------------------------------------------------------------------------------------
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def spread(typing: Any, x: Any) -> Any:
     """A float32 in every lane."""
     return lanes(types.float32), lambda context, b, sig, args: broadcast(b, args[0])
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
     """x * y + z in one rounding; each of the three may be a float32 scalar."""
 
@@ -167,7 +168,7 @@ def fused(b: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 def _pick(symbol: str) -> Any:
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def pick(typing: Any, x: Any, y: Any) -> Any:
         def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
             left, right = _operands(b, sig, args)
@@ -182,13 +183,13 @@ minimum = _pick("<")
 maximum = _pick(">")
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def select(typing: Any, condition: Any, x: Any, y: Any) -> Any:
     """x where the condition holds, else y."""
     return lanes(mask, lanes, lanes), lambda context, b, sig, args: b.select(*args)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def bits_of(typing: Any, condition: Any) -> Any:
     """The mask as the low 16 bits of an int32, lane 0 first."""
 
@@ -198,7 +199,7 @@ def bits_of(typing: Any, condition: Any) -> Any:
     return types.int32(mask), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def minus_magnitude(typing: Any, x: Any) -> Any:
     """-|x|: sets the sign bit."""
 
@@ -209,7 +210,7 @@ def minus_magnitude(typing: Any, x: Any) -> Any:
 
 
 def _unary(name: str) -> Any:
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def function(typing: Any, x: Any) -> Any:
         def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
             return call_llvm(b, f"llvm.{name}.v{LANES}f32", FLOATS, [args[0]], fast=True)
@@ -226,7 +227,7 @@ round_down = _unary("floor")
 def constant_lanes(values: list[float]) -> Any:
     """A function without arguments that returns these 16 numbers."""
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def function(typing: Any) -> Any:
         return lanes(), lambda context, b, sig, args: ir.Constant(FLOATS, [float(v) for v in values])
 

@@ -11,6 +11,7 @@ compact list (depth, index) per chunk. The extent follows from opacity and thres
 change no pixel.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import math
@@ -60,7 +61,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 
 
 @inlined
-def rotation_rows(quats, i):  # type: ignore[no-untyped-def]
+def rotation_rows(quats, i):
     """Rotation matrices, row by row, of the 16 quaternions (w, x, y, z) from row i on; normalises them."""
     w, x, y, z = unzip4(
         load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48)
@@ -75,7 +76,7 @@ def rotation_rows(quats, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def scale_lanes(log_scales, i):  # type: ignore[no-untyped-def]
+def scale_lanes(log_scales, i):
     """The three standard deviations of 16 Gaussians from row i on."""
     s0, s1, s2 = unzip3(load(log_scales, 3 * i), load(log_scales, 3 * i + 16), load(log_scales, 3 * i + 32))
     top = _LARGEST_EXPONENT
@@ -87,14 +88,14 @@ def scale_lanes(log_scales, i):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def log2_opacity(logits, i):  # type: ignore[no-untyped-def]
+def log2_opacity(logits, i):
     """log2(sigmoid(logit)) of 16 Gaussians from row i on."""
     x = load(logits, i) * -_LOG2_E
     return -log2(exp2(maximum(minimum(x, _LARGEST_EXPONENT), -_LARGEST_EXPONENT)) + _f(1.0))
 
 
 @inlined
-def tile_of(pixels, last):  # type: ignore[no-untyped-def]
+def tile_of(pixels, last):
     """Tile (as float) that holds a pixel centre at or before this coordinate, clipped to the image."""
     return minimum(maximum(round_down((pixels - _f(0.5)) * _TILES_PER_PIXEL), _f(0.0)), last)
 
@@ -102,7 +103,7 @@ def tile_of(pixels, last):  # type: ignore[no-untyped-def]
 @parallel_kernel
 def project(
     means, quats, log_scales, logits, lens, chunk, scratch, records, extents, rects, depths, index, counts
-):  # type: ignore[no-untyped-def]
+):
     """Project every Gaussian.
 
     Parameters

@@ -90,4 +90,4 @@ def render_depth(
     colors[:, 3] = view.depth_of_all
     blended, alpha = view.render(colors, behind)
     depth = blended[..., 3] / np.maximum(alpha, np.finfo(np.float32).tiny)
-    return np.ascontiguousarray(blended[..., :3]), alpha, depth
+    return np.ascontiguousarray(blended[..., :3]), alpha, depth.astype(np.float32)

@@ -4,6 +4,7 @@ The basis is evaluated with one Gaussian per lane and transposed, so that a Gaus
 each other, meet its basis values in one multiplication per channel.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import numpy as np
@@ -15,7 +16,7 @@ from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
 from engine.raster.lane_memory import load, load_some, store, store_some, sum_rows, transpose, unzip3, zip3
 from engine.raster.lanes import maximum, root, spread
 
-__all__ = ["SH_SCRATCH", "evaluate_sh", "spread_sh"]
+__all__ = ["SH_SCRATCH", "differentiate_sh", "evaluate_sh", "spread_sh"]
 
 _KERNEL_VERSION = 1
 
@@ -32,7 +33,7 @@ _C30, _C31, _C32, _C33, _C34 = (_f(c) for c in SH_C3)
 
 
 @inlined
-def sh_lanes(own, coefficients):  # type: ignore[no-untyped-def]
+def sh_lanes(own, coefficients):
     """Basis values of the 16 directions at own[0:48] (x, y, z rows, any length), transposed: 16 of one Gaussian a row."""
     x, y, z = load(own, 0), load(own, 16), load(own, 32)
     scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
@@ -63,7 +64,7 @@ def sh_lanes(own, coefficients):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def set_direction(own, lane, means, i, position):  # type: ignore[no-untyped-def]
+def set_direction(own, lane, means, i, position):
     """Direction from the camera to Gaussian i, in one lane; not normalised."""
     own[lane] = means[3 * i] - position[0]
     own[16 + lane] = means[3 * i + 1] - position[1]
@@ -71,7 +72,7 @@ def set_direction(own, lane, means, i, position):  # type: ignore[no-untyped-def
 
 
 @parallel_kernel
-def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):  # type: ignore[no-untyped-def]
+def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
     """colors[i] = max(0, 0.5 + sum_k Y_k sh[i, k]).
 
     `sh`, `means` and `colors` are flat. `wanted` (N,) int32 leaves out Gaussians where it is 0; empty: none is left
@@ -112,7 +113,7 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):  # 
 
 
 @parallel_kernel
-def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):  # type: ignore[no-untyped-def]
+def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):
     """out[i, k] = Y_k cotangent[i] where the colour was not clamped to 0, else 0. All arrays flat."""
     n = means.shape[0] // 3
     shares = scratch.shape[0]
@@ -137,3 +138,83 @@ def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):  
                 store_some(out, at, _i(row), r)
                 store_some(out, at + 16, _i(row - 16), g_)
                 store_some(out, at + 32, _i(row - 32), b)
+
+
+@inlined
+def direction_gradient(own, coefficients):
+    """d/d(unit direction) of sum_k h_k Y_k for 16 Gaussians; h_k are the rows at _PRODUCTS."""
+    x, y, z = load(own, 0), load(own, 16), load(own, 32)
+    scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
+    x, y, z = x * scale, y * scale, z * scale
+    gx = load(own, _PRODUCTS + 48) * -_C1
+    gy = load(own, _PRODUCTS + 16) * -_C1
+    gz = load(own, _PRODUCTS + 32) * _C1
+    if coefficients > 4:
+        h4, h5, h6 = load(own, _PRODUCTS + 64), load(own, _PRODUCTS + 80), load(own, _PRODUCTS + 96)
+        h7, h8 = load(own, _PRODUCTS + 112), load(own, _PRODUCTS + 128)
+        two = _f(2.0)
+        gx += (y * h4 - z * h7) * _C20 - x * h6 * (two * _C21) + x * h8 * (two * _C22)
+        gy += (x * h4 - z * h5) * _C20 - y * h6 * (two * _C21) - y * h8 * (two * _C22)
+        gz += z * h6 * (_f(4.0) * _C21) - (y * h5 + x * h7) * _C20
+        if coefficients > 9:
+            h9, h10 = load(own, _PRODUCTS + 144), load(own, _PRODUCTS + 160)
+            h11, h12 = load(own, _PRODUCTS + 176), load(own, _PRODUCTS + 192)
+            h13, h14 = load(own, _PRODUCTS + 208), load(own, _PRODUCTS + 224)
+            h15 = load(own, _PRODUCTS + 240)
+            xx, yy, zz, xy = x * x, y * y, z * z, x * y
+            three, six, eight = _f(3.0), _f(6.0), _f(8.0)
+            gx += (
+                (xy * h9 * six + (xx - yy) * h15 * three) * -_C30 + (y * h10) * z * _C31
+                + (xy * h11 * two - (zz * _f(4.0) - xx * three - yy) * h13) * _C32
+                - x * z * h12 * (six * _C33) + x * z * h14 * (two * _C34)
+            )  # fmt: skip
+            gy += (
+                ((xx - yy) * h9 * three - xy * h15 * six) * -_C30 + (x * h10) * z * _C31
+                - ((zz * _f(4.0) - xx - yy * three) * h11 - xy * h13 * two) * _C32
+                - y * z * h12 * (six * _C33) - y * z * h14 * (two * _C34)
+            )  # fmt: skip
+            gz += (
+                xy * h10 * _C31 - z * (y * h11 + x * h13) * (eight * _C32)
+                + (zz * six - (xx + yy) * three) * h12 * _C33 + (xx - yy) * h14 * _C34
+            )  # fmt: skip
+    return gx, gy, gz, x, y, z, scale
+
+
+@parallel_kernel
+def differentiate_sh(cotangent, colors, sh, coefficients, means, position, scratch, out, toward):
+    """`spread_sh`, and dL/dmeans by way of the direction in `toward` (flat, N * 3)."""
+    n = means.shape[0] // 3
+    shares = scratch.shape[0]
+    share = (n + shares - 1) // shares
+    row = 3 * coefficients
+    for part in prange(shares):
+        own = scratch[part]
+        end = min(n, (part + 1) * share)
+        for first in range(part * share, end, 16):
+            size = min(16, end - first)
+            for g in range(size):
+                set_direction(own, g, means, first + g, position)
+            sh_lanes(own, coefficients)
+            for g in range(size):
+                i = first + g
+                at = i * row
+                y = load(own, _TURNED + g * 16)
+                v0 = cotangent[3 * i] if colors[3 * i] > _f(0.0) else _f(0.0)
+                v1 = cotangent[3 * i + 1] if colors[3 * i + 1] > _f(0.0) else _f(0.0)
+                v2 = cotangent[3 * i + 2] if colors[3 * i + 2] > _f(0.0) else _f(0.0)
+                o0, o1, o2 = zip3(y * v0, y * v1, y * v2)
+                store_some(out, at, _i(row), o0)
+                store_some(out, at + 16, _i(row - 16), o1)
+                store_some(out, at + 32, _i(row - 32), o2)
+                r, g_, b = unzip3(
+                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)),
+                    load_some(sh, at + 32, _i(row - 32)),
+                )  # fmt: skip
+                store(own, _BASIS + g * 16, r * v0 + g_ * v1 + b * v2)
+            transpose(own, _BASIS, _PRODUCTS)
+            gx, gy, gz, x, y_, z, scale = direction_gradient(own, coefficients)
+            along = gx * x + gy * y_ + gz * z  # a unit vector moves only across itself
+            t0, t1, t2 = zip3((gx - along * x) * scale, (gy - along * y_) * scale, (gz - along * z) * scale)
+            store_some(toward, 3 * first, _i(3 * size), t0)
+            store_some(toward, 3 * first + 16, _i(3 * size - 16), t1)
+            store_some(toward, 3 * first + 32, _i(3 * size - 32), t2)

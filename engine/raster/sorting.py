@@ -4,6 +4,7 @@ Depths are positive, so their bits sort like the numbers. Chunks arrive in model
 equal depths keep the model's order, whatever the number of threads.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import numpy as np
@@ -21,7 +22,7 @@ _LOW = np.uint32(BUCKETS - 1)
 
 
 @parallel_kernel
-def sort_by_depth(depth_bits, index, counts, chunk, keys_a, keys_b, order_a, order_b, histograms):  # type: ignore[no-untyped-def]
+def sort_by_depth(depth_bits, index, counts, chunk, keys_a, keys_b, order_a, order_b, histograms):
     """Sort the compact stretches that `project` wrote.
 
     Parameters

@@ -12,6 +12,7 @@ Gaussians come in batches of `BATCH`. For each, one vector test finds the blocks
 block) items of a batch go to a compact list, and the inner loop runs over that list without a branch.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
 import numpy as np
@@ -34,7 +35,7 @@ from engine.raster.settings import BLOCK, TILE
 
 __all__ = [
     "BATCH", "FIELD", "FIELDS", "GRID_X", "GRID_Y", "ITEMS", "OCCLUSION", "STAGE_ROW", "STATE",
-    "blend", "blocks_in_image", "end_by_impact", "lay_grid", "living_blocks", "log2_alpha", "stage_batch",
+    "blend", "end_by_impact", "lay_grid", "living_blocks", "log2_alpha", "open_tile", "stage_batch",
 ]  # fmt: skip
 
 BATCH = 32
@@ -58,7 +59,7 @@ _block_top = constant_lanes([BLOCK * (block // 4) + 0.5 for block in range(16)])
 
 
 @inlined
-def lay_grid(own):  # type: ignore[no-untyped-def]
+def lay_grid(own):
     """Pixel centres of a tile, in block order."""
     for block in range(16):
         for lane in range(16):
@@ -67,7 +68,7 @@ def lay_grid(own):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def blocks_in_image(x0, y0, width, height):  # type: ignore[no-untyped-def]
+def blocks_in_image(x0, y0, width, height):
     """Bit per block of the tile at (x0, y0): has it pixels inside the image?"""
     alive = _i(0)
     for block in range(16):
@@ -77,7 +78,20 @@ def blocks_in_image(x0, y0, width, height):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def living_blocks(own, alive, stop):  # type: ignore[no-untyped-def]
+def open_tile(own, x0, y0, width, height):
+    """Transmittance 1 and no occlusion; pixels outside the image have ended. Returns the blocks inside it."""
+    for block in range(16):
+        store(own, STATE + block * 16, spread(_f(1.0)))
+        store(own, OCCLUSION + block * 16, spread(_f(0.0)))
+    if x0 + TILE > width or y0 + TILE > height:
+        for place in range(FIELD):
+            if x0 + own[GRID_X + place] > width or y0 + own[GRID_Y + place] > height:
+                own[STATE + place] = _f(0.0)
+    return blocks_in_image(x0, y0, width, height)
+
+
+@inlined
+def living_blocks(own, alive, stop):
     """The blocks in which some pixel has not ended."""
     rest = alive
     while rest != 0:
@@ -89,7 +103,7 @@ def living_blocks(own, alive, stop):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def reached_blocks(records, o, gx, gy, log2_skip):  # type: ignore[no-untyped-def]
+def reached_blocks(records, o, gx, gy, log2_skip):
     """Bit per block: does q reach log2_skip inside the rectangle of the block's pixel centres?
 
     q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in y. The
@@ -109,7 +123,7 @@ def reached_blocks(records, o, gx, gy, log2_skip):  # type: ignore[no-untyped-de
 
 
 @inlined
-def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):  # type: ignore[no-untyped-def]
+def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):
     """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items."""
     count = np.int64(0)
     for j in range(size):
@@ -132,13 +146,13 @@ def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end
 
 
 @inlined
-def log2_alpha(own, row, dx, dy):  # type: ignore[no-untyped-def]
+def log2_alpha(own, row, dx, dy):
     """q of a staged Gaussian at offsets (dx, dy) from its centre: alpha = 2^q."""
     return fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
 
 
 @inlined
-def blend(q, transmittance, log2_skip, clamp, stop):  # type: ignore[no-untyped-def]
+def blend(q, transmittance, log2_skip, clamp, stop):
     """Blend one Gaussian over the pixels of a block.
 
     Returns alpha before the clamp, the blending weight w (0 where it is skipped or the pixel has ended) and the
@@ -153,7 +167,7 @@ def blend(q, transmittance, log2_skip, clamp, stop):  # type: ignore[no-untyped-
 
 
 @inlined
-def end_by_impact(own, place, alpha, weight, after, clamp, impact, threshold):  # type: ignore[no-untyped-def]
+def end_by_impact(own, place, alpha, weight, after, clamp, impact, threshold):
     """Eq 8: end the pixels whose sum of alpha * impact has reached the threshold; returns their transmittance."""
     zero = spread(_f(0.0))
     total = load(own, OCCLUSION + place) + select(weight > zero, minimum(alpha, clamp) * impact, zero)

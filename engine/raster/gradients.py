@@ -1,0 +1,231 @@
+"""Gradients of an image with respect to everything: Gaussians, colours or SH, and the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.jit import parallel_section, thread_count
+from engine.raster.backward import gather_sums
+from engine.raster.geometry import padded
+from engine.raster.lane_memory import aligned
+from engine.raster.moments import MOMENTS, PAIR_NUMBERS, moments_scratch, pair_moments
+from engine.raster.parameter_gradients import CHUNK, GRADIENT_SCRATCH, parameter_gradients
+from engine.raster.projection import pack_lens
+from engine.raster.settings import RasterSettings
+from engine.raster.sh_kernels import SH_SCRATCH, differentiate_sh
+from engine.raster.spherical_harmonics import sh_colors
+from engine.raster.tiles import ITEMS
+from engine.raster.view import View, prepare_view
+from engine.raster.workspace import Workspace, borrow_workspace
+
+__all__ = ["Gradients", "Rendering", "backward", "draw"]
+
+_NONE = np.zeros(0, dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """An image with what its gradient needs; made by `draw`.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    view : View
+    colors : (N, 3) float32
+    own_colors : bool
+        The colours were given, not taken from the model's SH.
+    image : (H, W, 3) float32
+    alpha : (H, W) float32
+    """
+
+    model: GaussianModel
+    view: View
+    colors: Float32
+    own_colors: bool
+    image: Float32
+    alpha: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class Gradients:
+    """dL/d(parameter), each in the shape and dtype of the parameter.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+    quats : (N, 4) float32
+        Through the normalisation: orthogonal to the quaternion.
+    log_scales : (N, 3) float32
+    opacity_logits : (N,) float32
+    colors : (N, 3) float32
+        With respect to the view-dependent colours.
+    sh : (N, K, 3) float32
+        Empty, (0, K, 3), when the colours were given.
+    viewmat : (4, 4) float64
+        The twelve numbers taken as free; the last row is 0.
+    K : (3, 3) float64
+        At fx, fy, cx, cy; 0 elsewhere.
+    """
+
+    means: Float32
+    quats: Float32
+    log_scales: Float32
+    opacity_logits: Float32
+    colors: Float32
+    sh: Float32
+    viewmat: Float64
+    K: Float64
+
+    @classmethod
+    def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
+        """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
+        n, k = len(model), model.sh.shape[1]
+        shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, 3), (n if with_sh else 0, k, 3))
+        arrays = [np.empty(shape, dtype=np.float32) for shape in shapes]
+        return cls(*arrays, np.zeros((4, 4)), np.zeros((3, 3)))
+
+
+def draw(
+    model: GaussianModel,
+    camera: Camera,
+    background: npt.ArrayLike = 0.0,
+    settings: RasterSettings = RasterSettings(),
+    colors: Float32 | None = None,
+    impact: Float32 | None = None,
+) -> Rendering:
+    """Image of a model, keeping what `backward` needs.
+
+    Parameters
+    ----------
+    model, camera, background, settings, impact
+        As for `render`.
+    colors : (N, 3) float32, optional
+        Colours in place of those from the model's SH.
+    """
+    view = prepare_view(model, camera, settings, impact=impact)
+    used = sh_colors(model.sh, model.means, camera.position) if colors is None else colors
+    used = np.ascontiguousarray(used, dtype=np.float32)
+    if used.shape != (len(model), 3):
+        raise InputError(f"colors has shape {used.shape}, expected ({len(model)}, 3)")
+    image, alpha = view.render(used, background)
+    return Rendering(model, view, used, colors is not None, image, alpha)
+
+
+def backward(
+    rendering: Rendering,
+    cotangent: Float32,
+    cotangent_alpha: Float32 | None = None,
+    out: Gradients | None = None,
+) -> Gradients:
+    """Gradients of a scalar L of the image; the same bits whatever the number of threads.
+
+    Parameters
+    ----------
+    rendering : Rendering
+        From `draw`.
+    cotangent : (H, W, 3) float32
+        dL/dimage.
+    cotangent_alpha : (H, W) float32, optional
+        dL/dalpha. Default 0.
+    out : Gradients, optional
+        Arrays to write to, see `Gradients.empty`; fresh memory costs as much as the computation.
+
+    Returns
+    -------
+    Gradients
+        0 for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0, alpha
+        below 1/255, the end of a pixel) the derivative is that of the held branch.
+
+    Raises
+    ------
+    InputError
+        If a shape is wrong.
+    """
+    model, view = rendering.model, rendering.view
+    camera = view.camera
+    cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
+    if cotangent.shape != rendering.image.shape:
+        raise InputError(f"cotangent has shape {cotangent.shape}, expected {rendering.image.shape}")
+    if cotangent_alpha is None:
+        cotangent_alpha = np.zeros(rendering.alpha.shape, dtype=np.float32)
+    cotangent_alpha = np.ascontiguousarray(cotangent_alpha, dtype=np.float32)
+    if cotangent_alpha.shape != rendering.alpha.shape:
+        raise InputError(
+            f"cotangent_alpha has shape {cotangent_alpha.shape}, expected {rendering.alpha.shape}"
+        )
+    result = Gradients.empty(model, with_sh=not rendering.own_colors) if out is None else out
+    if result.means.shape != model.means.shape:
+        raise InputError(f"out is for {len(result.means)} Gaussians, the model has {len(model)}")
+    with parallel_section(), borrow_workspace() as work:
+        sums = _moments(rendering, cotangent, cotangent_alpha, work)
+        toward = _color_gradients(rendering, sums, result, work)
+        totals = _geometry_gradients(model, view, sums, toward, result)
+    _camera_gradients(camera, totals, result)
+    return result
+
+
+def _moments(rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32, work: Workspace) -> Float32:
+    """(pairs * PAIR_NUMBERS,) moments and colour sums of every pair."""
+    geometry, camera, workers = rendering.view.geometry, rendering.view.camera, thread_count()
+    sums: Float32 = work.array("pairs", (len(geometry.ids) * PAIR_NUMBERS,))
+    pair_moments(
+        geometry.records, rendering.colors.reshape(-1), (0,) * 3, (0,) * (MOMENTS + 3), geometry.ids,
+        geometry.starts, camera.width, camera.height, geometry.tiles_x, geometry.limits, rendering.view.impact,
+        rendering.image.reshape(-1), rendering.alpha.reshape(-1), cotangent.reshape(-1),
+        cotangent_alpha.reshape(-1), sums, work.array("moments", (workers, moments_scratch(3))),
+        work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
+    )  # fmt: skip
+    return sums
+
+
+def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, work: Workspace) -> Float32:
+    """Fill `colors` and `sh`; returns dL/dmeans by way of the viewing direction (flat; empty for given colours)."""
+    model, geometry, workers = rendering.model, rendering.view.geometry, thread_count()
+    gather_sums(sums[MOMENTS:], (0,) * PAIR_NUMBERS, geometry.firsts, geometry.slots, workers, result.colors)
+    if rendering.own_colors:
+        return _NONE
+    toward: Float32 = work.array("toward", (3 * max(16, len(model)),))
+    toward[3 * len(model) :] = 0.0
+    differentiate_sh(
+        result.colors.reshape(-1), rendering.colors.reshape(-1), model.sh.reshape(-1), model.sh.shape[1],
+        model.means.reshape(-1), rendering.view.camera.position.astype(np.float32),
+        work.array("sh", (workers, SH_SCRATCH)), result.sh.reshape(-1), toward,
+    )  # fmt: skip
+    return toward
+
+
+def _geometry_gradients(
+    model: GaussianModel, view: View, sums: Float32, toward: Float32, result: Gradients
+) -> Float64:
+    """Fill means, quats, log_scales and opacity_logits; returns the camera's sums."""
+    geometry = view.geometry
+    n, full = len(model), padded(model)
+    chunks = -(-len(full) // CHUNK)
+    into = result if n == len(full) else Gradients.empty(full, with_sh=False)
+    by_chunk = np.empty((chunks, 32), dtype=np.float32)
+    parameter_gradients(
+        full.means.reshape(-1), full.quats.reshape(-1), full.log_scales.reshape(-1), full.opacity_logits,
+        pack_lens(view.camera, geometry.settings), sums, geometry.firsts, geometry.slots, toward,
+        aligned((chunks, GRADIENT_SCRATCH)), into.means.reshape(-1), into.quats.reshape(-1),
+        into.log_scales.reshape(-1), into.opacity_logits, by_chunk,
+    )  # fmt: skip
+    if into is not result:
+        for name in ("means", "quats", "log_scales", "opacity_logits"):
+            getattr(result, name)[:] = getattr(into, name)[:n]
+    return np.asarray(by_chunk.sum(axis=0, dtype=np.float64))
+
+
+def _camera_gradients(camera: Camera, totals: Float64, result: Gradients) -> None:
+    """Fill viewmat and K from the camera's sums."""
+    R, t = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+    position = totals[16:19]  # dL/d(camera centre), centre = -R^T t
+    result.viewmat[:] = 0.0
+    result.viewmat[:3, :3] = totals[:9].reshape(3, 3) - np.outer(t, position)
+    result.viewmat[:3, 3] = totals[9:12] - R @ position
+    result.K[:] = 0.0
+    result.K[[0, 1, 0, 1], [0, 1, 2, 2]] = totals[12:16]

@@ -1,0 +1,163 @@
+"""Sums per (tile, Gaussian) pair for the gradients of everything.
+
+Beside the colour sums, a pair collects the moments of s = alpha dL/dalpha over its pixels: s, s dx, s dy, s dx^2,
+s dx dy, s dy^2, (dx, dy) from the centre. All parameters of the projected Gaussian follow from these six, once per
+Gaussian, in `parameter_gradients`.
+
+The walk is front to back like the forward one, so it needs no stored lists: with D = cotangent . (what of the
+final pixel still lies behind), dL/dalpha = T (cotangent . color) - D / (1 - alpha).
+"""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from engine.numerics.jit import inlined, parallel_kernel
+from engine.raster.backward import clear_rows, fill_field
+from engine.raster.lane_memory import fetch_add, load, store, sum_rows
+from engine.raster.lanes import fma, minimum, select, spread
+from engine.raster.projection import RECORD
+from engine.raster.settings import TILE
+from engine.raster.tiles import (
+    BATCH,
+    FIELD,
+    FIELDS,
+    GRID_X,
+    GRID_Y,
+    STAGE_ROW,
+    STATE,
+    blend,
+    end_by_impact,
+    lay_grid,
+    living_blocks,
+    log2_alpha,
+    open_tile,
+    stage_batch,
+)  # fmt: skip
+
+__all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
+
+_KERNEL_VERSION = 1
+
+MOMENTS = 6
+"""s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
+
+PAIR_NUMBERS = 16
+"""Numbers a pair takes in the output: the moments, the colour sums, zeros."""
+
+_f = np.float32
+_i = np.int32
+
+
+def moments_scratch(channels: int) -> int:
+    """Floats of scratch a worker needs."""
+    fields = channels + 2
+    return FIELDS + fields * FIELD + (BATCH + 1) * STAGE_ROW + BATCH * (MOMENTS + channels) * 16
+
+
+@inlined
+def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0, y0, width, height):
+    """Field of D = cotangent . image + cotangent_alpha alpha; the cotangents' fields begin at `first`."""
+    for place in range(FIELD):
+        own[behind + place] = _f(0.0)
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            p, q = x - x0, y - y0
+            place = ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
+            pixel = y * width + x
+            total = cotangent_alpha[pixel] * alpha[pixel]
+            for channel in range(channels):
+                total += own[first + channel * FIELD + place] * image[pixel * channels + channel]
+            own[behind + place] = total
+
+
+@parallel_kernel
+def pair_moments(
+    records, colors, channel_tuple, row_tuple, ids, starts, width, height, tiles_x, limits, impact,
+    image, alpha, cotangent, cotangent_alpha, out, scratch, items, counter,
+):  # fmt: skip
+    """Per pair: six moments and C colour sums, in `PAIR_NUMBERS` numbers of the flat `out`.
+
+    `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their cotangents,
+    all flat; `row_tuple` has length MOMENTS + C. The rest as there.
+    """
+    channels, rows_each = len(channel_tuple), len(row_tuple)
+    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    tiles = starts.shape[0] - 1
+    alpha_field = FIELDS + channels * FIELD
+    behind_field = alpha_field + FIELD
+    stage = behind_field + FIELD
+    rows = stage + (BATCH + 1) * STAGE_ROW
+    counter[0] = 0
+    for worker in prange(scratch.shape[0]):
+        own = scratch[worker]
+        list_ = items[worker]
+        lay_grid(own)
+        clear_rows(own, rows, BATCH * rows_each)
+        zero, one, clamp_lanes = spread(_f(0.0)), spread(_f(1.0)), spread(clamp)
+        while True:
+            tile = fetch_add(counter, 0, 1)
+            if tile >= tiles:
+                break
+            at, end = starts[tile], starts[tile + 1]
+            if at == end:
+                continue
+            row = tile // tiles_x
+            x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            alive = open_tile(own, x0, y0, width, height)
+            for channel in range(channels):
+                fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
+            fill_field(own, alpha_field, cotangent_alpha, 1, 0, x0, y0, width, height)
+            fill_behind(
+                own, behind_field, FIELDS, channels, image, alpha, cotangent_alpha, x0, y0, width, height
+            )
+            while at < end and alive != 0:
+                size = min(BATCH, end - at)
+                count = stage_batch(
+                    own, stage, list_, records, colors, channels, ids, at, size, end, _f(x0), _f(y0), alive,
+                    log2_skip,
+                )  # fmt: skip
+                for t in range(count):
+                    item = list_[t]
+                    place = np.int64(item & _i(15)) * 16
+                    j = np.int64(item >> _i(4))
+                    from_ = stage + j * STAGE_ROW
+                    dx = load(own, GRID_X + place) - own[from_]
+                    dy = load(own, GRID_Y + place) - own[from_ + 1]
+                    q = log2_alpha(own, from_, dx, dy)
+                    raw, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    to = rows + j * rows_each * 16
+                    u = load(own, alpha_field + place)  # dL/dw: cotangent . color
+                    for channel in range(channels):
+                        g = load(own, FIELDS + channel * FIELD + place)
+                        u = fma(g, own[from_ + RECORD + channel], u)
+                        sums = to + (MOMENTS + channel) * 16
+                        store(own, sums, fma(w, g, load(own, sums)))
+                    wu = w * u
+                    rest = load(own, behind_field + place) - wu
+                    store(own, behind_field + place, rest)
+                    a = minimum(raw, clamp_lanes)
+                    s = wu - rest * a / (one - a)
+                    # Not blended, or held by the clamp: alpha does not move with the parameters.
+                    s = select((w > zero) & (raw <= clamp_lanes), s, zero)
+                    sx, sy = s * dx, s * dy
+                    store(own, to, load(own, to) + s)
+                    store(own, to + 16, load(own, to + 16) + sx)
+                    store(own, to + 32, load(own, to + 32) + sy)
+                    store(own, to + 48, fma(sx, dx, load(own, to + 48)))
+                    store(own, to + 64, fma(sx, dy, load(own, to + 64)))
+                    store(own, to + 80, fma(sy, dy, load(own, to + 80)))
+                    if impact is not None:
+                        after = end_by_impact(
+                            own, place, raw, w, after, clamp, impact[ids[at + j]], threshold
+                        )
+                    store(own, STATE + place, after)
+                for j in range(size):
+                    store(out, (at + j) * PAIR_NUMBERS, sum_rows(own, rows + j * rows_each * 16, row_tuple))
+                clear_rows(own, rows, size * rows_each)
+                at += size
+                alive = living_blocks(own, alive, stop)
+            for k in range(at, end):  # behind the pixels' ends
+                store(out, k * PAIR_NUMBERS, zero)
