@@ -46,6 +46,7 @@ _QUAT_STEPS = 2047
 # Grid of the means: 2^-12 of a typical small Gaussian. At 2^-8 splats of nearly equal depth swap order: 59 dB
 # on a real scene, against 66 dB here, for 1.5 bytes.
 _MEAN_STEPS_LOG2 = 12
+_MEAN_LIMIT = 1 << 52
 _ESCAPE = 255
 _ROWS = 16384  # rows at a time: SH pass through the cache once
 _NAMES = (
@@ -121,10 +122,11 @@ def decode_reference(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianModel:
     if grid.dtype != np.int64 or grid.shape != (7,):
         raise MalformedRecordError("the grid of the reference is malformed")
     version, n, degree, exponent, *base = (int(v) for v in grid)
-    if version != _VERSION or n < 1 or not 0 <= degree <= 3 or not -200 <= exponent <= 128:
+    sound = n >= 1 and 0 <= degree <= 3 and -300 <= exponent <= 128 and max(map(abs, base)) <= _MEAN_LIMIT
+    if version != _VERSION or not sound:
         raise MalformedRecordError(f"the grid of the reference is out of range: {grid.tolist()}")
     coefficients = (degree + 1) ** 2
-    means = (_from_planes(arrays, "means", (3, n), 1 << 32) + base) * 2.0**exponent
+    means = (_from_planes(arrays, "means", (3, n), 2 * _MEAN_LIMIT) + base) * 2.0**exponent
     if not np.abs(means).max() < np.finfo(np.float32).max:
         raise MalformedRecordError("means of the reference are out of range")
     scales = _from_planes(arrays, "log_scales", (3, n), 2 * _LOG_SCALE_LIMIT) - _LOG_SCALE_LIMIT
@@ -164,8 +166,9 @@ def _mean_exponent(scales: npt.NDArray[np.int32], reach: float) -> int:
     rank = len(largest) // 10
     small = int(np.partition(largest, rank)[rank]) / _LOG_SCALE_STEPS  # natural logarithm of a deviation
     exponent = math.floor(small / math.log(2)) - _MEAN_STEPS_LOG2
-    # At most 2^30 steps either side. Where this binds, the farthest mean, of 24 bits, is not rounded at all.
-    return max(exponent, math.frexp(reach)[1] - 30)
+    # At most 2^52 steps either side, so that one stray Gaussian does not coarsen the grid of all others. Where
+    # even this binds, the farthest mean, of 24 bits, is not rounded at all: decoding does not move the grid.
+    return max(exponent, math.frexp(reach)[1] - 52)
 
 
 def _encode_quats(quats: npt.NDArray[np.float32]) -> tuple[_UInt8, npt.NDArray[np.int32]]:
@@ -227,20 +230,22 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
 
 
 def _to_planes(values: npt.NDArray[Any]) -> _UInt8:
-    """(N,D) non-negative integers below 2^32 to (P,D,N) bytes, P the fewest planes that hold the largest."""
+    """(N,D) non-negative integers to (P,D,N) bytes, P the fewest planes that hold the largest."""
     planes = max(1, -(-int(values.max()).bit_length() // 8))
-    columns = np.ascontiguousarray(values.T, dtype="<u4")
-    return np.ascontiguousarray(np.moveaxis(columns.view(np.uint8).reshape(*columns.shape, 4), 2, 0)[:planes])
+    columns = np.ascontiguousarray(values.T, dtype="<u4" if planes <= 4 else "<u8")
+    words = columns.view(np.uint8).reshape(*columns.shape, columns.itemsize)
+    return np.ascontiguousarray(np.moveaxis(words, 2, 0)[:planes])
 
 
 def _from_planes(arrays: Mapping[str, Any], name: str, shape: tuple[int, int], limit: int) -> _Ints:
     """(N,D) int64 of `_to_planes`; refuses other shapes, and values above the limit."""
     planes = arrays[name]
-    if planes.dtype != np.uint8 or planes.ndim != 3 or planes.shape[1:] != shape or not 1 <= len(planes) <= 4:
+    if planes.dtype != np.uint8 or planes.ndim != 3 or planes.shape[1:] != shape or not 1 <= len(planes) <= 7:
         raise MalformedRecordError(f"{name} of the reference has shape {planes.shape}")
-    words = np.zeros((*shape, 4), dtype=np.uint8)
+    size = 4 if len(planes) <= 4 else 8
+    words = np.zeros((*shape, size), dtype=np.uint8)
     words[..., : len(planes)] = np.moveaxis(planes, 0, 2)
-    values = words.view("<u4")[..., 0].T.astype(np.int64)
+    values = words.view(f"<u{size}")[..., 0].T.astype(np.int64)
     if int(values.max()) > limit:
         raise MalformedRecordError(f"{name} of the reference is out of range")
     return values

@@ -1,0 +1,48 @@
+"""Made golden_v1.m3dr: python -m tests.data.records.make_golden. Run again only with a new format version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from engine.model import GaussianModel
+from engine.watermark.keys import OwnerKey
+from engine.watermark.record import Record
+from engine.watermark.reference_codec import encode_reference
+
+KEY = OwnerKey(bytes(range(32)))
+PATH = Path(__file__).with_name("golden_v1.m3dr")
+
+
+def golden_model() -> GaussianModel:
+    """40 Gaussians of degree 1 from integer arithmetic alone: the same on every machine, for ever."""
+    k = (np.arange(40 * 22, dtype=np.int64) * 7919 % 1009).reshape(40, 22).astype(np.float32) / 1009
+    quats = k[:, 6:10] - 0.5
+    return GaussianModel(
+        k[:, :3] * 8 - 4, k[:, 3:6] * 4 - 6, quats, k[:, 10] * 8 - 4, (k[:, 10:] - 0.5).reshape(40, 4, 3)
+    )
+
+
+def golden_record() -> Record:
+    """A record with something in every part of it."""
+    return Record.make(
+        KEY,
+        encode_reference(golden_model()),
+        original_digest="ab" * 32,
+        plan={"message": "deadbeef", "codes": [4, 2], "profile": "fast", "psnr_db": 47.5},
+        plan_arrays={
+            "labels/0": np.arange(40, dtype=np.uint16) % 4,
+            "amplitudes": np.linspace(0, 1, 6),
+            "empty": np.zeros((0, 3), dtype=np.float32),
+        },
+        extra={"strength": 1.25, "nothing": None},
+        extra_arrays={"cameras/viewmats": np.eye(4)[None]},
+        copy="for a friend",
+        registered_at="2025-01-31T12:00:00Z",
+        tool_version="0.1.0",
+    )
+
+
+if __name__ == "__main__":
+    PATH.write_bytes(golden_record().to_bytes(KEY))
