@@ -1,0 +1,186 @@
+"""The quantisation of SPZ: six sections of bytes from and to the attributes of Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float32
+
+Bytes = npt.NDArray[np.uint8]
+
+COLOR_SCALE = 0.15
+"""A DC coefficient c is stored as 255 (COLOR_SCALE c + 0.5): wider than a colour, [-3.33, 3.33] fits."""
+
+_SQRT_HALF = np.sqrt(0.5)
+_MAGNITUDE = 511
+"""Largest 9-bit magnitude of a quaternion component; it stands for sqrt(1/2)."""
+
+_COLUMN = np.array([1, 2, 3, 0])
+"""SPZ counts components x, y, z, w; the model's columns are w, x, y, z."""
+
+_OTHERS = np.array([[_COLUMN[i] for i in range(4) if i != largest] for largest in range(4)])  # (4, 3)
+_CHUNK = 1 << 15
+
+
+def decode_positions(section: memoryview, fractional_bits: int) -> Float32:
+    """(N, 3) centres from 24-bit fixed point; exact in float32."""
+    raw = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)
+    padded = np.zeros((len(raw), 4), dtype=np.uint8)
+    padded[:, 1:] = raw  # the sign bit comes to lie at the top, the shift below brings it down
+    fixed = padded.view("<i4")[:, 0] >> 8
+    return (fixed * np.float32(2.0**-fractional_bits)).astype(np.float32).reshape(-1, 3)
+
+
+def encode_positions(means: Float32, fractional_bits: int) -> bytes:
+    """Inverse of `decode_positions`, rounded to the nearest step."""
+    fixed = np.rint(means.astype(np.float64) * 2.0**fractional_bits).astype("<i4").reshape(-1, 1)
+    return fixed.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
+
+
+def choose_fractional_bits(means: Float32) -> int:
+    """12 as the reference (steps of 1/4096), fewer where the scene would not fit, more where it is small.
+
+    The step is never coarser than about 2^-17 of the farthest coordinate, and 24 bits hold that coordinate.
+    """
+    reach = float(np.abs(means).max(initial=0.0))
+    if reach == 0.0:
+        return 12
+    exponent = int(np.floor(np.log2(reach)))
+    fits = 22 - exponent
+    if np.rint(reach * 2.0**fits) > (1 << 23) - 1:
+        fits -= 1
+    return int(np.clip(max(12, 17 - exponent), 0, min(max(fits, 0), 24)))
+
+
+def decode_alphas(section: memoryview) -> Float32:
+    """(N,) logits; alpha 0 and 255 give -inf and +inf, which loading repairs."""
+    alpha = np.arange(256) / 255.0
+    with np.errstate(divide="ignore"):
+        logits = (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
+    return logits[np.frombuffer(section, dtype=np.uint8)]
+
+
+def encode_alphas(opacities: Float32) -> bytes:
+    """Opacities (N,) as multiples of 1/255."""
+    return _to_bytes(opacities * np.float32(255.0)).tobytes()
+
+
+def decode_colors(section: memoryview) -> Float32:
+    """(N, 3) DC coefficients."""
+    table = ((np.arange(256) / 255.0 - 0.5) / COLOR_SCALE).astype(np.float32)
+    return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
+
+
+def encode_colors(dc: Float32) -> bytes:
+    """Inverse of `decode_colors`, clipped to its range."""
+    return _to_bytes(dc * np.float32(COLOR_SCALE * 255.0) + np.float32(127.5)).tobytes()
+
+
+def decode_scales(section: memoryview) -> Float32:
+    """(N, 3) log scales in [-10, 5.94], steps of 1/16."""
+    table = (np.arange(256) / 16.0 - 10.0).astype(np.float32)
+    return table[np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)]
+
+
+def encode_scales(log_scales: Float32) -> bytes:
+    """Inverse of `decode_scales`, clipped to its range."""
+    return _to_bytes((log_scales + np.float32(10.0)) * np.float32(16.0)).tobytes()
+
+
+def decode_first_three(section: memoryview) -> Float32:
+    """(N, 4) unit quaternions of version 2: x, y, z in steps of 1/127.5, w >= 0 follows from them."""
+    xyz = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3) / 127.5 - 1.0
+    w = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("nc,nc->n", xyz, xyz)))
+    quats = np.concatenate([w[:, None], xyz], axis=1)
+    # Rounding can push x, y, z beyond the unit sphere; that is the format's error, not a fault of the file.
+    unit: Float32 = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
+    return unit
+
+
+def decode_smallest_three(section: memoryview) -> Float32:
+    """(N, 4) quaternions of version 3: index of the largest component, three signs and 9-bit magnitudes."""
+    packed = np.frombuffer(section, dtype="<u4")
+    field = np.arange(1024)
+    table = ((field & 511) * (_SQRT_HALF / _MAGNITUDE) * np.where(field & 512, -1, 1)).astype(np.float32)
+    small = np.stack([table[(packed >> shift) & 1023] for shift in (20, 10, 0)], axis=1)  # (N, 3)
+    largest = packed >> 30
+    rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)
+    quats = np.empty((len(packed), 4), dtype=np.float32)
+    np.put_along_axis(quats, _OTHERS[largest], small, axis=1)
+    quats[np.arange(len(packed)), _COLUMN[largest]] = np.sqrt(np.maximum(rest, np.float32(0.0)))
+    return quats
+
+
+def encode_smallest_three(quats: Float32) -> bytes:
+    """Inverse of `decode_smallest_three`; quaternions (N, 4) of any length but zero."""
+    xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
+    xyzw /= np.linalg.norm(xyzw, axis=1, keepdims=True)
+    largest = np.argmax(np.abs(xyzw), axis=1)
+    xyzw *= np.where(np.take_along_axis(xyzw, largest[:, None], axis=1) < 0, -1.0, 1.0)
+    others = np.array([[i for i in range(4) if i != k] for k in range(4)])[largest]
+    small = np.take_along_axis(xyzw, others, axis=1)  # (N, 3)
+    magnitude = np.minimum(np.rint(np.abs(small) * (_MAGNITUDE / _SQRT_HALF)), _MAGNITUDE)
+    field = magnitude.astype(np.uint32) | ((small < 0).astype(np.uint32) << np.uint32(9))
+    packed = largest.astype(np.uint32) << np.uint32(30)
+    for column, shift in enumerate((20, 10, 0)):
+        packed |= field[:, column] << np.uint32(shift)
+    result: bytes = packed.astype("<u4").tobytes()
+    return result
+
+
+def decode_sh(section: memoryview, sh: Float32) -> None:
+    """Fill sh[:, 1:] of an (N, K, 3) array: coefficient-major bytes in steps of 1/128."""
+    if sh.shape[1] == 1:
+        return
+    raw = np.frombuffer(section, dtype=np.uint8).reshape(len(sh), -1, 3)
+    for start in range(0, len(sh), _CHUNK):
+        part = sh[start : start + _CHUNK, 1:]
+        np.subtract(raw[start : start + _CHUNK], np.float32(128.0), out=part, dtype=np.float32)
+        part *= np.float32(1.0 / 128.0)
+
+
+def encode_sh(sh: Float32, signs: Float32, bits: tuple[int, int]) -> bytes:
+    """Coefficients 1 to K - 1 of an (N, K, 3) array, times signs (K,), rounded to `bits` of eight.
+
+    The first number of bits is for degree 1, the second for degrees 2 and 3; [-1, 127/128] is the range.
+    Fewer bits only make the bytes repeat, so that they pack better: buckets of 2^(8 - bits), centred on their
+    multiples.
+    """
+    count = sh.shape[1]
+    if count == 1:
+        return b""
+    buckets = np.array([1 << (8 - bits[0])] * 3 + [1 << (8 - bits[1])] * (count - 4))[:, None]  # (K - 1, 1)
+    fine = all(bit == 8 for bit in bits)
+    result = np.empty((len(sh), count - 1, 3), dtype=np.uint8)
+    for start in range(0, len(sh), _CHUNK):
+        part = sh[start : start + _CHUNK, 1:] * (signs[1:, None] * np.float32(128.0)) + np.float32(128.0)
+        if fine:
+            result[start : start + _CHUNK] = _to_bytes(part)
+            continue
+        nearest = np.rint(np.clip(part, -256.0, 512.0)).astype(np.int32)
+        result[start : start + _CHUNK] = np.clip((nearest + buckets // 2) // buckets * buckets, 0, 255)
+    return result.tobytes()
+
+
+def encode_all(
+    arrays: Sequence[npt.NDArray[Any]], fractional_bits: int, signs: Float32, bits: tuple[int, int]
+) -> tuple[bytes, ...]:
+    """The six sections of means, log scales, quaternions, opacities and sh, in the order of the file."""
+    means, log_scales, quats, opacities, sh = arrays
+    return (
+        encode_positions(means, fractional_bits),
+        encode_alphas(opacities),
+        encode_colors(sh[:, 0] * signs[0]),
+        encode_scales(log_scales),
+        encode_smallest_three(quats),
+        encode_sh(sh, signs, bits),
+    )
+
+
+def _to_bytes(values: npt.NDArray[Any]) -> Bytes:
+    rounded: Bytes = np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    return rounded
