@@ -166,8 +166,8 @@ def _mean_exponent(scales: npt.NDArray[np.int32], reach: float) -> int:
     rank = len(largest) // 10
     small = int(np.partition(largest, rank)[rank]) / _LOG_SCALE_STEPS  # natural logarithm of a deviation
     exponent = math.floor(small / math.log(2)) - _MEAN_STEPS_LOG2
-    # At most 2^52 steps either side, so that one stray Gaussian does not coarsen the grid of all others. Where
-    # even this binds, the farthest mean, of 24 bits, is not rounded at all: decoding does not move the grid.
+    # At most 2^52 steps either side, so that one stray Gaussian does not coarsen the grid of all others.
+    # Where even this binds, the farthest mean, of 24 bits, is not rounded at all: decoding keeps the grid.
     return max(exponent, math.frexp(reach)[1] - 52)
 
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError, MalformedRecordError
-from engine.model import GaussianModel
+from engine.model import GaussianModel, look_at
+from engine.numerics.image_metrics import psnr
+from engine.raster import render
 from engine.watermark.reference_codec import decode_reference, encode_reference, reference_digest
 
 
@@ -84,6 +86,16 @@ def test_a_stray_gaussian_does_not_coarsen_the_others() -> None:
     assert same(arrays, encode_reference(back))
     assert np.abs(back.means - means)[np.arange(500) != 7].max() < 1e-5
     assert np.array_equal(back.means[7, :2], means[7, :2])
+
+
+def test_renders_keep_60_db() -> None:
+    model = scene(3000, reach=0.3)
+    back = decode_reference(encode_reference(model))
+    for eye in ((0, 0, -2), (1.5, -1, 0.5)):
+        camera = look_at(eye, (0, 0, 0), (0, -1, 0), 160, 160, 120)
+        plain = render(model, camera)
+        assert plain.std() > 0.05
+        assert psnr(plain, render(back, camera)) >= 60
 
 
 def test_size() -> None:
