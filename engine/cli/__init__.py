@@ -1,1 +1,1 @@
-"""Cli floor of the engine."""
+"""The command line: one file per command, none of them imports anything heavy before it runs."""

@@ -1,0 +1,100 @@
+"""The command `mark3dgs`: its sub-commands, and the one place where errors become exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from engine.cli import attack, bench, config, demo, embed, failures, inspect, keygen, render, verify
+from engine.cli.console import Console
+
+app = typer.Typer(
+    name="mark3dgs",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"mark3dgs {version('mark3dgs')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _top(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Hide an ownership mark in a 3D Gaussian Splatting model; prove it later.
+
+    The whole job, from a key to a claim:
+
+      mark3dgs keygen owner.key
+      mark3dgs embed scene.ply marked.ply --key owner.key --record scene.record
+      mark3dgs verify suspect.ply --key owner.key --record scene.record
+
+    Exit codes: 0 done, or marked; 3 not marked; 4 inconclusive; 2 wrong usage
+    or input; 1 a fault of the program or the machine; 130 interrupted.
+
+    Every command takes --json and explains itself with --help.
+    """
+
+
+app.command("keygen")(keygen.keygen)
+app.command("inspect")(inspect.inspect)
+app.command("embed")(embed.embed)
+app.command("verify")(verify.verify)
+app.command("render")(render.render)
+app.command("attack")(attack.attack)
+app.command("bench")(bench.bench)
+app.add_typer(config.app, name="config")
+app.command("demo")(demo.demo)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line; every error ends here, as one line or one JSON object.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Without the program's name.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    console = Console(machine="--json" in arguments)
+    try:
+        code = app(arguments, prog_name="mark3dgs", standalone_mode=False)
+        if code == failures.INTERRUPTED:  # typer has turned Ctrl-C into an exit code already
+            raise KeyboardInterrupt
+        return int(code or failures.OK)
+    except BrokenPipeError:  # the reader of our output has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return failures.FAILED
+    except (Exception, KeyboardInterrupt) as error:
+        code = failures.exit_code(error)
+        if code == failures.FAILED and os.environ.get("MARK3DGS_TRACEBACK"):
+            raise
+        found = failures.describe(error)
+        console.note(f"mark3dgs: {found['message']}")
+        if found["type"] == "UsageError":
+            console.note("Try 'mark3dgs --help', or a command's own --help.")
+        console.emit({"error": found})
+        return code
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.exit(run(sys.argv[1:]))

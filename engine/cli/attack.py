@@ -1,0 +1,174 @@
+"""`mark3dgs attack`: what happens to stolen models and screenshots, on purpose."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.files import (
+    check_picture_ending,
+    check_target,
+    is_picture,
+    read_picture,
+    refuse_same,
+    whole_file,
+    write_picture,
+)
+from engine.cli.models import format_for, loss_note, say_repairs
+from engine.cli.options import Json, Seed, SpzFrame
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from engine.sim.attack import Attack
+
+
+def _list_attacks(wanted: bool) -> None:
+    if not wanted:
+        return
+    from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
+
+    for title, attacks in (("On models", MODEL_ATTACKS), ("On pictures", IMAGE_ATTACKS)):
+        typer.echo(f"{title}:")
+        for known in attacks.values():
+            for reading in known.readings:
+                typer.echo(
+                    f"  {known.name:<17} {reading.label:<8} {known.summary}; strength: {reading.meaning}"
+                    f" (default {reading.default})"
+                )
+    raise typer.Exit()
+
+
+def attack(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Attack; --list names them all.")],
+    target: Annotated[Path, typer.Argument(metavar="MODEL|PICTURE", help="Model or picture to attack.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Result; its ending names the format.")],
+    strength: Annotated[
+        str | None, typer.Option("--strength", metavar="S", help="In the attack's own unit, see --list.")
+    ] = None,
+    seed: Seed = 0,
+    reading: Annotated[
+        str | None,
+        typer.Option(
+            "--reading", metavar="literal|as_code", help="As papers word it, or as public code runs it."
+        ),
+    ] = None,
+    into: Annotated[Path | None, typer.Option("--into", help="merge_into: the foreign scene.")] = None,
+    to: Annotated[
+        str | None, typer.Option("--to", metavar="FORMAT", help="convert: format to go through, see --list.")
+    ] = None,
+    spz_frame: SpzFrame = "auto",
+    list_all: Annotated[
+        bool,
+        typer.Option(
+            "--list", callback=_list_attacks, is_eager=True, help="List all attacks with their units."
+        ),
+    ] = False,
+    json: Json = False,
+) -> int:
+    """Attack a model or a picture; the same seed gives the same result.
+
+    Examples:
+
+      mark3dgs attack --list
+      mark3dgs attack crop marked.ply stolen.ply --strength 0.25 --seed 7
+      mark3dgs attack convert marked.ply stolen.spz
+      mark3dgs attack merge_into marked.ply stolen.ply --into other.ply
+      mark3dgs attack jpeg shot.png stolen.jpg --strength 30
+    """
+    console = Console(json)
+    began = time.perf_counter()
+    check_target(out)
+    refuse_same(target, out)
+    from engine.sim.attacks import find_attack
+
+    chosen = find_attack(name)
+    picture = is_picture(target)
+    if picture != (chosen.kind == "image"):
+        what = "a picture" if picture else "a model"
+        raise InputError(f"attack {name!r} works on {chosen.kind}s, but {str(target)!r} is {what}")
+    if into is not None and name != "merge_into":
+        raise InputError(f"--into belongs to merge_into, not to {name!r}")
+    if to is not None and name != "convert":
+        raise InputError(f"--to belongs to convert, not to {name!r}")
+    if to is not None and strength is not None:
+        raise InputError("the strength of convert is the format: give --to alone")
+    value = to if to is not None else _strength(strength, chosen)
+    run = _attack_picture if picture else _attack_model
+    with console.progress() as progress:
+        progress(name, 0.0)
+        report = run(console, chosen, target, out, value, seed, reading, into, spz_frame)
+    report |= {
+        "attack": name,
+        "kind": chosen.kind,
+        "strength": report.get("strength", chosen.reading(reading).default if value is None else value),
+        "meaning": chosen.reading(reading).meaning,
+        "reading": chosen.reading(reading).label,
+        "seed": seed,
+        "out": str(out),
+        "bytes_out": out.stat().st_size,
+        "seconds": time.perf_counter() - began,
+    }
+    console.say(
+        f"{name} {report['strength']} ({report['meaning']}), seed {seed}: {target} -> {out}, {report['said']}"
+    )
+    for note in report.get("notes", []):
+        console.say(f"  note: {note}")
+    del report["said"]
+    console.emit(report)
+    return 0
+
+
+def _strength(text: str | None, chosen: Attack[Any]) -> float | str | None:
+    if text is None or isinstance(chosen.default, str):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"attack {chosen.name!r} takes as strength a number ({chosen.meaning}), got {text!r}"
+        ) from None
+
+
+def _attack_model(
+    console: Console, chosen: Attack[Any], target: Path, out: Path, value: float | str | None, seed: int,
+    reading: str | None, into: Path | None, spz_frame: str,
+) -> dict[str, Any]:  # fmt: skip
+    from engine.formats import read_model, write_model
+
+    kind = format_for(out)
+    loaded = read_model(target, spz_frame=spz_frame)
+    say_repairs(console, loaded.repairs)
+    report: dict[str, Any] = {"gaussians_in": len(loaded.model)}
+    options = {"other": read_model(into, spz_frame=spz_frame).model} if into is not None else {}
+    if chosen.name == "convert" and value is None:  # the output's own format is the conversion
+        result, report["strength"] = loaded.model, kind
+    else:
+        result = chosen.apply(loaded.model, value, rng=seed, reading=reading, **options)
+    with whole_file(out) as part:
+        write_model(result, part, kind)
+    return report | {
+        "gaussians_out": len(result),
+        "notes": loss_note(result, kind),
+        "said": f"{len(loaded.model):,} -> {len(result):,} Gaussians",
+    }
+
+
+def _attack_picture(
+    console: Console, chosen: Attack[Any], target: Path, out: Path, value: float | str | None, seed: int,
+    reading: str | None, into: Path | None, spz_frame: str,
+) -> dict[str, Any]:  # fmt: skip
+    check_picture_ending(out)
+    image = read_picture(target)
+    result = chosen.apply(image, value, rng=seed, reading=reading)
+    before, after = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, result))
+    with whole_file(out) as part:
+        write_picture(result, part, out)
+    return {
+        "size_in": [image.shape[1], image.shape[0]],
+        "size_out": [result.shape[1], result.shape[0]],
+        "said": f"{before} -> {after} pixels",
+    }

@@ -1,0 +1,61 @@
+"""`mark3dgs config`: the settings an embedding would run with."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.options import Json
+
+app = typer.Typer(no_args_is_help=True, help="Show settings.", rich_markup_mode="rich")
+
+
+@app.callback()
+def _group() -> None:
+    """Show the settings an embedding would run with."""
+
+
+@app.command("show")
+def show(
+    profile: Annotated[
+        str | None, typer.Option("--profile", metavar="P", help="fast, balanced or strong; all if left out.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Print the composed settings of one profile, or of all side by side.
+
+    Example:
+
+      mark3dgs config show --profile fast
+    """
+    console = Console(json)
+    from engine.pipeline.profiles import PROFILES, config_dict
+    from engine.pipeline.profiles import profile as named_profile
+
+    names = [profile] if profile is not None else list(PROFILES)
+    settings = {name: config_dict(named_profile(name)) for name in names}
+    flat = {name: _flatten(values) for name, values in settings.items()}
+    knobs = list(flat[names[0]])
+    width = max(len(knob) for knob in knobs)
+    console.say(f"{'':<{width}}  " + "  ".join(f"{name:>12}" for name in names))
+    for knob in knobs:
+        console.say(f"{knob:<{width}}  " + "  ".join(f"{_text(flat[name][knob]):>12}" for name in names))
+    console.emit(settings[profile] if profile is not None else settings)
+    return 0
+
+
+def _flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, (list, tuple)):
+        return ",".join(_text(entry) for entry in value) or "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)

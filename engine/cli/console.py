@@ -1,0 +1,133 @@
+"""What the commands say: results on stdout, the rest on stderr; for machines JSON instead of both."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+Progress = Callable[[str, float], None]
+
+LONG_STAGE_SECONDS = 2.0
+"""Where stderr is no terminal, a stage that took longer leaves a line."""
+
+STAGES = {
+    "read": "reading the model",
+    "compile": "compiling kernels, once per machine",
+    "look": "looking at the model from the key views",
+    "prune": "pruning to the quality budget",
+    "quantize": "grouping Gaussians into code vectors",
+    "plan": "planning the mark",
+    "refine": "refining the mark against distortions",
+    "record": "making the record",
+    "write": "writing",
+    "open record": "opening the record",
+    "register": "searching for the asset in the suspect",
+    "displacements": "measuring displacements",
+    "render": "rendering the suspect at the key views",
+    "find camera": "finding the camera of the picture",
+    "read picture": "reading the picture",
+    "decide": "deciding",
+}
+"""Stage names of the engine in words."""
+
+
+class Console:
+    """One command's output.
+
+    Parameters
+    ----------
+    machine : bool
+        `--json`: `say` and `note` are silent, `emit` prints; otherwise the other way round.
+    """
+
+    def __init__(self, machine: bool) -> None:
+        self.machine = machine
+
+    def say(self, text: str = "") -> None:
+        """A line of the result, on stdout."""
+        if not self.machine:
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
+
+    def note(self, text: str) -> None:
+        """A line beside the result, on stderr."""
+        if not self.machine:
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
+
+    def emit(self, report: Mapping[str, Any]) -> None:
+        """The one JSON object on stdout."""
+        if self.machine:
+            sys.stdout.write(json.dumps(plain(report), allow_nan=False, indent=1) + "\n")
+            sys.stdout.flush()
+
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """A callback for the engine's stages: a bar on a terminal, a line a long stage elsewhere."""
+        if sys.stderr.isatty():
+            with _bar() as callback:
+                yield callback
+        else:
+            with self._lines() as callback:
+                yield callback
+
+    @contextmanager
+    def _lines(self) -> Iterator[Progress]:
+        running: list[tuple[str, float]] = []
+
+        def close() -> None:
+            while running:
+                stage, began = running.pop()
+                seconds = time.perf_counter() - began
+                if seconds >= LONG_STAGE_SECONDS:
+                    self.note(f"  {STAGES.get(stage, stage)}: {seconds:.1f} s")
+
+        def callback(stage: str, fraction: float) -> None:
+            if not running or running[-1][0] != stage:
+                close()
+                running.append((stage, time.perf_counter()))
+
+        yield callback
+        close()
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    """One line that names the running stage, gone when the work is done."""
+    from rich.console import Console as RichConsole
+    from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with RichProgress(*columns, console=RichConsole(stderr=True), transient=True) as display:
+        tasks: dict[str, TaskID] = {}
+
+        def callback(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                for task in tasks.values():
+                    display.remove_task(task)
+                tasks.clear()
+                tasks[stage] = display.add_task(STAGES.get(stage, stage), total=1.0)
+            display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0))
+
+        yield callback
+
+
+def plain(value: Any) -> Any:
+    """A value in JSON's own types: arrays as lists, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if hasattr(value, "tolist"):  # numpy, without importing it
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value)

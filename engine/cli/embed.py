@@ -1,0 +1,201 @@
+"""`mark3dgs embed`: the marked model and the record that proves it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.files import check_target, refuse_same, whole_file, write_secret
+from engine.cli.kernels import prepare_kernels
+from engine.cli.models import format_for, loss_note, repair_entries, say_repairs
+from engine.cli.options import Json, Key, SpzFrame
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from engine.pipeline.profiles import EmbedConfig
+
+
+def embed(
+    model: Annotated[
+        Path,
+        typer.Argument(metavar="MODEL", help="Model to mark: .ply, .compressed.ply, .splat, .spz, .sog."),
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")
+    ],
+    key: Key,
+    record: Annotated[Path, typer.Option("--record", help="Record to write (mode 0600): keep it.")],
+    message: Annotated[
+        str | None,
+        typer.Option("--message", metavar="HEX", help="16 to 256 bits; drawn from the key if left out."),
+    ] = None,
+    bits: Annotated[
+        int | None, typer.Option("--bits", metavar="N", help="Length of a drawn message (default 32).")
+    ] = None,
+    profile: Annotated[
+        str, typer.Option("--profile", metavar="P", help="fast, balanced or strong: speed against accuracy.")
+    ] = "balanced",
+    psnr: Annotated[
+        float | None,
+        typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47)."),
+    ] = None,
+    budget: Annotated[
+        str,
+        typer.Option(
+            "--budget", metavar="DB|none", help="Prune to this PSNR against the original; none: keep all."
+        ),
+    ] = "none",
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output", metavar="fidelity|compact", help="Keep each Gaussian's residual, or drop it."
+        ),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            "--cameras", help="cameras.json, transforms.json or COLMAP folder; else views are generated."
+        ),
+    ] = None,
+    copy: Annotated[
+        str, typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own.")
+    ] = "",
+    registered_at: Annotated[
+        str, typer.Option("--registered-at", metavar="TEXT", help="Time of registration to record, or 'now'.")
+    ] = "",
+    spz_frame: SpzFrame = "auto",
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
+    json: Json = False,
+) -> int:
+    """Hide a mark in a model.
+
+    Writes the marked model, which looks the same, and a record, which proves
+    the mark later, together with the key. Publish the model; keep the original,
+    the record and the key. Same model, key and settings: same files.
+
+    Examples:
+
+      mark3dgs embed scene.ply marked.ply --key owner.key --record my.record
+      mark3dgs embed scene.ply small.sog --key owner.key --record my.record \\
+        --output compact --budget 40
+      mark3dgs embed scene.ply acme.spz --key owner.key --record acme.record \\
+        --copy acme --message c0ffee42
+    """
+    console = Console(json)
+    began = time.perf_counter()
+    refuse_same(model, out)
+    check_target(out)
+    check_target(record, overwrite=force)
+    if out.absolute() == record.absolute():
+        raise InputError("the marked model and the record need different names")
+    if message is not None and bits is not None:
+        raise InputError("give --message or --bits, not both: a message has a length of its own")
+    kind = format_for(out)
+
+    from engine.formats import read_cameras, read_model, write_model
+    from engine.pipeline.embedding import embed as embed_mark
+    from engine.watermark.keys import OwnerKey
+    from engine.watermark.messages import check_bits, message_signs
+
+    config = compose(profile, psnr=psnr, budget=budget, output=output)
+    signs = message_signs(message) if message is not None else None
+    check_bits(bits or 32)
+    owner = OwnerKey.read(key)
+    when = datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at
+    views = read_cameras(cameras) if cameras is not None else None
+
+    with console.progress() as progress:
+        prepare_kernels(console, progress)
+        started = time.perf_counter()
+        progress("read", 0.0)
+        loaded = read_model(model, spz_frame=spz_frame)
+        read_seconds = time.perf_counter() - started
+        made = embed_mark(
+            loaded.model, owner, original_sha256=loaded.sha256, message=signs, bits=bits or 32, config=config,
+            cameras=views, copy=copy, registered_at=when, progress=progress,
+        )  # fmt: skip
+        started = time.perf_counter()
+        progress("write", 0.0)
+        sealed = made.record.to_bytes(owner)
+        # The record comes first: a record without its model is harmless, a marked model without it is lost.
+        with whole_file(out) as model_part:
+            bytes_out = write_model(made.model, model_part, kind)
+            with whole_file(record, overwrite=force) as record_part:
+                write_secret(record_part, sealed)
+        write_seconds = time.perf_counter() - started
+
+    stages = {"read": read_seconds, **made.report["seconds_by_stage"], "write": write_seconds}
+    report: dict[str, Any] = {
+        **made.report,
+        "bytes_in": loaded.source_bytes,
+        "bytes_out": bytes_out,
+        "record_bytes": len(sealed),
+        "format_in": loaded.format,
+        "format_out": kind,
+        "profile": profile,
+        "repairs": repair_entries(loaded.repairs),
+        "notes": loss_note(made.model, kind),
+        "seconds": time.perf_counter() - began,
+        "seconds_by_stage": stages,
+    }
+    _say(console, report, loaded.repairs, model, out, record)
+    console.emit(report)
+    return 0
+
+
+def compose(profile: str, *, psnr: float | None, budget: str | None, output: str | None) -> EmbedConfig:
+    """Settings of a profile with the options of the command line put in."""
+    from engine.pipeline.profiles import profile as named_profile
+
+    changes: dict[str, Any] = {}
+    if psnr is not None:
+        changes["psnr_db"] = psnr
+    if output is not None:
+        changes["output"] = output
+    config = named_profile(profile, **changes)
+    if budget is None:
+        return config
+    try:
+        limit = None if budget.lower() == "none" else float(budget)
+    except ValueError:
+        raise InputError(f"budget must be a number of dB or 'none', got {budget!r}") from None
+    return replace(config, prune=replace(config.prune, budget_db=limit))
+
+
+def _say(
+    console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path
+) -> None:
+    say_repairs(console, repairs)
+    slowest = sorted(report["seconds_by_stage"].items(), key=lambda entry: -entry[1])[:4]
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest)
+    lines = {
+        "message": f"{report['message']} ({report['bits']} bits of {report['capacity_bits']} that fit)",
+        "fidelity": f"{report['psnr_worst_view']:.2f} dB, SSIM {report['ssim_worst_view']:.4f}"
+        " (mark alone, worst key view)",
+        "in total": f"{report['psnr_total_worst_view']:.2f} dB, with pruning and quantisation",
+        "Gaussians": f"{report['gaussians_in']:,} -> {report['gaussians_out']:,}",
+        "strength": f"{report['predicted_z_per_bit']:.0f} standard deviations a bit, predicted, on the model",
+        "files": f"model {size(report['bytes_out'])}, record {size(report['record_bytes'])}",
+        "time": f"{report['seconds']:.1f} s ({stages})",
+    }
+    if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
+        del lines["in total"]
+    console.say(f"Marked {model} -> {out}")
+    for label, text in lines.items():
+        console.say(f"  {label:<11} {text}")
+    for note in report["notes"]:
+        console.say(f"  {'note':<11} {note}")
+    console.say(
+        f"Keep {record} and your key: together they prove the mark. Keep the unmarked original private."
+    )
+
+
+def size(count: int) -> str:
+    """A number of bytes for people."""
+    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.1f} kB"

@@ -1,0 +1,170 @@
+"""Files as commands see them: outputs that appear whole or not at all, and suspects of two kinds."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from engine.errors import FormatError, InputError
+
+if TYPE_CHECKING:
+    from engine.model import Float32
+
+MAX_PICTURE_PIXELS = 64_000_000
+"""Larger pictures are refused before they are decoded: no screen or phone makes them."""
+
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
+
+_PICTURE_MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
+_PART_ENDING = ".part"
+
+
+@contextmanager
+def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """A path to write to beside the target; it becomes the target when the block ends without an error.
+
+    Parameters
+    ----------
+    target : Path
+    overwrite : bool
+        With False, an existing target makes it fail.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or the target does and must not be replaced.
+    """
+    check_target(target, overwrite=overwrite)
+    part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")
+    try:
+        yield part
+        if overwrite:
+            os.replace(part, target)
+        else:
+            _publish(part, target)
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+
+
+def _publish(part: Path, target: Path) -> None:
+    try:
+        os.link(part, target)  # unlike a rename, fails where the target has appeared meanwhile
+    except FileExistsError:
+        raise _exists(target) from None
+    except OSError:  # a file system without hard links
+        check_target(target, overwrite=False)
+        os.replace(part, target)
+
+
+def check_target(target: Path, *, overwrite: bool = True) -> None:
+    """Refuse a target that cannot be written, before any work is done for it."""
+    if not target.name:
+        raise InputError(f"{str(target)!r} is no file name")
+    if not target.parent.is_dir():
+        raise InputError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
+    if target.is_dir():
+        raise InputError(f"cannot write {str(target)!r}: it is a folder")
+    if not overwrite and target.exists():
+        raise _exists(target)
+
+
+def _exists(target: Path) -> InputError:
+    return InputError(f"{str(target)!r} exists; a record is irreplaceable, so give another name or --force")
+
+
+def refuse_same(source: Path, target: Path) -> None:
+    """Refuse to write over the input."""
+    if source.exists() and target.exists() and source.samefile(target):
+        raise InputError(f"{str(target)!r} is the input itself; give the result another name")
+
+
+def write_secret(path: Path, data: bytes) -> None:
+    """Write a new file that only its owner can read (mode 0600)."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Content of a file; InputError naming what was expected there."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {what} {str(path)!r}: {error.strerror}") from error
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file starts like a picture, whatever its name says."""
+    if path.is_dir():
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(12)
+    except OSError as error:
+        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
+    return head.startswith(_PICTURE_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
+
+
+def read_picture(path: Path) -> Float32:
+    """(H, W, 3) float32 in 0..1, upright, transparent parts over black.
+
+    Raises
+    ------
+    InputError
+        If it is no picture, is damaged, or has more than MAX_PICTURE_PIXELS pixels.
+    """
+    import numpy as np
+    from PIL import Image, ImageOps
+
+    name = str(path)
+    try:
+        with Image.open(path) as picture:
+            if picture.width * picture.height > MAX_PICTURE_PIXELS:
+                raise FormatError(
+                    f"picture of {picture.width}x{picture.height} pixels is too large", file=name
+                )
+            picture.load()
+            upright = ImageOps.exif_transpose(picture)
+    except FormatError:
+        raise
+    except Image.DecompressionBombError as error:
+        raise FormatError("picture has too many pixels", file=name) from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise FormatError(f"no readable picture ({error})", file=name) from error
+    if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
+        grey = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
+        return np.ascontiguousarray(np.repeat(np.clip(grey, 0.0, 1.0)[:, :, None], 3, axis=2))
+    if "A" in upright.getbands() or "transparency" in upright.info:
+        layered = upright.convert("RGBA")
+        upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))
+        upright.alpha_composite(layered)
+    levels = np.asarray(upright.convert("RGB"), dtype=np.float32)
+    return np.ascontiguousarray(levels / np.float32(255.0))
+
+
+def write_picture(image: Float32, path: Path, target: Path) -> None:
+    """Store (H, W, 3) float32 in 0..1 at `path`, in the format that the ending of `target` names.
+
+    JPEG at quality 95; the `jpeg` attack is the tool for less.
+    """
+    import numpy as np
+    from PIL import Image
+
+    check_picture_ending(target)
+    levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
+    extra = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}[kind]
+    Image.fromarray(levels).save(path, format=kind, **extra)
+
+
+def check_picture_ending(target: Path) -> None:
+    """Refuse an ending that names no picture format."""
+    if target.suffix.lower() not in PICTURE_ENDINGS:
+        raise InputError(f"{str(target)!r} must end in one of {', '.join(PICTURE_ENDINGS)}")

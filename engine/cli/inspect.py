@@ -1,0 +1,86 @@
+"""`mark3dgs inspect`: what is in a model file."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.embed import size
+from engine.cli.models import repair_entries
+from engine.cli.options import Json, SpzFrame
+
+if TYPE_CHECKING:
+    from engine.formats import LoadedModel
+
+
+def inspect(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here.")],
+    spz_frame: SpzFrame = "auto",
+    json: Json = False,
+) -> int:
+    """Say what a model file holds, and what was repaired to read it.
+
+    Example:
+
+      mark3dgs inspect scene.ply
+    """
+    console = Console(json)
+    began = time.perf_counter()
+    from engine.formats import read_model
+
+    with console.progress() as progress:
+        progress("read", 0.0)
+        loaded = read_model(model, spz_frame=spz_frame)
+    report = describe_model(loaded) | {"file": str(model), "seconds": time.perf_counter() - began}
+    low, high = report["bounds"]
+    console.say(f"{model}: {report['format']}, {size(report['bytes'])}")
+    console.say(
+        f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each"
+    )
+    console.say(f"  colour      spherical harmonics of degree {report['sh_degree']}")
+    console.say(
+        f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}"
+    )
+    console.say(f"  centre      {_vector(report['center'])}, radius {report['radius']:.4g}")
+    console.say(f"  bounds      {_vector(low)} to {_vector(high)}")
+    console.say(f"  opacity     median {report['opacity_median']:.3f}")
+    console.say(f"  scale       median {report['scale_median']:.3g}")
+    console.say(f"  sha256      {report['sha256']}")
+    for repair in report["repairs"]:
+        console.say(f"  repaired    {repair['text']}")
+    if not report["repairs"]:
+        console.say("  repaired    nothing")
+    console.emit(report)
+    return 0
+
+
+def describe_model(loaded: LoadedModel) -> dict[str, Any]:
+    """Facts about a loaded model, as plain values."""
+    import numpy as np
+
+    from engine.pipeline.rigs import measure_extent
+
+    model = loaded.model
+    extent = measure_extent(model)
+    return {
+        "format": loaded.format,
+        "bytes": loaded.source_bytes,
+        "sha256": loaded.sha256,
+        "gaussians": len(model),
+        "sh_degree": model.sh_degree,
+        "bounds": [model.means.min(axis=0).tolist(), model.means.max(axis=0).tolist()],
+        "center": extent.center.tolist(),
+        "radius": extent.radius,
+        "is_room": extent.is_room,
+        "opacity_median": float(np.median(model.opacities)),
+        "scale_median": float(np.exp(np.median(model.log_scales))),
+        "repairs": repair_entries(loaded.repairs),
+    }
+
+
+def _vector(values: list[float]) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"

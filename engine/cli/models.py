@@ -1,0 +1,65 @@
+"""Models on the command line: formats by file ending, what a format cannot hold, repairs in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from engine.cli.console import Console
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from engine.formats import Repair
+    from engine.model import GaussianModel
+
+ENDINGS = {
+    ".compressed.ply": "compressed.ply",
+    ".ply": "ply",
+    ".splat": "splat",
+    ".spz": "spz",
+    ".sog": "sog",
+}
+"""File endings of the formats that can be written, longest first."""
+
+DEMO_SCENE = "plant.splat"
+
+
+def format_for(path: Path) -> str:
+    """Format that the ending of an output file names."""
+    for ending, name in ENDINGS.items():
+        if path.name.lower().endswith(ending):
+            return name
+    raise InputError(f"{str(path)!r}: the ending must name a format: {', '.join(ENDINGS)}")
+
+
+def loss_note(model: GaussianModel, kind: str) -> list[str]:
+    """What the format cannot hold of this model, in words."""
+    if kind == "splat" and model.sh_degree > 0:
+        return [
+            ".splat stores no spherical harmonics: colour that changes with the view"
+            f" (degree {model.sh_degree}) was dropped; the mark survives"
+        ]
+    return []
+
+
+def repair_entries(repairs: Iterable[Repair]) -> list[dict[str, Any]]:
+    """Repairs as plain values."""
+    return [{"code": repair.code, "count": repair.count, "text": repair.text} for repair in repairs]
+
+
+def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
+    """Tell what was mended on loading."""
+    for repair in repairs:
+        console.note(f"repaired: {repair.text}")
+
+
+def shipped_scene() -> Path:
+    """The real scene that ships with the repository."""
+    scene = Path(__file__).resolve().parents[2] / "tests" / "data" / DEMO_SCENE
+    if not scene.is_file():
+        raise InputError(
+            f"the scene tests/data/{DEMO_SCENE} is not beside this installation (it ships with the"
+            " repository): name a model of your own"
+        )
+    return scene

@@ -1,0 +1,22 @@
+"""Options that several commands share, so that they read and behave alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+
+Key = Annotated[Path, typer.Option("--key", help="Owner key file, from `mark3dgs keygen`.")]
+
+SpzFrame = Annotated[
+    str,
+    typer.Option(
+        "--spz-frame",
+        help="Axes of .spz input: auto, spz (as specified) or ply (as many tools write them).",
+    ),
+]
+
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
