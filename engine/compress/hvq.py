@@ -42,7 +42,7 @@ class HvqConfig:
     """
 
     cells: int = 8192
-    residual_codes: tuple[int, ...] = (1024,)
+    residual_codes: tuple[int, ...] = ()
     min_members: int = 8
     decay: float = 0.8
     lambda_freq: float = 0.1

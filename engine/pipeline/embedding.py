@@ -23,7 +23,7 @@ from engine.pipeline.profiles import EmbedConfig, config_dict
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig, measure_extent
 from engine.pipeline.scenes import look, worst_psnr_against
-from engine.pipeline.sealing import draw_spreading, make_record
+from engine.pipeline.sealing import draw_spreading, make_record, plan_of
 from engine.pipeline.strength import Strength, add_dc, solve_strength
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.landmarks import Landmarks, make_landmarks
@@ -124,12 +124,15 @@ def embed(
         delivered, stages = unmarked_delivery(slim, stages, original, impact, config)
         reference_arrays = encode_reference(delivered)
         digest = reference_digest(reference_arrays)
+    with clock.stage("landmarks"):
+        landmarks = _landmarks(delivered, extent, config, clock)
     with clock.stage("plan"):  # 5, 6
         views = look(delivered, key_cameras, clock.advance)
         plan = make_plan(stages, impact, config.plan)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
-        spreading = draw_spreading(key, digest, copy, layout, sign)
+        committed = plan_of(layout, sign, key_cameras, landmarks)
+        spreading = draw_spreading(key, digest, copy, layout, committed)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
         pixels = 3.0 * key_cameras[0].width * key_cameras[0].height
@@ -152,11 +155,9 @@ def embed(
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
     with clock.stage("record"):  # 8
-        landmarks = _landmarks(delivered, extent, config, clock)
         record = make_record(
-            key, reference_arrays, layout, strength.factor, sign, key_cameras, landmarks,
-            original_sha256=original_sha256, copy=copy, registered_at=registered_at,
-            settings=config_dict(config),
+            key, reference_arrays, committed, strength.factor, original_sha256=original_sha256, copy=copy,
+            registered_at=registered_at, settings=config_dict(config),
         )  # fmt: skip
         total = worst_psnr_against(original.images, key_cameras)(marked)
     predicted = predict_z(plan.energies, strength.factor, spreading.bit_of, bits)

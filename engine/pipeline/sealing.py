@@ -1,8 +1,8 @@
 """Between a record's arrays and what the flows work with: layout, chips, message, cameras, landmarks.
 
-What enters the decision (reference, labels, carriers, amplitudes, message) goes into the record's *plan*; the record
-id, and so the chips, follow from its digest. What may follow from the mark (the strength) or plays no part in the
-decision (cameras, landmarks, settings) goes beside it.
+What enters the decision (reference, labels, carriers, amplitudes, message, key views, landmarks) goes into the
+record's *plan*; the record id, and so the chips, follow from its digest. Only what may follow from the mark (its
+strength) and the settings go beside it.
 """
 
 from __future__ import annotations
@@ -63,33 +63,39 @@ class OpenedRecord:
     settings: dict[str, Any]
 
 
-def plan_of(layout: Layout, message: Signs) -> tuple[dict[str, Any], Arrays]:
+def plan_of(
+    layout: Layout, message: Signs, cameras: Sequence[Camera], landmarks: Landmarks | None
+) -> tuple[dict[str, Any], Arrays]:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
     plan = {"message": message_hex(message), "codes": list(layout.codes)}
     arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
     for number, (labels, directions) in enumerate(zip(layout.labels, layout.directions, strict=True)):
         arrays[f"labels/{number}"] = labels.astype(np.uint16 if layout.codes[number] <= 65536 else np.int32)
         arrays[f"directions/{number}"] = directions
+    arrays["cameras/viewmats"] = np.stack([c.viewmat for c in cameras])
+    arrays["cameras/intrinsics"] = np.stack([c.K for c in cameras])
+    arrays["cameras/sizes"] = np.array([(c.width, c.height) for c in cameras], dtype=np.int32)
+    if landmarks is not None:
+        arrays["landmarks/points"] = landmarks.points
+        arrays["landmarks/descriptors"] = landmarks.descriptors
+        arrays["landmarks/views"] = landmarks.views
     return plan, arrays
 
 
 def draw_spreading(
-    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, message: Signs
+    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: tuple[dict[str, Any], Arrays]
 ) -> Spreading:
     """Bits and chips of one copy, from the owner's key and everything that enters the decision."""
-    record_id = make_record_id(key, reference_digest, copy, *plan_of(layout, message))
+    record_id = make_record_id(key, reference_digest, copy, *plan)
     context = chip_context(reference_digest, record_id)
-    return spread(key, context, layout.codes, len(layout.directions[0]), len(message))
+    return spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
 
 
 def make_record(
     key: OwnerKey,
     reference_arrays: Arrays,
-    layout: Layout,
+    plan: tuple[dict[str, Any], Arrays],
     strength: float,
-    message: Signs,
-    cameras: Sequence[Camera],
-    landmarks: Landmarks | None,
     *,
     original_sha256: str,
     copy: str,
@@ -97,24 +103,13 @@ def make_record(
     settings: dict[str, Any],
 ) -> Record:
     """The record of one embedding."""
-    plan, plan_arrays = plan_of(layout, message)
-    extra_arrays: Arrays = {
-        "cameras/viewmats": np.stack([c.viewmat for c in cameras]),
-        "cameras/intrinsics": np.stack([c.K for c in cameras]),
-        "cameras/sizes": np.array([(c.width, c.height) for c in cameras], dtype=np.int32),
-    }
-    if landmarks is not None:
-        extra_arrays["landmarks/points"] = landmarks.points
-        extra_arrays["landmarks/descriptors"] = landmarks.descriptors
-        extra_arrays["landmarks/views"] = landmarks.views
     return Record.make(
         key,
         reference_arrays,
         original_digest=original_sha256,
-        plan=plan,
-        plan_arrays=plan_arrays,
+        plan=plan[0],
+        plan_arrays=plan[1],
         extra={"strength": strength, "settings": settings},
-        extra_arrays=extra_arrays,
         copy=copy,
         registered_at=registered_at,
     )
@@ -149,17 +144,16 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
             raise ValueError("labels outside their codebook")
     message = message_signs(record.plan["message"])
     spreading = spread(key, record.header.chip_context(), codes, len(directions[0]), len(message))
-    extra = record.extra_arrays
     cameras = [
         Camera(viewmat, K, int(size[0]), int(size[1]))
         for viewmat, K, size in zip(
-            extra["cameras/viewmats"], extra["cameras/intrinsics"], extra["cameras/sizes"], strict=True
+            arrays["cameras/viewmats"], arrays["cameras/intrinsics"], arrays["cameras/sizes"], strict=True
         )
     ]
     landmarks = None
-    if "landmarks/points" in extra:
+    if "landmarks/points" in arrays:
         landmarks = Landmarks(
-            extra["landmarks/points"], extra["landmarks/descriptors"], extra["landmarks/views"]
+            arrays["landmarks/points"], arrays["landmarks/descriptors"], arrays["landmarks/views"]
         )
     return OpenedRecord(
         record.header, record.copy, reference, layout, float(record.extra["strength"]), message, spreading,

@@ -111,7 +111,6 @@ def verify_model(
     clock = Clock(progress)
     with clock.stage("register"):
         registration = register(opened.reference, suspect, seed=config.seed)
-    tries = registration.hypotheses_tried
     best: Verification | None = None
     for number, route in enumerate(("model", "render") if config.route == "auto" else (config.route,), start=1):
         with clock.stage(route):
@@ -119,7 +118,8 @@ def verify_model(
                 evidence = _read_model(suspect, opened, registration)
             else:
                 evidence = _read_renders(suspect, opened, registration, clock)
-            claim = judge(evidence, opened, route, tries * number, config, registration)
+            # A try is a Z that was computed; the registration's hypotheses were weighed without the chips.
+            claim = judge(evidence, opened, route, number, config, registration)
         if best is None or claim.verdict is Verdict.MARKED:
             best = Verification(claim, evidence, 0.0, {})
         if claim.verdict is not Verdict.INCONCLUSIVE:

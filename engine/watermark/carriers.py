@@ -16,7 +16,7 @@ from engine.model import SH_C0, Float32, Float64
 LUMA = np.array([0.299, 0.587, 0.114]) / np.linalg.norm([0.299, 0.587, 0.114])
 """Direction of luma (BT.601) in RGB: what JPEG keeps best."""
 
-CHROMA_FLOOR = 0.25
+CHROMA_FLOOR = 0.12
 """Least amplitude of a carrier against a pure luma carrier. Chroma is subsampled in every screenshot, but on the
 model itself all three carriers read equally well and three carriers hold three times the chips."""
 

@@ -56,12 +56,10 @@ def gather_image_evidence(
     cotangent = image_cotangent(reference, warped, mask)
     y = pull(cotangent)
     weights = layout.amplitudes
-    # How y answers to the mark, through the weights this very picture got. Neighbouring code vectors talk into each
-    # other, so sizes are scaled to what adds up in the matched sum.
+    # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
+    # vectors talk into each other cancels in the matched sum as it does in the claim.
     response = pull(image_cotangent(reference, warped + mark_image, mask) - cotangent)
-    size = np.abs(response)
-    useful = float(weights @ (mark_signs * response)) / max(float(weights @ size), 1e-300)
-    return Evidence(y, weights, max(useful, 0.0) * size)
+    return Evidence(y, weights, mark_signs * response)
 
 
 def _puller(layout: Layout, view: View) -> Callable[[Float32], Float64]:
