@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from engine.errors import FormatError, InputError
 
@@ -160,7 +160,7 @@ def write_picture(image: Float32, path: Path, target: Path) -> None:
     check_picture_ending(target)
     levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
-    extra = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}[kind]
+    extra: dict[str, Any] = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}[kind]
     Image.fromarray(levels).save(path, format=kind, **extra)
 
 
