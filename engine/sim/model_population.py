@@ -21,7 +21,7 @@ __all__ = ["clone", "clone_plain", "crop", "impact", "prune_low_impact", "prune_
 CLONE_JITTER = 0.05
 """Shift of a clone in standard deviations of its Gaussian, along its own axes."""
 
-IMPACT_VIEWS = 12
+IMPACT_VIEWS = 24
 IMPACT_SIZE = 256
 """Views generated where no cameras are given, and their side in pixels."""
 
@@ -61,7 +61,7 @@ def prune_low_impact(
     rng : numpy.random.Generator
         Places the views where no cameras are given.
     cameras : sequence of Camera, optional
-        Views over which the blending weights alpha * T are added up; 12 generated ones where not given.
+        Views over which the blending weights alpha * T are added up; 24 generated ones where not given.
 
     Returns
     -------
