@@ -1,0 +1,221 @@
+"""meta.json of a SOG scene: checked, and brought to lookup tables that are the same for both versions."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.repairs import Repair
+from engine.model import Float64
+
+LEVELS = 256
+PALETTE_ROW = 64
+"""Code vectors in one row of the image of centroids."""
+
+MAX_PALETTE = 1 << 16
+REST_COEFFICIENTS = {1: 3, 2: 8, 3: 15}
+"""Coefficients above DC for each number of bands."""
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,99}")
+_FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """Spherical harmonics above DC.
+
+    Parameters
+    ----------
+    bands : int or None
+        1 to 3; None where the width of the image of centroids must tell (version 1).
+    count : int or None
+        Code vectors; None where the image's height must tell (version 1).
+    table : (256,)
+        Coefficient of each pixel value.
+    """
+
+    bands: int | None
+    count: int | None
+    table: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SogMeta:
+    """What meta.json says.
+
+    Parameters
+    ----------
+    version : int
+        1 (SOGS, linear ranges) or 2 (codebooks).
+    count : int
+        Gaussians claimed.
+    files : dict
+        Names of the images of each property.
+    mins, maxs : (3,)
+        Range of the centres in the domain sign(x) log(1 + abs(x)).
+    scales : (3, 256)
+        Log scale of each pixel value, by axis.
+    dc : (3, 256)
+        DC coefficient of each pixel value, by channel.
+    opacity : (256,)
+        Opacity logit of each alpha; infinite for 0 and 255 in version 2.
+    palette : Palette or None
+        None for spherical harmonics of degree 0.
+    repairs : tuple of Repair
+        Faults of meta.json that were mended.
+    """
+
+    version: int
+    count: int
+    files: dict[str, tuple[str, ...]]
+    mins: Float64
+    maxs: Float64
+    scales: Float64
+    dc: Float64
+    opacity: Float64
+    palette: Palette | None
+    repairs: tuple[Repair, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all images."""
+        return tuple(name for names in self.files.values() for name in names)
+
+
+def parse_meta(text: bytes, *, file: str) -> SogMeta:
+    """Check a meta.json and turn it into tables.
+
+    Raises
+    ------
+    UnsupportedFormatError
+        Another version than 1 (which names none) and 2.
+    FormatError
+        Not JSON, or a member is missing, of the wrong kind, or no finite number.
+    """
+    try:
+        meta = json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise FormatError(f"is no JSON ({fault})", file=file, element="meta.json") from None
+    return _Reader(meta, file).parse()
+
+
+class _Reader:
+    """Takes members out of the parsed JSON; every complaint names the file and the member."""
+
+    def __init__(self, meta: Any, file: str) -> None:
+        self._file = file
+        self._repairs: list[Repair] = []
+        if not isinstance(meta, dict):
+            raise self._fault("is no JSON object", None)
+        self._meta = meta
+
+    def parse(self) -> SogMeta:
+        version = self._meta.get("version", 1)
+        if isinstance(version, bool) or version not in (1, 2):
+            message = f"SOG version {version!r:.40}, read are 1 and 2"
+            raise UnsupportedFormatError(message, file=self._file, element="meta.json", prop="version")
+        codebooks = version == 2
+        count = self._integer(self._meta.get("count"), "count") if codebooks else self._shape_count()
+        files = {key: self._names(key, n) for key, n in _FILES.items() if key != "shN" or "shN" in self._meta}
+        if codebooks:
+            scales, dc = (np.tile(self._codebook(key), (3, 1)) for key in ("scales", "sh0"))
+            alpha = np.arange(LEVELS) / (LEVELS - 1.0)
+            with np.errstate(divide="ignore"):
+                opacity = np.log(alpha) - np.log1p(-alpha)
+        else:
+            scales, color = self._ramps("scales", 3), self._ramps("sh0", 4)
+            dc, opacity = color[:3], color[3]
+        return SogMeta(
+            version=version,
+            count=count,
+            files=files,
+            mins=self._numbers("means", "mins", 3),
+            maxs=self._numbers("means", "maxs", 3),
+            scales=scales,
+            dc=dc,
+            opacity=opacity,
+            palette=self._palette(codebooks) if "shN" in files else None,
+            repairs=tuple(self._repairs),
+        )
+
+    def _fault(self, message: str, prop: str | None) -> FormatError:
+        return FormatError(message, file=self._file, element="meta.json", prop=prop)
+
+    def _member(self, key: str) -> dict[str, Any]:
+        member = self._meta.get(key)
+        if not isinstance(member, dict):
+            raise self._fault("is missing or no object", key)
+        return member
+
+    def _integer(self, value: Any, prop: str) -> int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self._fault(f"{value!r:.40} is no integer", prop)
+        return value
+
+    def _shape_count(self) -> int:
+        shape = self._member("means").get("shape")
+        if not isinstance(shape, list) or not shape:
+            raise self._fault("is missing: neither version 2 nor a list of version 1", "means.shape")
+        return self._integer(shape[0], "means.shape")
+
+    def _names(self, key: str, count: int) -> tuple[str, ...]:
+        names = self._member(key).get("files")
+        if not isinstance(names, list) or len(names) != count:
+            raise self._fault(f"must list {count} names", f"{key}.files")
+        for name in names:
+            if not isinstance(name, str) or not _NAME.fullmatch(name):
+                raise self._fault(f"{name!r:.120} is no plain file name", f"{key}.files")
+        return tuple(names)
+
+    def _finite(self, values: Any, count: int, prop: str) -> Float64:
+        if not isinstance(values, list) or len(values) != count:
+            raise self._fault(f"must list {count} numbers", prop)
+        for value in values:
+            kind_ok = isinstance(value, int | float) and not isinstance(value, bool)
+            if not kind_ok or abs(value) > 1e30 or not math.isfinite(value):
+                raise self._fault(f"{value!r:.40} is no finite number", prop)
+        return np.array(values, dtype=np.float64)
+
+    def _numbers(self, key: str, name: str, count: int) -> Float64:
+        return self._finite(self._member(key).get(name), count, f"{key}.{name}")
+
+    def _ramps(self, key: str, channels: int) -> Float64:
+        """(channels, 256) linear ranges of version 1."""
+        low, high = self._numbers(key, "mins", channels), self._numbers(key, "maxs", channels)
+        steps: Float64 = low[:, None] + (high - low)[:, None] * (np.arange(LEVELS) / (LEVELS - 1.0))
+        return steps
+
+    def _codebook(self, key: str) -> Float64:
+        """(256,) codebook of version 2; what a short one lacks is NaN, so that those rows fall out."""
+        values = self._member(key).get("codebook")
+        if not isinstance(values, list) or not 1 <= len(values) <= LEVELS:
+            raise self._fault(f"must list 1 to {LEVELS} numbers", f"{key}.codebook")
+        values = list(values)
+        if values[0] is None and len(values) == LEVELS:
+            # Early splat-transform lost the first entry; PlayCanvas's engine extends the codebook downwards.
+            rest = self._finite(values[1:], LEVELS - 1, f"{key}.codebook")
+            values[0] = float(rest[0] + (rest[0] - rest[-1]) / (LEVELS - 1))
+            self._repairs.append(Repair("codebook_entry", 1, f"first entry of the {key} codebook was lost"))
+        table = np.full(LEVELS, np.nan)
+        table[: len(values)] = self._finite(values, len(values), f"{key}.codebook")
+        return table
+
+    def _palette(self, codebooks: bool) -> Palette:
+        if codebooks:
+            member = self._member("shN")
+            bands = self._integer(member.get("bands"), "shN.bands")
+            if bands not in REST_COEFFICIENTS:
+                raise self._fault(f"{bands} bands, expected 1 to 3", "shN.bands")
+            count = self._integer(member.get("count"), "shN.count")
+            if not 1 <= count <= MAX_PALETTE:
+                raise self._fault(f"{count} code vectors, expected 1 to {MAX_PALETTE}", "shN.count")
+            return Palette(bands, count, self._codebook("shN"))
+        member = self._member("shN")
+        ends = self._finite([member.get("mins"), member.get("maxs")], 2, "shN.mins, shN.maxs")
+        return Palette(None, None, np.linspace(ends[0], ends[1], LEVELS))
