@@ -111,7 +111,7 @@ def embed(
     views = read_cameras(cameras) if cameras is not None else None
 
     with console.progress() as progress:
-        prepare_kernels(console, progress)
+        compile_seconds = prepare_kernels(console, progress)
         started = time.perf_counter()
         progress("read", 0.0)
         loaded = read_model(model, spz_frame=spz_frame)
@@ -130,7 +130,12 @@ def embed(
                 write_secret(record_part, sealed)
         write_seconds = time.perf_counter() - started
 
-    stages = {"read": read_seconds, **made.report["seconds_by_stage"], "write": write_seconds}
+    stages = {
+        "compile": compile_seconds,
+        "read": read_seconds,
+        **made.report["seconds_by_stage"],
+        "write": write_seconds,
+    }
     report: dict[str, Any] = {
         **made.report,
         "bytes_in": loaded.source_bytes,

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 from engine.cli.console import Console, Progress
 
+LOADING_SECONDS = 2.0
+"""Loading compiled kernels from the cache takes less; whoever waits longer is being compiled for."""
 
-def prepare_kernels(console: Console, progress: Progress) -> None:
-    """Compile (once per machine) or load what the engine needs, telling the user when that takes long."""
+COMPILE_SECONDS = 20
+"""About how long that takes on two cores."""
+
+
+def prepare_kernels(console: Console, progress: Progress) -> float:
+    """Load the compiled kernels; where they are not there yet, tell the user what the wait is for.
+
+    Returns
+    -------
+    float
+        Seconds it took.
+    """
     from engine.raster import warm_up
 
-    warm_up(lambda fraction: progress("compile", fraction))
+    began = time.perf_counter()
+    notice = threading.Timer(
+        LOADING_SECONDS, console.note, [f"compiling kernels, once per machine: about {COMPILE_SECONDS} s"]
+    )
+    notice.daemon = True
+    notice.start()
+    try:
+        warm_up(lambda fraction: progress("compile", fraction))
+    finally:
+        notice.cancel()
+    return time.perf_counter() - began

@@ -87,7 +87,7 @@ def verify(
         progress("open record", 0.0)
         opened = open_record(read_bytes(record, "record"), owner)
         open_seconds = time.perf_counter() - started
-        prepare_kernels(console, progress)
+        compile_seconds = prepare_kernels(console, progress)
         started = time.perf_counter()
         if any(pictures):
             read_seconds, found = _look_at_pictures(suspects, opened, config, cameras, progress)
@@ -108,7 +108,9 @@ def verify(
         "repairs": repairs,
         "seconds": time.perf_counter() - began,
     }
-    report["seconds_by_stage"] = {"open record": open_seconds, "read": read_seconds, **found.seconds_by_stage}
+    report["seconds_by_stage"] = {
+        "open record": open_seconds, "compile": compile_seconds, "read": read_seconds, **found.seconds_by_stage
+    }  # fmt: skip
     for line in claim_lines(report, ", ".join(report["suspects"])):
         console.say(line)
     console.emit(report)

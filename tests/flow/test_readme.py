@@ -1,0 +1,63 @@
+"""The commands of README.md, run as written, give what README.md shows.
+
+Every block fenced as ```bash is run, in order, in one folder that holds `tests/data`. `# exit code 3` behind
+its last command says what to expect other than 0. A block fenced as ```text right after it is its output: every
+line must come, numbers and names of keys aside, and `...` stands for lines left out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+BLOCK = re.compile(r"```bash\n(?P<commands>.*?)```(?:\s*```text\n(?P<output>.*?)```)?", re.DOTALL)
+EXIT = re.compile(r"# exit code (\d+)")
+VARIABLE = re.compile(r"\b[0-9a-f]{8,}\b|-?\d[\d.,^]*(e[+-]?\d+)?")
+"""Hexadecimal names and numbers: they differ from run to run and from machine to machine."""
+
+
+def masked(text: str) -> str:
+    """A line with numbers as #, spaces as one."""
+    return " ".join(VARIABLE.sub("#", text).split())
+
+
+def blocks() -> Iterator[re.Match[str]]:
+    return BLOCK.finditer((ROOT / "README.md").read_text())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clone as far as the commands can see."""
+    made = tmp_path_factory.mktemp("readme")
+    (made / "tests").mkdir()
+    (made / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    return made
+
+
+def test_readme_shows_commands() -> None:
+    text = "".join(block["commands"] for block in blocks())
+    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "config show"):
+        assert f"mark3dgs {command}" in text
+
+
+@pytest.mark.parametrize("number", range(len(list(blocks()))))
+def test_block(number: int, folder: Path) -> None:
+    """Blocks build on one another: run them all, in order."""
+    block = list(blocks())[number]
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-e", "-c", block["commands"]], cwd=folder, capture_output=True, text=True,
+        env=os.environ | {"PATH": path, "COLUMNS": "100"}, check=False,
+    )  # fmt: skip
+    expected = EXIT.search(block["commands"])
+    assert done.returncode == (int(expected[1]) if expected else 0), done.stderr
+    said = {masked(line) for line in (done.stdout + done.stderr).splitlines()}
+    for line in (block["output"] or "").splitlines():
+        assert line.strip() in ("", "...") or masked(line) in said, f"{line!r} not in\n{done.stdout}"
