@@ -1,0 +1,130 @@
+"""Least-squares similarity between two point sets, plain and robust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x_target = scale * R @ x_source + t.
+
+    Parameters
+    ----------
+    scale : float
+        Positive.
+    R : (3, 3) float64
+        Proper rotation.
+    t : (3,) float64
+        Translation, units of the target.
+    """
+
+    scale: float
+    R: Float64
+    t: Float64
+
+    @classmethod
+    def identity(cls) -> Similarity:
+        """The similarity that moves nothing."""
+        return cls(1.0, np.eye(3), np.zeros(3))
+
+    def apply(self, points: npt.NDArray[Any]) -> Float64:
+        """Points (..., 3) moved, float64."""
+        moved: Float64 = points.astype(np.float64) @ (self.scale * self.R).T + self.t
+        return moved
+
+    def inverse(self) -> Similarity:
+        """The similarity that undoes this one."""
+        return Similarity(1.0 / self.scale, self.R.T.copy(), -(self.R.T @ self.t) / self.scale)
+
+
+def umeyama(
+    source: npt.NDArray[Any], target: npt.NDArray[Any], weights: npt.NDArray[Any] | None = None
+) -> Similarity | None:
+    """The similarity that takes `source` to `target` with least (weighted) square error.
+
+    Parameters
+    ----------
+    source, target : (n, 3)
+        Paired points.
+    weights : (n,), optional
+        Not negative; all 1 by default.
+
+    Returns
+    -------
+    Similarity or None
+        None if the points are too few or lie on a line, so that the rotation is not determined.
+
+    Notes
+    -----
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991,
+    Eq 40 to 42.
+    """
+    a, b = source.astype(np.float64), target.astype(np.float64)
+    w = np.ones(len(a)) if weights is None else weights.astype(np.float64)
+    total = float(w.sum())
+    if len(a) < 3 or not total > 0:
+        return None
+    w = w / total
+    centre_a, centre_b = w @ a, w @ b
+    da, db = a - centre_a, b - centre_b
+    cross = (db * w[:, None]).T @ da
+    u, singular, vt = np.linalg.svd(cross)
+    # Rank 2 determines a proper rotation (three points do); rank 1, a line, does not.
+    variance = float(w @ (da * da).sum(1))
+    spread_b = float(w @ (db * db).sum(1))
+    if not (variance > 0 and spread_b > 0) or singular[1] <= 1e-9 * np.sqrt(variance * spread_b):
+        return None
+    sign = np.array([1.0, 1.0, 1.0 if np.linalg.det(u @ vt) > 0 else -1.0])
+    R = (u * sign) @ vt
+    scale = float(singular @ sign) / variance
+    if not (np.isfinite(scale) and scale > 0):
+        return None
+    return Similarity(scale, R, centre_b - scale * R @ centre_a)
+
+
+def robust_umeyama(
+    source: npt.NDArray[Any],
+    target: npt.NDArray[Any],
+    start: Similarity | None = None,
+    rounds: int = 12,
+) -> Similarity | None:
+    """As `umeyama`, but pairs far off the consensus lose their say (Tukey's biweight on the residuals).
+
+    Parameters
+    ----------
+    source, target : (n, 3)
+        Paired points, at least half of them right (or close to `start`).
+    start : Similarity, optional
+        Where to start from; the plain least-squares solution by default.
+    rounds : int
+        Reweightings.
+
+    Returns
+    -------
+    Similarity or None
+        None where `umeyama` returns None.
+    """
+    fit = umeyama(source, target) if start is None else start
+    for _ in range(rounds):
+        if fit is None:
+            return None
+        error = np.linalg.norm(fit.apply(source) - target, axis=1)
+        # 4.685 standard deviations: 95 % efficiency for normal errors. The median of a 3-D normal error's
+        # length is 1.538 standard deviations.
+        cut = 4.685 * max(float(np.median(error)) / 1.538, 1e-12)
+        weights = np.square(np.clip(1.0 - np.square(error / cut), 0.0, None))
+        better = umeyama(source, target, weights)
+        if better is None:
+            return fit
+        moved = float(np.abs(better.t - fit.t).max()) + float(np.abs(better.R - fit.R).max()) * cut
+        fit = better
+        if moved < 1e-9 * cut:
+            break
+    return fit

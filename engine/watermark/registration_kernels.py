@@ -1,0 +1,172 @@
+"""Kernels of the hypotheses: which candidates agree, and what a similarity of three of them explains."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from engine.numerics.jit import inlined, kernel, parallel_kernel
+
+_KERNEL_VERSION = 1
+
+BINS = 48
+"""Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
+
+
+@inlined
+def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):  # type: ignore[no-untyped-def]
+    shift = 0.5 * (size[i] + size[j])
+    if abs(size[i] - size[j]) > tol_size:
+        return False
+    ax, ay, az = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+    bx, by, bz = y[j, 0] - y[i, 0], y[j, 1] - y[i, 1], y[j, 2] - y[i, 2]
+    la, lb = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+    if la <= 0.0 or lb <= 0.0:
+        return False
+    if abs(0.5 * math.log(lb / la) - shift) > tol_edge:
+        return False
+    if cos_half < 0.0:
+        return True
+    w, p, q, r = turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3]
+    if abs(w * turn[j, 0] + p * turn[j, 1] + q * turn[j, 2] + r * turn[j, 3]) < cos_half:
+        return False
+    # v + 2 u x (u x v + w v): the line from i to j, turned as i turned
+    tx, ty, tz = 2 * (q * az - r * ay), 2 * (r * ax - p * az), 2 * (p * ay - q * ax)
+    cx = ax + w * tx + q * tz - r * ty
+    cy = ay + w * ty + r * tx - p * tz
+    cz = az + w * tz + p * ty - q * tx
+    return cx * bx + cy * by + cz * bz >= cos_line * math.sqrt(la * lb)
+
+
+@parallel_kernel
+def degrees_of_agreement(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line):  # type: ignore[no-untyped-def]
+    """With how many others each candidate agrees."""
+    n = len(x)
+    out = np.zeros(n, np.int32)
+    for i in numba.prange(n):
+        count = 0
+        for j in range(n):
+            if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
+                count += 1
+        out[i] = count
+    return out
+
+
+@kernel
+def _frame(p, out):  # type: ignore[no-untyped-def]
+    """Orthonormal frame of a triangle p (3, 3) into out (rows); False if it is degenerate."""
+    ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    lu, lv = math.sqrt(ux * ux + uy * uy + uz * uz), math.sqrt(vx * vx + vy * vy + vz * vz)
+    ln = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if ln <= 0.1 * lu * lv or ln == 0.0:  # flatter than 6 degrees: the rotation about the line is noise
+        return False
+    out[0, 0], out[0, 1], out[0, 2] = ux / lu, uy / lu, uz / lu
+    out[2, 0], out[2, 1], out[2, 2] = nx / ln, ny / ln, nz / ln
+    out[1, 0] = out[2, 1] * out[0, 2] - out[2, 2] * out[0, 1]
+    out[1, 1] = out[2, 2] * out[0, 0] - out[2, 0] * out[0, 2]
+    out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
+    return True
+
+
+@kernel
+def _triple(x, y, i, j, k, turn, moved):  # type: ignore[no-untyped-def]
+    """Similarity of three pairs: R into turn, (scale, t) into moved; False if degenerate."""
+    a, b = np.empty((3, 3)), np.empty((3, 3))
+    for c in range(3):
+        a[0, c], a[1, c], a[2, c] = x[i, c], x[j, c], x[k, c]
+        b[0, c], b[1, c], b[2, c] = y[i, c], y[j, c], y[k, c]
+    fa, fb = np.empty((3, 3)), np.empty((3, 3))
+    if not _frame(a, fa) or not _frame(b, fb):
+        return False
+    la, lb = 0.0, 0.0
+    for c in range(3):
+        la += (a[1, c] - a[0, c]) ** 2 + (a[2, c] - a[0, c]) ** 2 + (a[2, c] - a[1, c]) ** 2
+        lb += (b[1, c] - b[0, c]) ** 2 + (b[2, c] - b[0, c]) ** 2 + (b[2, c] - b[1, c]) ** 2
+    scale = math.sqrt(lb / la)
+    moved[0] = scale
+    for r in range(3):
+        for c in range(3):
+            turn[r, c] = fb[0, r] * fa[0, c] + fb[1, r] * fa[1, c] + fb[2, r] * fa[2, c]
+    for r in range(3):
+        t = 0.0
+        for v in range(3):
+            t += b[v, r] - scale * (turn[r, 0] * a[v, 0] + turn[r, 1] * a[v, 1] + turn[r, 2] * a[v, 2])
+        moved[1 + r] = t / 3.0
+    return True
+
+
+@kernel
+def evidence(x, y, size, turn, moved, tol_size, extent, chance):  # type: ignore[no-untyped-def]
+    """Best log likelihood ratio over the tolerances, and which; after Moisan and Stival, IJCV 2004."""
+    n, log_scale = len(x), math.log(moved[0])
+    counts = np.zeros(BINS)
+    sized = 0
+    for i in range(n):
+        if abs(size[i] - log_scale) > tol_size:
+            continue
+        sized += 1
+        e = 0.0
+        for r in range(3):
+            d = moved[0] * (turn[r, 0] * x[i, 0] + turn[r, 1] * x[i, 1] + turn[r, 2] * x[i, 2]) + moved[1 + r]
+            e += (d - y[i, r]) ** 2
+        bin_ = BINS - 1 if e <= 0.0 else int(min(BINS - 1.0, math.floor(-math.log2(e / (extent * extent)))))
+        if bin_ >= 0:
+            counts[bin_] += 1.0
+    best, at, total = 0.0, -1, 0.0
+    for b in range(BINS - 1, -1, -1):
+        total += counts[b]
+        k = total - 3.0  # the three that made the hypothesis fit by construction
+        expected = sized * chance[b]
+        if k > expected:
+            ratio = k * math.log(k / expected) - (k - expected)
+            if ratio > best:
+                best, at = ratio, b
+    return best, at
+
+
+@parallel_kernel
+def best_triples(  # type: ignore[no-untyped-def]
+    x, y, size, turn, seeds, draws, tol_size, tol_edge, cos_half, cos_line, extent, chance, seed
+):
+    """Best triple around each seed: R (n, 3, 3), (scale, t) (n, 4), evidence, bin and tries (n,) each."""
+    count = len(seeds)
+    turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))
+    scores, bins, tries = np.zeros(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
+    for s in numba.prange(count):
+        i = seeds[s]
+        friends = np.empty(len(x), np.int64)
+        many = 0
+        for j in range(len(x)):
+            if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
+                friends[many] = j
+                many += 1
+        if many < 2:
+            continue
+        state = np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15) * np.uint64(i + 1)
+        R, moved = np.empty((3, 3)), np.empty(4)
+        for _ in range(draws):
+            # splitmix64: a stream of its own for every seed, so that threads do not matter
+            state += np.uint64(0x9E3779B97F4A7C15)
+            z = state
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            z = z ^ (z >> np.uint64(31))
+            j = friends[np.int64((z & np.uint64(0xFFFFFFFF)) % np.uint64(many))]
+            k = friends[np.int64((z >> np.uint64(32)) % np.uint64(many))]
+            if j == k or not _agree(x, y, size, turn, j, k, tol_size, tol_edge, cos_half, cos_line):
+                continue
+            if not _triple(x, y, i, j, k, R, moved):
+                continue
+            if abs(math.log(moved[0]) - (size[i] + size[j] + size[k]) / 3.0) > tol_edge:
+                continue
+            tries[s] += 1
+            score, at = evidence(x, y, size, R, moved, tol_size, extent, chance)
+            if score > scores[s]:
+                scores[s], bins[s] = score, at
+                turns[s] = R
+                moves[s] = moved
+    return turns, moves, scores, bins, tries
