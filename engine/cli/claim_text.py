@@ -92,20 +92,20 @@ def meaning(report: Mapping[str, Any]) -> tuple[str, str]:
     if report["verdict"] == "marked":
         chance = odds(report["log10_false_claim"])
         says = (
-            f"It means: a key that had no part in making this suspect would come this far in at most {chance}"
+            f"It means that a key with no part in making this suspect would come this far in at most {chance}"
             " cases. That is a proven bound (Hoeffding's inequality), whatever the suspect is. It was found"
             " with the owner's record, which holds the unmarked original."
         )
-        not_says = "It does not mean: who published the suspect, or that they knew of the mark." + (
+        not_says = "It does not mean that whoever published the suspect made it, or knew of the mark." + (
             " The bound also meets 2^-128, so it stands even where the date of the record is disputed."
             if report["meets_dishonest_claimant_rate"]
             else " The bound does not reach 2^-128: it counts only if the record is known to be older than"
             " the suspect."
         )
     elif report["verdict"] == "not_marked":
-        says = "It means: had this suspect carried this copy's mark, the evidence would have shown it."
+        says = "It means that, had this suspect carried this copy's mark, the evidence would have shown it."
         not_says = (
-            "It does not mean: that the suspect is lawful, or free of the mark of another copy or owner. "
+            "It does not mean that the suspect is lawful, or free of the mark of another copy or owner. "
             + (
                 "Part of this asset is in it, unmarked: compare it with the original."
                 if report["derived_but_unmarked"]
@@ -113,8 +113,8 @@ def meaning(report: Mapping[str, Any]) -> tuple[str, str]:
             )
         )
     else:
-        says = "It means: neither yes nor no. More pictures, or more of the model, can decide it."
-        not_says = "It does not mean: that the suspect is clean."
+        says = "It means neither yes nor no. More pictures, or more of the model, can decide it."
+        not_says = "It does not mean that the suspect is clean."
     return says, not_says
 
 

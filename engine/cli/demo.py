@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
 SCREENSHOT_QUALITY = 80
-PICTURE_SIDE = 720
 STOLEN = "stolen-piece.spz"
 
 
@@ -78,7 +77,7 @@ def demo(
         outcomes["another key"] = _wrong_key(work)
         progress("picture", 0.0)
         stolen = outcomes["piece"]
-        _picture(out / "demo.png", scene.name, original, made, opened, stolen)
+        _picture(out / "demo.png", scene.name, original, made, stolen)
     expected = {
         "moved": "marked", "piece": "marked", "screenshot": "marked", "unmarked": "not_marked",
         "another key": "wrong_key",
@@ -231,25 +230,28 @@ def _wrong_key(work: _Work) -> dict[str, Any]:
 
 
 def _picture(
-    path: Path,
-    name: str,
-    original: GaussianModel,
-    made: Embedding,
-    opened: OpenedRecord,
-    stolen: Mapping[str, Any],
+    path: Path, name: str, original: GaussianModel, made: Embedding, stolen: Mapping[str, Any]
 ) -> None:
-    """Original, marked, their difference, and the claim, in one picture."""
+    """Original, marked, their difference, the stolen piece and the claim, in one picture."""
     import numpy as np
 
-    from engine.cli.demo_picture import draw_demo
+    from engine.cli.demo_picture import SIDE, SUSPECT_SIZE, Panel, draw_demo
+    from engine.formats import read_model
     from engine.pipeline.rigs import make_rig
     from engine.raster import render
 
-    camera = make_rig(original, 24, PICTURE_SIDE, PICTURE_SIDE)[5]
+    camera = make_rig(original, 24, SIDE, SIDE)[5]
     before, after = (np.clip(render(each, camera), 0.0, 1.0) for each in (original, made.model))
-    captions = (
-        f"{name}, {len(original):,} Gaussians",
-        f"{made.report['bits']} bits hidden, worst view {made.report['psnr_worst_view']:.1f} dB",
-    )
+    found = read_model(path.parent / STOLEN).model
+    piece = np.clip(render(found, make_rig(found, 24, *SUSPECT_SIZE)[5]), 0.0, 1.0)
+    report = made.report
+    fidelity = f"{report['bits']} bits hidden, worst view {report['psnr_worst_view']:.1f} dB"
     with whole_file(path) as part:
-        draw_demo(part, before, after, captions, headline(stolen, STOLEN), claim_lines(stolen, STOLEN)[2:])
+        draw_demo(
+            part,
+            Panel("Original", f"{name}, {len(original):,} Gaussians", before),
+            Panel("Marked", fidelity, after),
+            Panel("Stolen", f"{len(found):,} Gaussians, cropped, moved, as .spz", piece),
+            headline(stolen, STOLEN),
+            claim_lines(stolen, STOLEN)[2:],
+        )

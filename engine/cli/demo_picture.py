@@ -1,8 +1,9 @@
-"""The picture that ends the demo: original, marked, what was changed, and the claim."""
+"""The picture that ends the demo: original, marked, what was changed, the stolen piece and the claim."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,26 +11,36 @@ if TYPE_CHECKING:
     from engine.model import Float32
 
 GAIN = 20
-INK, FAINT, ACCENT, PAPER = "#1b1f24", "#5c6672", "#0a7d52", "#ffffff"
+SIDE = 720
+"""Pixels of the three square panels' pictures."""
+SUSPECT_SIZE = (720, 540)
+
+_INK, _FAINT, _ACCENT, _PAPER = "#1b1f24", "#5c6672", "#0a7d52", "#ffffff"
+_INCHES = (12.0, 8.0)
+_LEFT, _GAP, _WIDTH = 0.0225, 0.0125, 0.31
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One image (H, W, 3) float32 in 0..1, its title and a word beside it."""
+
+    title: str
+    caption: str
+    image: Float32
 
 
 def draw_demo(
-    path: Path,
-    original: Float32,
-    marked: Float32,
-    captions: tuple[str, str],
-    headline: str,
-    lines: Sequence[str],
+    path: Path, original: Panel, marked: Panel, suspect: Panel, headline: str, lines: Sequence[str]
 ) -> None:
     """Write the picture as PNG.
 
     Parameters
     ----------
     path : Path
-    original, marked : (H, W, 3) float32
-        The same view, 0..1.
-    captions : (str, str)
-        Below the two.
+    original, marked : Panel
+        The same view; their difference is drawn beside them.
+    suspect : Panel
+        What turned up.
     headline : str
         The verdict in one sentence.
     lines : sequence of str
@@ -40,25 +51,24 @@ def draw_demo(
     from matplotlib.figure import Figure
 
     # Mid-grey is no change: both signs of the mark can be seen.
-    difference = np.clip(0.5 + GAIN * (marked - original), 0.0, 1.0)
-    figure = Figure(figsize=(12.0, 8.0), dpi=100, facecolor=PAPER)
+    change = np.clip(0.5 + GAIN * (marked.image - original.image), 0.0, 1.0)
+    difference = Panel(f"Difference x{GAIN}", "grey: no change", change.astype(np.float32))
+    figure = Figure(figsize=_INCHES, dpi=100, facecolor=_PAPER)
     FigureCanvasAgg(figure)
-    panels = (
-        ("Original", captions[0], original),
-        ("Marked", captions[1], marked),
-        (f"Difference x{GAIN}", "marked minus original, grey is no change", difference),
-    )
-    width, gap, left = 0.31, 0.0125, 0.0225
-    height = width * 12.0 / 8.0
-    for number, (title, caption, image) in enumerate(panels):
-        x = left + number * (width + gap)
-        axes = figure.add_axes((x, 0.935 - height, width, height))
-        axes.imshow(image, interpolation="antialiased")
+
+    def place(panel: Panel, column: int, top: float) -> None:
+        height = _WIDTH * panel.image.shape[0] / panel.image.shape[1] * _INCHES[0] / _INCHES[1]
+        x = _LEFT + column * (_WIDTH + _GAP)
+        axes = figure.add_axes((x, top - height, _WIDTH, height))
+        axes.imshow(panel.image, interpolation="antialiased")
         axes.set_axis_off()
-        figure.text(x, 0.949, title, fontsize=14, fontweight="bold", color=INK)
-        figure.text(x + width, 0.950, caption, fontsize=8.5, color=FAINT, ha="right")
-    figure.text(left, 0.425, headline, fontsize=14, fontweight="bold", color=ACCENT, va="top")
-    figure.text(
-        left, 0.378, "\n".join(lines), fontsize=9.3, color=INK, va="top", family="monospace", linespacing=1.32
-    )
-    figure.savefig(path, format="png", facecolor=PAPER)
+        figure.text(x, top + 0.014, panel.title, fontsize=14, fontweight="bold", color=_INK)
+        figure.text(x + _WIDTH, top + 0.015, panel.caption, fontsize=8.5, color=_FAINT, ha="right")
+
+    for column, panel in enumerate((original, marked, difference)):
+        place(panel, column, 0.94)
+    place(suspect, 2, 0.40)
+    figure.text(_LEFT, 0.422, headline, fontsize=14, fontweight="bold", color=_ACCENT, va="top")
+    text = "\n".join(lines)
+    figure.text(_LEFT, 0.376, text, fontsize=8.7, color=_INK, va="top", family="monospace", linespacing=1.3)
+    figure.savefig(path, format="png", facecolor=_PAPER)

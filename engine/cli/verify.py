@@ -109,8 +109,11 @@ def verify(
         "seconds": time.perf_counter() - began,
     }
     report["seconds_by_stage"] = {
-        "open record": open_seconds, "compile": compile_seconds, "read": read_seconds, **found.seconds_by_stage
-    }  # fmt: skip
+        "open record": open_seconds,
+        "compile": compile_seconds,
+        "read": read_seconds,
+        **found.seconds_by_stage,
+    }
     for line in claim_lines(report, ", ".join(report["suspects"])):
         console.say(line)
     console.emit(report)

@@ -1,8 +1,8 @@
 """The commands of README.md, run as written, give what README.md shows.
 
 Every block fenced as ```bash is run, in order, in one folder that holds `tests/data`. `# exit code 3` behind
-its last command says what to expect other than 0. A block fenced as ```text right after it is its output: every
-line must come, numbers and names of keys aside, and `...` stands for lines left out.
+its last command says what to expect other than 0. A block fenced as ```text right behind it is its output:
+every line must come, numbers and names of keys aside, and `...` stands for lines left out.
 """
 
 from __future__ import annotations
