@@ -101,7 +101,6 @@ def refine(
     bases = [sh_colors(model.sh, model.means, c.position.astype(np.float32)) for c in small]
     colors = [torch.from_numpy(base) for base in bases]
     renders = [torch.from_numpy(view.render(base)[0]) for view, base in zip(views, bases, strict=True)]
-    filters = torch.from_numpy(layout.displace(signed))  # (N, 3) matched filter, all bits together
     pattern, groups = _bit_patterns(layout, signed, bit_of, bits)
     delta = torch.from_numpy(displacement.copy()).requires_grad_(True)
     rms = float(np.sqrt((displacement**2).mean()))
@@ -129,7 +128,6 @@ def refine(
             update = (moment / (1 - 0.9**step)) / ((square / (1 - 0.99**step)).sqrt() + 1e-12)
             delta -= config.rate * update * torch.from_numpy(doubt)[:, None]
         advance(step / config.steps)
-    del filters
     return delta.detach().numpy()
 
 
