@@ -4,8 +4,8 @@ No option set here carries the no-NaN or no-infinity flags: with full ``fastmath
 vanishes. Nor does any carry ``reassoc``: it lets LLVM cancel the magic constant of the exponential's range
 reduction (measured: 35 dB images).
 
-Numba's disk cache looks at the date of the file that defines a kernel, not at what that file imports. So every
-file of kernels holds a ``_KERNEL_VERSION``; raise it when something the kernels import has changed.
+Numba's disk cache looks at the date of the file that defines a kernel, not at what that file imports. So
+every file of kernels holds a ``_KERNEL_VERSION``; raise it when something the kernels import has changed.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
-# Idle OpenMP workers sleep instead of spinning: next to torch's own pool, spinning costs 2 to 20 times on a busy
-# machine. It must be set before the first parallel kernel starts the pool.
+# Idle OpenMP workers sleep instead of spinning: next to torch's own pool, spinning costs 2 to 20 times on a
+# busy machine. It must be set before the first parallel kernel starts the pool.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numba
@@ -25,7 +25,8 @@ import numba
 __all__ = ["FLOAT_FLAGS", "inlined", "kernel", "parallel_kernel", "parallel_section", "thread_count"]
 
 FLOAT_FLAGS = frozenset({"nsz", "arcp", "contract", "afn"})
-"""Floating-point freedoms given to LLVM: signed zeros, reciprocals, fused multiply-add, approximate functions."""
+"""Floating-point freedoms given to LLVM: signed zeros, reciprocals, fused multiply-add, approximate
+functions."""
 
 _OPTIONS: dict[str, Any] = {
     "cache": True,
@@ -36,21 +37,20 @@ _OPTIONS: dict[str, Any] = {
 }
 _SAFE_FOR_CONCURRENT_CALLERS = {"omp", "tbb"}
 
-F = TypeVar("F", bound=Callable[..., Any])
 _section = threading.RLock()
 
 
-def kernel(function: F) -> F:
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a single-threaded kernel."""
     return numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]
 
 
-def parallel_kernel(function: F) -> F:
+def parallel_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel that may use `numba.prange`; call it inside `parallel_section`."""
     return numba.njit(parallel=True, **_OPTIONS)(function)  # type: ignore[no-any-return]
 
 
-def inlined(function: F) -> F:
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a piece of a kernel that LLVM inlines wherever it is called."""
     options = {name: value for name, value in _OPTIONS.items() if name not in ("cache", "nogil")}
     return numba.njit(forceinline=True, **options)(function)  # type: ignore[no-any-return]
@@ -65,8 +65,9 @@ def thread_count() -> int:
 def parallel_section() -> Iterator[None]:
     """Guard the launch of parallel kernels where numba's thread layer cannot take two callers at once.
 
-    Numba's fallback layer "workqueue" (no OpenMP library on the system) aborts the process when two Python threads
-    launch kernels at the same time. There the section is a lock, with OpenMP and TBB it costs nothing.
+    Numba's fallback layer "workqueue" (no OpenMP library on the system) aborts the process when two Python
+    threads launch kernels at the same time. There the section is a lock, with OpenMP and TBB it costs
+    nothing.
     """
     try:
         concurrent = numba.threading_layer() in _SAFE_FOR_CONCURRENT_CALLERS

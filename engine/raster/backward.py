@@ -1,10 +1,10 @@
 """Sums per (tile, Gaussian) pair: the colour gradient, and the blending weights themselves.
 
-The image is linear in the colours, dL/dcolor_i = sum over pixels of w_i * cotangent. The passes walk the tiles as
-`forward` does and take the same decisions. Each batch keeps one accumulator row (16 lanes) per Gaussian and quantity;
-at the end of the batch 16 rows at a time collapse into one vector by a transposed sum. Every pair has its own place
-in the output, so nothing is shared between threads, and `gather_sums` adds a Gaussian's pairs in the order of tiles:
-the result has the same bits whatever the number of threads.
+The image is linear in the colours, dL/dcolor_i = sum over pixels of w_i * cotangent. The passes walk the
+tiles as `forward` does and take the same decisions. Each batch keeps one accumulator row (16 lanes) per
+Gaussian and quantity; at the end of the batch 16 rows at a time collapse into one vector by a transposed
+sum. Every pair has its own place in the output, so nothing is shared between threads, and `gather_sums`
+adds a Gaussian's pairs in the order of tiles: the result has the same bits whatever the number of threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -14,7 +14,8 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import inlined, parallel_kernel
-from engine.raster.lane_memory import fetch_add, load, max_rows, prefetch, store, sum_rows
+from engine.raster.lane_memory import fetch_add, load, prefetch, store
+from engine.raster.lane_sums import max_rows, sum_rows
 from engine.raster.lanes import fma, maximum, spread
 from engine.raster.settings import TILE
 from engine.raster.tiles import (
@@ -35,7 +36,8 @@ from engine.raster.tiles import (
 )  # fmt: skip
 
 __all__ = [
-    "WEIGHT_SUMS", "backward_scratch", "gather_maxima", "gather_sums", "pair_colors", "pair_weights", "pair_width",
+    "WEIGHT_SUMS", "backward_scratch", "gather_maxima", "gather_sums", "pair_colors", "pair_weights",
+    "pair_width",
 ]  # fmt: skip
 
 _KERNEL_VERSION = 1
@@ -97,8 +99,8 @@ def pair_colors(
 ):  # fmt: skip
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
 
-    `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of `pair_tuple`). The
-    rest as in `forward.blend_tiles`.
+    `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of
+    `pair_tuple`). The rest as in `forward.blend_tiles`.
     """
     channels, pair = len(channel_tuple), len(pair_tuple)
     log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
@@ -182,7 +184,8 @@ def pair_weights(
     items,
     counter,
 ):
-    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
+    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w
+    (`maxima`)."""
     log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
     tiles = starts.shape[0] - 1
     stage = FIELDS + FIELD
@@ -260,7 +263,8 @@ def pair_weights(
 
 @parallel_kernel
 def gather_sums(values, pair_tuple, firsts, slots, shares, out):
-    """out[i] (N, C) = sum of the pairs of Gaussian i, in the order of tiles; `values` is flat (pairs, pair width)."""
+    """out[i] (N, C) = sum of the pairs of Gaussian i, in the order of tiles; `values` is flat (pairs, pair
+    width)."""
     n, channels = out.shape
     pair = len(pair_tuple)
     total = np.int64(firsts[n])

@@ -1,9 +1,9 @@
 """Pass 3: per tile, the list of Gaussians that touch it, front to back.
 
-A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: per row of tiles
-the ellipse's span in x. Two walks over the depth order, one to count and one to fill, need no capacity guess; both
-split the order into contiguous shares, so lists come out in depth order whatever the number of shares.
-A tile mask leaves tiles out altogether.
+A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: per row
+of tiles the ellipse's span in x. Two walks over the depth order, one to count and one to fill, need no
+capacity guess; both split the order into contiguous shares, so lists come out in depth order whatever the
+number of shares. A tile mask leaves tiles out altogether.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -30,7 +30,8 @@ _PER_TILE = _f(1.0 / TILE)
 
 @inlined
 def _row_span(records, o, hx, hy, row, log2_skip):
-    """Interval of x in which the ellipse meets the pixel centres of a row of tiles; low > high where it does not."""
+    """Interval of x in which the ellipse meets the pixel centres of a row of tiles; low > high where it
+    does not."""
     u, v, a, b, c = records[o], records[o + 1], records[o + 2], records[o + 3], records[o + 4]
     below = records[o + 5] - log2_skip  # a dx^2 + b dx dy + c dy^2 + below >= 0 inside
     first = max(_f(row * TILE) + _f(0.5) - v, -hy)
@@ -97,8 +98,9 @@ def fill_pairs(
 ):
     """Write the lists.
 
-    `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the lists, tile
-    after tile. ``slots[firsts[i]:firsts[i + 1]]`` are the places of Gaussian i in `ids`; left out if `slots` is empty.
+    `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the
+    lists, tile after tile. ``slots[firsts[i]:firsts[i + 1]]`` are the places of Gaussian i in `ids`; left
+    out if `slots` is empty.
     """
     shares = histograms.shape[0]
     share = (visible + shares - 1) // shares
@@ -133,7 +135,8 @@ def fill_pairs(
 
 @kernel
 def list_starts(histograms, starts):
-    """Turn counts per share and tile into places to write; `starts` (tiles + 1,) gets where each list begins."""
+    """Turn counts per share and tile into places to write; `starts` (tiles + 1,) gets where each list
+    begins."""
     total = 0
     for tile in range(histograms.shape[1]):
         starts[tile] = total

@@ -10,6 +10,7 @@ from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
 from engine.numerics.jit import thread_count
 from engine.raster.binning import count_pairs, fill_pairs, list_starts
+from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
 from engine.raster.sorting import BUCKETS, sort_by_depth
@@ -104,8 +105,8 @@ def build_geometry(
     Parameters
     ----------
     keep : bool
-        True: the result owns its arrays and has `slots`, so that gradients can follow. False: its arrays live in
-        the workspace and `slots` is empty.
+        True: the result owns its arrays and has `slots`, so that gradients can follow. False: its arrays
+        live in the workspace and `slots` is empty.
     tile_mask : (tiles_y, tiles_x) bool, optional
         Tiles to draw.
 
@@ -125,7 +126,7 @@ def build_geometry(
     mask = mask.ravel()
 
     def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:
-        return np.empty(size, dtype) if keep else work.array(name, (size,), dtype)
+        return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
 
     model = padded(model)
     rows = len(model)
@@ -164,7 +165,8 @@ def build_geometry(
     ids = lasting("ids", pairs, np.int32)
     firsts, slots = _EMPTY, _EMPTY
     if keep:
-        firsts, slots = np.zeros(rows + 1, dtype=np.int32), np.empty(pairs, dtype=np.int32)
+        firsts, slots = aligned((rows + 1,), np.int32), aligned((pairs,), np.int32)
+        firsts[0] = 0
         np.cumsum(sizes, out=firsts[1:])
     fill_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, ids, firsts, slots)
     visible = order[:seen].copy() if keep else order[:seen]

@@ -85,9 +85,14 @@ class Gradients:
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
         n, k = len(model), model.sh.shape[1]
-        shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, 3), (n if with_sh else 0, k, 3))
-        arrays = [np.empty(shape, dtype=np.float32) for shape in shapes]
-        return cls(*arrays, np.zeros((4, 4)), np.zeros((3, 3)))
+
+        def rows(*shape: int) -> Float32:
+            return np.empty(shape, dtype=np.float32)
+
+        return cls(
+            rows(n, 3), rows(n, 4), rows(n, 3), rows(n), rows(n, 3), rows(n if with_sh else 0, k, 3),
+            np.zeros((4, 4)), np.zeros((3, 3)),
+        )  # fmt: skip
 
 
 def draw(
@@ -138,8 +143,8 @@ def backward(
     Returns
     -------
     Gradients
-        0 for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0, alpha
-        below 1/255, the end of a pixel) the derivative is that of the held branch.
+        0 for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0,
+        alpha below 1/255, the end of a pixel) the derivative is that of the held branch.
 
     Raises
     ------
@@ -175,16 +180,18 @@ def _moments(rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32,
     sums: Float32 = work.array("pairs", (len(geometry.ids) * PAIR_NUMBERS,))
     pair_moments(
         geometry.records, rendering.colors.reshape(-1), (0,) * 3, (0,) * (MOMENTS + 3), geometry.ids,
-        geometry.starts, camera.width, camera.height, geometry.tiles_x, geometry.limits, rendering.view.impact,
-        rendering.image.reshape(-1), rendering.alpha.reshape(-1), cotangent.reshape(-1),
-        cotangent_alpha.reshape(-1), sums, work.array("moments", (workers, moments_scratch(3))),
-        work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
+        geometry.starts, camera.width, camera.height, geometry.tiles_x, geometry.limits,
+        rendering.view.impact, rendering.image.reshape(-1), rendering.alpha.reshape(-1),
+        cotangent.reshape(-1), cotangent_alpha.reshape(-1), sums, work.array("moments", (workers,
+        moments_scratch(3))), work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,),
+        np.int64),
     )  # fmt: skip
     return sums
 
 
 def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, work: Workspace) -> Float32:
-    """Fill `colors` and `sh`; returns dL/dmeans by way of the viewing direction (flat; empty for given colours)."""
+    """Fill `colors` and `sh`; returns dL/dmeans by way of the viewing direction (flat; empty for given
+    colours)."""
     model, geometry, workers = rendering.model, rendering.view.geometry, thread_count()
     gather_sums(sums[MOMENTS:], (0,) * PAIR_NUMBERS, geometry.firsts, geometry.slots, workers, result.colors)
     if rendering.own_colors:

@@ -11,7 +11,8 @@ from numba.extending import intrinsic
 from engine.raster.lanes import FLOATS, INTS, floats, fused, ints, lanes
 
 _ROUND = 12582912.0
-"""1.5 * 2^23: adding it rounds a float32 below 2^22 to the nearest integer and leaves that in the low bits."""
+"""1.5 * 2^23: adding it rounds a float32 below 2^22 to the nearest integer and leaves that in the low
+bits."""
 
 
 def _least_squares(function: Any, low: float, high: float, degree: int, relative: bool) -> list[float]:
@@ -41,7 +42,8 @@ def _horner(b: Any, coefficients: list[float], x: Any) -> Any:
 
 @intrinsic
 def exp2(typing: Any, x: Any) -> Any:
-    """2^x for |x| <= 126, relative error 2e-7. Outside, garbage (but never a trap): the caller masks or clamps."""
+    """2^x for |x| <= 126, relative error 2e-7. Outside, garbage (but never a trap): the caller masks or
+    clamps."""
 
     def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
         # No fast-math flags on the two additions of the constant: they are the rounding.

@@ -1,8 +1,9 @@
-"""Lanes to and from memory, and sums across lanes. Arrays are flat float32; indices count elements."""
+"""Lanes to and from memory. Arrays are flat float32; indices count elements."""
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -12,26 +13,39 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from engine.raster.lanes import BOOLS, FLAGS, FLOATS, INT32, INTS, LANES, broadcast, call_llvm, floats, lanes
+from engine.raster.lanes import BOOLS, FLOATS, INT32, INTS, LANES, broadcast, call_llvm, floats, lanes
 
 INT16 = ir.IntType(16)
+_CACHE_LINE = 64
+_HUGE_PAGE = 2 << 20
+_shifts = itertools.cycle(range(0, 64 * 17 * 16, 64 * 17))
 
 
 def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
-    """Uninitialised array that starts on a cache line (64 bytes)."""
+    """Uninitialised array that starts on a cache line; a large one on a huge page.
+
+    The passes jump about in memory, and address translation by 4 KiB pages costs them a third of their
+    time. NumPy asks Linux for huge pages for blocks from 4 MiB on.
+    """
     kind = np.dtype(dtype)
     size = int(np.prod(shape)) * kind.itemsize
-    raw = np.empty(size + 64, np.uint8)
-    start = -raw.ctypes.data % 64
+    small = size < _HUGE_PAGE // 2
+    line = _CACHE_LINE if small else _HUGE_PAGE
+    shift = (
+        0 if small else next(_shifts)
+    )  # equal places in their pages would make arrays fight for cache sets
+    raw = np.empty(-(-(size + shift) // line) * line + line, np.uint8)
+    start = -raw.ctypes.data % line + shift
     return raw[start : start + size].view(kind).reshape(shape)
 
 
-def _pointer(context: Any, b: Any, array_type: Any, array: Any, index: Any) -> Any:
+def pointer_to(context: Any, b: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """IR: address of array[index]."""
     return b.gep(context.make_array(array_type)(context, b, array).data, [index])
 
 
 def _vector_pointer(context: Any, b: Any, sig: Any, args: Any) -> Any:
-    return b.bitcast(_pointer(context, b, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
+    return b.bitcast(pointer_to(context, b, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
 
 
 @intrinsic
@@ -59,7 +73,8 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
-    """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no further."""
+    """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no
+    further."""
 
     def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
         pointer = _vector_pointer(context, b, sig, args)
@@ -157,96 +172,12 @@ def zip4(typing: Any, w: Any, x: Any, y: Any, z: Any) -> Any:
     return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
 
 
-def _fold(b: Any, x: Any, y: Any, distance: int, combine: Any) -> Any:
-    """Halve two vectors by combining lanes `distance` apart; x and y alternate in groups of that many lanes."""
-    near: list[int] = []
-    far: list[int] = []
-    for start in range(0, LANES, 2 * distance):
-        here = list(range(start, start + distance))
-        near += here + [16 + i for i in here]
-        far += [i + distance for i in here] + [16 + i + distance for i in here]
-    return combine(b, shuffle(b, x, y, near), shuffle(b, x, y, far))
-
-
-def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
-    """One vector whose lane k combines all lanes of row k; missing rows give zero."""
-    current = rows + [None] * (LANES - len(rows))
-    for distance in (8, 4, 2, 1):
-        half = len(current) // 2
-        pairs = zip(current[:half], current[half:], strict=True)
-        current = [
-            None if x is None and y is None
-            else _fold(b, floats(0) if x is None else x, floats(0) if y is None else y, distance, combine)
-            for x, y in pairs
-        ]  # fmt: skip
-    return current[0]
-
-
-def _add(b: Any, x: Any, y: Any) -> Any:
-    return b.fadd(x, y, flags=FLAGS)
-
-
-def _max(b: Any, x: Any, y: Any) -> Any:
-    return b.select(b.fcmp_ordered(">", x, y), x, y)
-
-
-def _row_reduction(combine: Any) -> Any:
-    @intrinsic
-    def reduce_rows(typing: Any, array: Any, index: Any, rows: Any) -> Any:
-        """Lane k of the result combines the 16 numbers of row k; rows is a tuple whose length says how many."""
-        count = len(rows)
-
-        def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-            vectors = []
-            for row in range(count):
-                at = b.add(args[1], ir.Constant(args[1].type, row * LANES))
-                pointer = _pointer(context, b, sig.args[0], args[0], at)
-                vector = b.load(b.bitcast(pointer, FLOATS.as_pointer()), typ=FLOATS)
-                vector.align = 4
-                vectors.append(vector)
-            return _transposed(b, vectors, combine)
-
-        return lanes(array, types.intp, rows), emit
-
-    return reduce_rows
-
-
-sum_rows = _row_reduction(_add)
-max_rows = _row_reduction(_max)
-
-
-@intrinsic
-def transpose(typing: Any, array: Any, source: Any, target: Any) -> Any:
-    """The 16 x 16 numbers at `target` become the transpose of those at `source`."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        def place(start: Any, row: int) -> Any:
-            at = b.add(start, ir.Constant(start.type, row * LANES))
-            return b.bitcast(_pointer(context, b, sig.args[0], args[0], at), FLOATS.as_pointer())
-
-        rows = [b.load(place(args[1], row), typ=FLOATS) for row in range(LANES)]
-        for vector in rows:
-            vector.align = 4
-        for distance in (8, 4, 2, 1):  # swap the off-diagonal quarters, then those of the quarters, ...
-            upper = [lane if not lane & distance else LANES + lane - distance for lane in range(LANES)]
-            lower = [lane + distance if not lane & distance else LANES + lane for lane in range(LANES)]
-            for row in range(LANES):
-                if not row & distance:
-                    x, y = rows[row], rows[row + distance]
-                    rows[row], rows[row + distance] = shuffle(b, x, y, upper), shuffle(b, x, y, lower)
-        for row, vector in enumerate(rows):
-            b.store(vector, place(args[2], row)).align = 4
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp), emit
-
-
 @intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
     """Ask for the cache line of array[index]."""
 
     def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = b.bitcast(_pointer(context, b, sig.args[0], args[0], args[1]), ir.IntType(8).as_pointer())
+        pointer = b.bitcast(pointer_to(context, b, sig.args[0], args[0], args[1]), ir.IntType(8).as_pointer())
         read, near, data = (ir.Constant(INT32, v) for v in (0, 3, 1))
         call_llvm(b, "llvm.prefetch.p0", ir.VoidType(), [pointer, read, near, data])
         return context.get_dummy_value()
@@ -259,7 +190,7 @@ def fetch_add(typing: Any, array: Any, index: Any, amount: Any) -> Any:
     """Atomically add to an int64 array; returns the value before."""
 
     def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = _pointer(context, b, sig.args[0], args[0], args[1])
+        pointer = pointer_to(context, b, sig.args[0], args[0], args[1])
         return b.atomic_rmw("add", pointer, args[2], "monotonic")
 
     return types.int64(array, types.intp, types.int64), emit
@@ -270,7 +201,7 @@ def append_set_bits(typing: Any, array: Any, index: Any, bits: Any, base: Any) -
     """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending."""
 
     def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = _pointer(context, b, sig.args[0], args[0], args[1])
+        pointer = pointer_to(context, b, sig.args[0], args[0], args[1])
         chosen = b.bitcast(b.trunc(args[2], INT16), BOOLS)
         values = b.or_(broadcast(b, args[3], INTS), ir.Constant(INTS, list(range(LANES))))
         call_llvm(b, f"llvm.masked.compressstore.v{LANES}i32", ir.VoidType(), [values, pointer, chosen])

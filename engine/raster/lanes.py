@@ -1,9 +1,9 @@
 """Sixteen float32 lanes as one value inside numba kernels.
 
-A numba type whose data model is an LLVM ``<16 x float>`` with the usual operators, a mask type with it, and the
-few operations a rasterizer needs. LLVM maps it to one AVX-512 register, or splits it into two or four narrower
-ones (AVX2, SSE, Arm). Floating-point freedoms are `FLOAT_FLAGS`; `exp2` works without any, because freedom to
-re-associate would cancel its rounding constant.
+A numba type whose data model is an LLVM ``<16 x float>`` with the usual operators, a mask type with it, and
+the few operations a rasterizer needs. LLVM maps it to one AVX-512 register, or splits it into two or four
+narrower ones (AVX2, SSE, Arm). Floating-point freedoms are `FLOAT_FLAGS`; `exp2` works without any, because
+freedom to re-associate would cancel its rounding constant.
 """
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
@@ -86,7 +86,8 @@ def call_llvm(b: Any, name: str, result: Any, arguments: list[Any], fast: bool =
     return b.call(function, arguments, fastmath=FLAGS if fast else ())
 
 
-# --- operators: lanes with lanes, or with a float32 scalar ---------------------------------------------------------
+# --- operators: lanes with lanes, or with a float32 scalar
+# ---------------------------------------------------------
 
 _PAIRS = ((lanes, lanes), (lanes, types.float32), (types.float32, lanes))
 
@@ -143,7 +144,8 @@ class _Negation(ConcreteTemplate):
 
 lower_builtin(operator.neg, lanes)(lambda context, b, sig, args: b.fneg(args[0], flags=FLAGS))
 
-# --- elementary operations -----------------------------------------------------------------------------------------
+# --- elementary operations
+# -----------------------------------------------------------------------------------------
 
 
 @intrinsic

@@ -1,14 +1,14 @@
 """Sums per (tile, Gaussian) pair for the gradients of everything.
 
-Beside the colour sums, a pair collects the moments of s = alpha dL/dalpha over its pixels: s, s dx, s dy, s dx^2,
-s dx dy, s dy^2, (dx, dy) from the centre. All parameters of the projected Gaussian follow from these six, once per
-Gaussian, in `parameter_gradients`.
+Beside the colour sums, a pair collects the moments of s = alpha dL/dalpha over its pixels: s, s dx, s dy,
+s dx^2, s dx dy, s dy^2, with (dx, dy) from the centre. All parameters of the projected Gaussian follow from
+these six, once per Gaussian, in `parameter_gradients`.
 
 The walk is front to back like the forward one, so it needs no stored lists: with D = cotangent . (what of the
 final pixel still lies behind), dL/dalpha = T (cotangent . color) - D / (1 - alpha).
 """
 
-# mypy: allow-untyped-defs, allow-untyped-calls
+# mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 from __future__ import annotations
 
 import numpy as np
@@ -16,7 +16,8 @@ from numba import prange
 
 from engine.numerics.jit import inlined, parallel_kernel
 from engine.raster.backward import clear_rows, fill_field
-from engine.raster.lane_memory import fetch_add, load, store, sum_rows
+from engine.raster.lane_memory import fetch_add, load, store
+from engine.raster.lane_sums import sum_rows
 from engine.raster.lanes import fma, minimum, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -80,8 +81,8 @@ def pair_moments(
 ):  # fmt: skip
     """Per pair: six moments and C colour sums, in `PAIR_NUMBERS` numbers of the flat `out`.
 
-    `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their cotangents,
-    all flat; `row_tuple` has length MOMENTS + C. The rest as there.
+    `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their
+    cotangents, all flat; `row_tuple` has length MOMENTS + C. The rest as there.
     """
     channels, rows_each = len(channel_tuple), len(row_tuple)
     log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]

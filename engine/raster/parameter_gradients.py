@@ -1,7 +1,8 @@
 """From the moments of a Gaussian to the gradients of its parameters and of the camera, sixteen at a time.
 
-The chain of `projection.project` backwards. Gaussians come in chunks of fixed size; each leaves its own sums for the
-camera, added up in order, so the camera's gradient too has the same bits on any number of threads.
+The chain of `projection.project` backwards. Gaussians come in chunks of fixed size; each leaves its own
+sums for the camera, added up in order, so the camera's gradient too has the same bits on any number of
+threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -11,11 +12,21 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import inlined, parallel_kernel
+from engine.raster.lane_algebra import add, dot, row_times, scale_columns, times
 from engine.raster.lane_math import exp2
-from engine.raster.lane_memory import load, prefetch, store, sum_rows, transpose, unzip3, unzip4, zip3, zip4
-from engine.raster.lanes import constant_lanes, maximum, minimum, root, select, spread
+from engine.raster.lane_memory import load, prefetch, store, zip3, zip4
+from engine.raster.lane_sums import sum_rows, transpose
+from engine.raster.lanes import constant_lanes, maximum, minimum, select, spread
 from engine.raster.moments import PAIR_NUMBERS
-from engine.raster.projection import log2_opacity, rotation_rows, scale_lanes
+from engine.raster.projection import (
+    affine_rows,
+    covariance,
+    log2_opacity,
+    rotation,
+    rows3,
+    scale_lanes,
+    unit_quats,
+)  # fmt: skip
 
 __all__ = ["CAMERA_SUMS", "CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
 
@@ -25,7 +36,8 @@ CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""
 
 CAMERA_SUMS = 19
-"""Rotation (9) and translation (3) in the camera frame; fx, fy, cx, cy; dL/d(camera position) by the colours (3)."""
+"""Rotation (9) and translation (3) in the camera frame; fx, fy, cx, cy; dL/d(camera position) by the
+colours (3)."""
 
 GRADIENT_SCRATCH = 3 * 256 + 32 * 16
 """Floats of scratch a chunk needs."""
@@ -61,12 +73,6 @@ def add_to(own, row, value, counted):
 
 
 @inlined
-def rows3(array, i):
-    """Three columns of 16 rows of a flat (N, 3) array."""
-    return unzip3(load(array, 3 * i), load(array, 3 * i + 16), load(array, 3 * i + 32))
-
-
-@inlined
 def write_rows3(array, i, seen, x, y, z):
     """Three columns of 16 rows to a flat (N, 3) array, 0 where not seen."""
     zero = spread(_f(0.0))
@@ -77,33 +83,56 @@ def write_rows3(array, i, seen, x, y, z):
 
 
 @inlined
-def write_quats(array, quats, i, seen, w, x, y, z):
-    """Gradient with respect to quaternions of any length from that with respect to their unit ones."""
-    qw, qx, qy, qz = unzip4(
-        load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48)
-    )
-    scale = spread(_f(1.0)) / root(maximum(qw * qw + qx * qx + qy * qy + qz * qz, _f(1e-30)))
-    qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
-    along = w * qw + x * qx + y * qy + z * qz
+def write_quats(array, i, seen, unit, inverse, gradient):
+    """Gradient with respect to quaternions of any length, from that with respect to their unit ones."""
+    along = gradient[0] * unit[0] + gradient[1] * unit[1] + gradient[2] * unit[2] + gradient[3] * unit[3]
     zero = spread(_f(0.0))
-    a, b, c, d = zip4(
-        select(seen, (w - along * qw) * scale, zero), select(seen, (x - along * qx) * scale, zero),
-        select(seen, (y - along * qy) * scale, zero), select(seen, (z - along * qz) * scale, zero),
-    )  # fmt: skip
-    store(array, 4 * i, a)
-    store(array, 4 * i + 16, b)
-    store(array, 4 * i + 32, c)
-    store(array, 4 * i + 48, d)
+    w, x, y, z = zip4(
+        select(seen, (gradient[0] - along * unit[0]) * inverse, zero),
+        select(seen, (gradient[1] - along * unit[1]) * inverse, zero),
+        select(seen, (gradient[2] - along * unit[2]) * inverse, zero),
+        select(seen, (gradient[3] - along * unit[3]) * inverse, zero),
+    )
+    store(array, 4 * i, w)
+    store(array, 4 * i + 16, x)
+    store(array, 4 * i + 32, y)
+    store(array, 4 * i + 48, z)
 
 
 @inlined
-def unit_quats(quats, i):
-    """16 quaternions from row i on, normalised."""
-    w, x, y, z = unzip4(
-        load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48)
+def to_unit_quat(d, w, x, y, z):
+    """Gradient with respect to a unit quaternion from that with respect to its matrix (d, 9 entries)."""
+    two = _f(2.0)
+    return (
+        (x * (d[7] - d[5]) + y * (d[2] - d[6]) + z * (d[3] - d[1])) * two,
+        (y * (d[1] + d[3]) + z * (d[2] + d[6]) + w * (d[7] - d[5]) - x * (d[4] + d[8]) * two) * two,
+        (x * (d[1] + d[3]) + z * (d[5] + d[7]) + w * (d[2] - d[6]) - y * (d[0] + d[8]) * two) * two,
+        (x * (d[2] + d[6]) + y * (d[5] + d[7]) + w * (d[3] - d[1]) - z * (d[0] + d[4]) * two) * two,
     )
-    scale = spread(_f(1.0)) / root(maximum(w * w + x * x + y * y + z * z, _f(1e-30)))
-    return w * scale, x * scale, y * scale, z * scale
+
+
+@inlined
+def outer_sum(a, p, b, q):
+    """a p^T + b q^T, row by row."""
+    return (
+        a[0] * p[0] + b[0] * q[0], a[0] * p[1] + b[0] * q[1], a[0] * p[2] + b[0] * q[2],
+        a[1] * p[0] + b[1] * q[0], a[1] * p[1] + b[1] * q[1], a[1] * p[2] + b[1] * q[2],
+        a[2] * p[0] + b[2] * q[0], a[2] * p[1] + b[2] * q[1], a[2] * p[2] + b[2] * q[2],
+    )  # fmt: skip
+
+
+@inlined
+def weighted_rows(x, p, y, q):
+    """2 (x p + y q)"""
+    two = _f(2.0)
+    return ((x * p[0] + y * q[0]) * two, (x * p[1] + y * q[1]) * two, (x * p[2] + y * q[2]) * two)
+
+
+@inlined
+def add_row(own, row, g, mean, j0, t0, j1, t1, counted):
+    """Three sums of the camera's rotation: g mean + j0 t0 + j1 t1."""
+    for k in range(3):
+        add_to(own, row + k, g * mean[k] + j0 * t0[k] + j1 * t1[k], counted)
 
 
 @parallel_kernel
@@ -124,15 +153,14 @@ def parameter_gradients(
     d_camera : (chunks, 32) out, `CAMERA_SUMS` numbers a chunk
     """
     n = logits.shape[0]
-    r00, r01, r02 = lens[0], lens[1], lens[2]
-    r10, r11, r12 = lens[3], lens[4], lens[5]
-    r20, r21, r22 = lens[6], lens[7], lens[8]
-    t0, t1, t2, fx, fy = lens[9], lens[10], lens[11], lens[12], lens[13]
+    R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])
+    t = (lens[9], lens[10], lens[11])
+    fx, fy = lens[12], lens[13]
     right, left, bottom, top = lens[16], lens[17], lens[18], lens[19]
     eps2d = lens[22]
     for part in prange(scratch.shape[0]):
         own = scratch[part]
-        zero, one, two = spread(_f(0.0)), spread(_f(1.0)), _f(2.0)
+        zero, one, two, minus_half = spread(_f(0.0)), spread(_f(1.0)), _f(2.0), _f(-0.5)
         for row in range(32):
             store(own, _SUMS + row * 16, zero)
         for first in range(part * CHUNK, min(n, (part + 1) * CHUNK), 16):
@@ -141,106 +169,64 @@ def parameter_gradients(
             seen = load(own, _SEEN) > _f(0.5)
             counted = seen & (_lane_number() >= _f(first - i))
 
-            # 1. Projection again
-            mx, my, mz = rows3(means, i)
-            z = select(seen, mx * r20 + my * r21 + mz * r22 + t2, one)
-            iz = one / z
-            xz, yz = (mx * r00 + my * r01 + mz * r02 + t0) * iz, (mx * r10 + my * r11 + mz * r12 + t1) * iz
+            # 1. Projection again: P = T M, covariance P P^T, conic its inverse
+            mean = rows3(means, i)
+            iz = one / select(seen, dot(R[6:9], mean) + t[2], one)
+            xz, yz = (dot(R[0:3], mean) + t[0]) * iz, (dot(R[3:6], mean) + t[1]) * iz
             kx, ky = minimum(maximum(xz, left), right), minimum(maximum(yz, top), bottom)
-            jx, jy = iz * fx, iz * fy
-            jxz, jyz = -jx * kx, -jy * ky
-            a0, a1, a2 = jx * r00 + jxz * r20, jx * r01 + jxz * r21, jx * r02 + jxz * r22
-            b0, b1, b2 = jy * r10 + jyz * r20, jy * r11 + jyz * r21, jy * r12 + jyz * r22
-            m00, m01, m02, m10, m11, m12, m20, m21, m22 = rotation_rows(quats, i)
-            s0, s1, s2 = scale_lanes(log_scales, i)
-            m00, m10, m20 = m00 * s0, m10 * s0, m20 * s0  # M = R S
-            m01, m11, m21 = m01 * s1, m11 * s1, m21 * s1
-            m02, m12, m22 = m02 * s2, m12 * s2, m22 * s2
-            p0, p1, p2 = a0 * m00 + a1 * m10 + a2 * m20, a0 * m01 + a1 * m11 + a2 * m21, a0 * m02 + a1 * m12 + a2 * m22  # fmt: skip
-            q0, q1, q2 = b0 * m00 + b1 * m10 + b2 * m20, b0 * m01 + b1 * m11 + b2 * m21, b0 * m02 + b1 * m12 + b2 * m22  # fmt: skip
-            pp, qq, cov = (
-                p0 * p0 + p1 * p1 + p2 * p2,
-                q0 * q0 + q1 * q1 + q2 * q2,
-                p0 * q0 + p1 * q1 + p2 * q2,
-            )
-            n0, n1, n2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
-            inverse = one / (n0 * n0 + n1 * n1 + n2 * n2 + eps2d * (pp + qq) + eps2d * eps2d)
-            ca, cb, cc = (qq + eps2d) * inverse, -cov * inverse, (pp + eps2d) * inverse  # conic
+            a, b, jx, jxz, jy, jyz = affine_rows(iz, kx, ky, R, fx, fy)
+            qw, qx, qy, qz, inverse = unit_quats(quats, i)
+            scales = scale_lanes(log_scales, i)
+            M = scale_columns(rotation(qw, qx, qy, qz), scales)
+            p, q = row_times(a, M), row_times(b, M)
+            var_x, var_y, cov, det = covariance(p, q, eps2d)
+            ca, cb, cc = var_y / det, -cov / det, var_x / det
 
-            # 2. Moments to the projected centre and covariance; ln alpha = ln o - (ca dx^2 + 2 cb dx dy + cc dy^2)/2
-            moment = _TURNED
-            g0, g1, g2 = load(own, moment), load(own, moment + 16), load(own, moment + 32)
-            ga, gb, gc = load(own, moment + 48) * _f(-0.5), load(own, moment + 64) * _f(-0.5), load(own, moment + 80) * _f(-0.5)  # fmt: skip
+            # 2. Moments to projected centre and covariance:
+            #    ln alpha = ln o - (ca dx^2 + 2 cb dx dy + cc dy^2) / 2
+            g0, g1, g2 = load(own, _TURNED), load(own, _TURNED + 16), load(own, _TURNED + 32)
+            ga = load(own, _TURNED + 48) * minus_half
+            gb = load(own, _TURNED + 64) * minus_half
+            gc = load(own, _TURNED + 80) * minus_half
             du, dv = ca * g1 + cb * g2, cb * g1 + cc * g2
             h00, h01, h10, h11 = ca * ga + cb * gb, ca * gb + cb * gc, cb * ga + cc * gb, cb * gb + cc * gc
             e00, e01, e11 = -(h00 * ca + h01 * cb), -(h00 * cb + h01 * cc), -(h10 * cb + h11 * cc)
 
-            # 3. To P = T M, with covariance P P^T
-            dp0, dp1, dp2 = (
-                two * (e00 * p0 + e01 * q0),
-                two * (e00 * p1 + e01 * q1),
-                two * (e00 * p2 + e01 * q2),
-            )
-            dq0, dq1, dq2 = (
-                two * (e01 * p0 + e11 * q0),
-                two * (e01 * p1 + e11 * q1),
-                two * (e01 * p2 + e11 * q2),
-            )
+            # 3. To P, and through it to M = R S and T = J W
+            dp, dq = weighted_rows(e00, p, e01, q), weighted_rows(e01, p, e11, q)
+            dM = outer_sum(a, dp, b, dq)
+            ta, tb = times(M, dp), times(M, dq)
 
-            # 4. To M = R S, then scales and rotation
-            d00, d01, d02 = a0 * dp0 + b0 * dq0, a0 * dp1 + b0 * dq1, a0 * dp2 + b0 * dq2
-            d10, d11, d12 = a1 * dp0 + b1 * dq0, a1 * dp1 + b1 * dq1, a1 * dp2 + b1 * dq2
-            d20, d21, d22 = a2 * dp0 + b2 * dq0, a2 * dp1 + b2 * dq1, a2 * dp2 + b2 * dq2
+            # 4. Scales and rotation
             write_rows3(
-                d_log_scales, i, seen, d00 * m00 + d10 * m10 + d20 * m20, d01 * m01 + d11 * m11 + d21 * m21,
-                d02 * m02 + d12 * m12 + d22 * m22,
+                d_log_scales, i, seen, dM[0] * M[0] + dM[3] * M[3] + dM[6] * M[6],
+                dM[1] * M[1] + dM[4] * M[4] + dM[7] * M[7], dM[2] * M[2] + dM[5] * M[5] + dM[8] * M[8],
             )  # fmt: skip
-            d00, d10, d20 = d00 * s0, d10 * s0, d20 * s0
-            d01, d11, d21 = d01 * s1, d11 * s1, d21 * s1
-            d02, d12, d22 = d02 * s2, d12 * s2, d22 * s2
-            qw, qx, qy, qz = unit_quats(quats, i)
-            write_quats(
-                d_quats, quats, i, seen,
-                two * (qx * (d21 - d12) + qy * (d02 - d20) + qz * (d10 - d01)),
-                two * (qy * (d01 + d10) + qz * (d02 + d20) + qw * (d21 - d12) - two * qx * (d11 + d22)),
-                two * (qx * (d01 + d10) + qz * (d12 + d21) + qw * (d02 - d20) - two * qy * (d00 + d22)),
-                two * (qx * (d02 + d20) + qy * (d12 + d21) + qw * (d10 - d01) - two * qz * (d00 + d11)),
-            )  # fmt: skip
+            dR = scale_columns(dM, scales)
+            write_quats(d_quats, i, seen, (qw, qx, qy, qz), inverse, to_unit_quat(dR, qw, qx, qy, qz))
 
-            # 5. To T = J W and the centre in the camera frame
-            ta0, ta1, ta2 = dp0 * m00 + dp1 * m01 + dp2 * m02, dp0 * m10 + dp1 * m11 + dp2 * m12, dp0 * m20 + dp1 * m21 + dp2 * m22  # fmt: skip
-            tb0, tb1, tb2 = dq0 * m00 + dq1 * m01 + dq2 * m02, dq0 * m10 + dq1 * m11 + dq2 * m12, dq0 * m20 + dq1 * m21 + dq2 * m22  # fmt: skip
-            djx, djxz = ta0 * r00 + ta1 * r01 + ta2 * r02, ta0 * r20 + ta1 * r21 + ta2 * r22
-            djy, djyz = tb0 * r10 + tb1 * r11 + tb2 * r12, tb0 * r20 + tb1 * r21 + tb2 * r22
+            # 5. The centre in the camera frame, by way of the projected centre and of J
+            djx, djxz, djy, djyz = dot(R[0:3], ta), dot(R[6:9], ta), dot(R[3:6], tb), dot(R[6:9], tb)
             free_x, free_y = (xz >= left) & (xz <= right), (yz >= top) & (yz <= bottom)
-            fz, gz_ = jx * iz, jy * iz
-            gx = jx * du - select(free_x, fz * djxz, zero)
-            gy = jy * dv - select(free_y, gz_ * djyz, zero)
+            gx = jx * (du - iz * select(free_x, djxz, zero))
+            gy = jy * (dv - iz * select(free_y, djyz, zero))
             gz = (
-                fz * (djxz * select(free_x, two * xz, kx) - djx - du * xz * z)
-                + gz_ * (djyz * select(free_y, two * yz, ky) - djy - dv * yz * z)
+                jx * (iz * (djxz * select(free_x, xz * two, kx) - djx) - du * xz)
+                + jy * (iz * (djyz * select(free_y, yz * two, ky) - djy) - dv * yz)
             )  # fmt: skip
 
-            # 6. To the centre in the world, and to the camera
-            wx, wy, wz = gx * r00 + gy * r10 + gz * r20, gx * r01 + gy * r11 + gz * r21, gx * r02 + gy * r12 + gz * r22  # fmt: skip
+            # 6. The centre in the world, opacity, and what moves the camera
+            world = row_times((gx, gy, gz), R)
             if toward.shape[0] > 0:
-                vx, vy, vz = rows3(toward, i)
-                wx, wy, wz = wx + vx, wy + vy, wz + vz
-                add_to(own, 16, -vx, counted)
-                add_to(own, 17, -vy, counted)
-                add_to(own, 18, -vz, counted)
-            write_rows3(d_means, i, seen, wx, wy, wz)
-            opacity = exp2(log2_opacity(logits, i))
-            store(d_logits, i, select(seen, g0 * (one - opacity), zero))
-            add_to(own, 0, gx * mx + jx * ta0, counted)
-            add_to(own, 1, gx * my + jx * ta1, counted)
-            add_to(own, 2, gx * mz + jx * ta2, counted)
-            add_to(own, 3, gy * mx + jy * tb0, counted)
-            add_to(own, 4, gy * my + jy * tb1, counted)
-            add_to(own, 5, gy * mz + jy * tb2, counted)
-            add_to(own, 6, gz * mx + jxz * ta0 + jyz * tb0, counted)
-            add_to(own, 7, gz * my + jxz * ta1 + jyz * tb1, counted)
-            add_to(own, 8, gz * mz + jxz * ta2 + jyz * tb2, counted)
+                seen_along = rows3(toward, i)
+                world = add(world, seen_along)
+                for k in range(3):
+                    add_to(own, 16 + k, -seen_along[k], counted)
+            write_rows3(d_means, i, seen, world[0], world[1], world[2])
+            store(d_logits, i, select(seen, g0 * (one - exp2(log2_opacity(logits, i))), zero))
+            add_row(own, 0, gx, mean, jx, ta, zero, tb, counted)
+            add_row(own, 3, gy, mean, zero, ta, jy, tb, counted)
+            add_row(own, 6, gz, mean, jxz, ta, jyz, tb, counted)
             add_to(own, 9, gx, counted)
             add_to(own, 10, gy, counted)
             add_to(own, 11, gz, counted)

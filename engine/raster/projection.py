@@ -1,10 +1,11 @@
 """Pass 1: Gaussians to the image plane, sixteen at a time.
 
-Writes one record of `RECORD` floats per visible Gaussian, at the Gaussian's own index (so no pass needs a map):
+Writes one record of `RECORD` floats per visible Gaussian, at the Gaussian's own index (so no pass needs a
+map):
 
     u, v               centre, pixels
     a, b, c, l         alpha = 2^q with q = a dx^2 + b dx dy + c dy^2 + l (a, c < 0; l = log2 of the opacity)
-    slope_x, slope_y   on a line of constant dy, q peaks at dx = slope_x dy; of constant dx, at dy = slope_y dx
+    slope_x, slope_y   for a given dy, q peaks at dx = slope_x dy; for a given dx, at dy = slope_y dx
 
 and, for the later passes, the half extents of {alpha >= alpha_skip}, the rectangle of tiles they touch, and a
 compact list (depth, index) per chunk. The extent follows from opacity and threshold exactly, so tight lists
@@ -21,6 +22,7 @@ from numba import prange
 
 from engine.model import Camera, Float32
 from engine.numerics.jit import inlined, parallel_kernel
+from engine.raster.lane_algebra import cross, dot, row_times, scale_columns
 from engine.raster.lane_math import exp2, log2
 from engine.raster.lane_memory import load, lowest_bit, store, unzip3, unzip4
 from engine.raster.lanes import bits_of, maximum, minimum, root, round_down, spread
@@ -48,7 +50,8 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
     """Camera and settings as the flat float32 array that the kernels unpack.
 
     Rotation (9), translation (3), fx, fy, cx, cy, the four limits of x/z and y/z for the Jacobian
-    (right, left, bottom, top), width, height, eps2d, near, log2 of the smallest alpha, tiles per row and column.
+    (right, left, bottom, top), width, height, eps2d, near, log2 of the smallest alpha, tiles per row and
+    column.
     """
     R, t, K = camera.viewmat[:3, :3], camera.viewmat[:3, 3], camera.K
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -61,30 +64,66 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 
 
 @inlined
-def rotation_rows(quats, i):
-    """Rotation matrices, row by row, of the 16 quaternions (w, x, y, z) from row i on; normalises them."""
+def unit_quats(quats, i):
+    """16 quaternions (w, x, y, z) from row i on, normalised; and one over their lengths."""
     w, x, y, z = unzip4(
         load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48)
     )
-    s = _f(2.0) / maximum(w * w + x * x + y * y + z * z, _f(1e-30))  # 2 / |q|^2
-    one = spread(_f(1.0))
+    inverse = spread(_f(1.0)) / root(maximum(w * w + x * x + y * y + z * z, _f(1e-30)))
+    return w * inverse, x * inverse, y * inverse, z * inverse, inverse
+
+
+@inlined
+def rotation(w, x, y, z):
+    """Rotation matrices of unit quaternions."""
+    one, two = spread(_f(1.0)), _f(2.0)
     return (
-        one - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
-        s * (x * y + w * z), one - s * (x * x + z * z), s * (y * z - w * x),
-        s * (x * z - w * y), s * (y * z + w * x), one - s * (x * x + y * y),
+        one - (y * y + z * z) * two, (x * y - w * z) * two, (x * z + w * y) * two,
+        (x * y + w * z) * two, one - (x * x + z * z) * two, (y * z - w * x) * two,
+        (x * z - w * y) * two, (y * z + w * x) * two, one - (x * x + y * y) * two,
     )  # fmt: skip
+
+
+@inlined
+def rows3(array, i):
+    """Three columns of 16 rows of a flat (N, 3) array."""
+    return unzip3(load(array, 3 * i), load(array, 3 * i + 16), load(array, 3 * i + 32))
 
 
 @inlined
 def scale_lanes(log_scales, i):
     """The three standard deviations of 16 Gaussians from row i on."""
-    s0, s1, s2 = unzip3(load(log_scales, 3 * i), load(log_scales, 3 * i + 16), load(log_scales, 3 * i + 32))
+    s0, s1, s2 = rows3(log_scales, i)
     top = _LARGEST_EXPONENT
     return (
         exp2(maximum(minimum(s0 * _LOG2_E, top), -top)),
         exp2(maximum(minimum(s1 * _LOG2_E, top), -top)),
         exp2(maximum(minimum(s2 * _LOG2_E, top), -top)),
     )
+
+
+@inlined
+def affine_rows(iz, kx, ky, R, fx, fy):
+    """Rows of T = J W, Jacobian of the projection times world-to-camera rotation; and J's four entries.
+
+    kx and ky are x/z and y/z, held within the frustum's margin.
+    """
+    jx, jy = iz * fx, iz * fy
+    jxz, jyz = -jx * kx, -jy * ky
+    a = (jx * R[0] + jxz * R[6], jx * R[1] + jxz * R[7], jx * R[2] + jxz * R[8])
+    b = (jy * R[3] + jyz * R[6], jy * R[4] + jyz * R[7], jy * R[5] + jyz * R[8])
+    return a, b, jx, jxz, jy, jyz
+
+
+@inlined
+def covariance(p, q, eps2d):
+    """Variances in x and y, covariance and determinant of P P^T + eps2d, from the rows of P (Eq 2).
+
+    The determinant comes as a sum of squares (Lagrange's identity): var_x var_y - cov^2 cancels for needles.
+    """
+    n = cross(p, q)
+    pp, qq = dot(p, p), dot(q, q)
+    return pp + eps2d, qq + eps2d, dot(p, q), dot(n, n) + (pp + qq) * eps2d + eps2d * eps2d
 
 
 @inlined
@@ -112,13 +151,14 @@ def project(
     lens : see `pack_lens`
     chunk : Gaussians per chunk, a multiple of 16
     scratch : (chunks, LANE_SCRATCH)
-    records, extents, rects : flat, RECORD, 2 and 4 (int16: first and last tile column, row) numbers a Gaussian
-    depths, index : (N,) out; each chunk fills its own stretch from the front
-    counts : (chunks,) out, how many it wrote
+    records, extents, rects : flat, RECORD, 2 and 4 (int16: first and last tile column, row) numbers a
+    Gaussian depths, index : (N,) out; each chunk fills its own stretch from the front counts : (chunks,)
+    out, how many it wrote
     """
     n = logits.shape[0]
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8]  # fmt: skip
-    t0, t1, t2, fx, fy, cx, cy = lens[9], lens[10], lens[11], lens[12], lens[13], lens[14], lens[15]
+    R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])
+    t = (lens[9], lens[10], lens[11])
+    fx, fy, cx, cy = lens[12], lens[13], lens[14], lens[15]
     right, left, bottom, top = lens[16], lens[17], lens[18], lens[19]
     width, height, eps2d, near, log2_skip = lens[20], lens[21], lens[22], lens[23], lens[24]
     last_column, last_row = lens[25] - _f(1.0), lens[26] - _f(1.0)
@@ -132,32 +172,20 @@ def project(
                 first, n - 16
             )  # the last group overlaps the one before; its lanes below `first` are masked
             wanted = (_i(0xFFFF) << _i(first - i)) & _i(0xFFFF)
-            mx, my, mz = unzip3(load(means, 3 * i), load(means, 3 * i + 16), load(means, 3 * i + 32))
-            z = mx * r20 + my * r21 + mz * r22 + t2
+            mean = rows3(means, i)
+            z = dot(R[6:9], mean) + t[2]
             l = log2_opacity(logits, i)
             wanted &= bits_of((z > near) & (l >= log2_skip))
             if wanted == 0:
                 continue
-            x = mx * r00 + my * r01 + mz * r02 + t0
-            y = mx * r10 + my * r11 + mz * r12 + t1
             iz = _f(1.0) / z
-            xz, yz = x * iz, y * iz
+            xz, yz = (dot(R[0:3], mean) + t[0]) * iz, (dot(R[3:6], mean) + t[1]) * iz
             u, v = xz * fx + cx, yz * fy + cy
-            # (2 x 3) T = J W: Jacobian of the projection times world-to-camera rotation
-            jx, jy = iz * fx, iz * fy
-            jxz, jyz = -jx * minimum(maximum(xz, left), right), -jy * minimum(maximum(yz, top), bottom)
-            a0, a1, a2 = jx * r00 + jxz * r20, jx * r01 + jxz * r21, jx * r02 + jxz * r22
-            b0, b1, b2 = jy * r10 + jyz * r20, jy * r11 + jyz * r21, jy * r12 + jyz * r22
-            # (2 x 3) P = T R S, so that P P^T is the projected covariance (Eq 2)
-            m00, m01, m02, m10, m11, m12, m20, m21, m22 = rotation_rows(quats, i)
-            s0, s1, s2 = scale_lanes(log_scales, i)
-            p0, p1, p2 = (a0 * m00 + a1 * m10 + a2 * m20) * s0, (a0 * m01 + a1 * m11 + a2 * m21) * s1, (a0 * m02 + a1 * m12 + a2 * m22) * s2  # fmt: skip
-            q0, q1, q2 = (b0 * m00 + b1 * m10 + b2 * m20) * s0, (b0 * m01 + b1 * m11 + b2 * m21) * s1, (b0 * m02 + b1 * m12 + b2 * m22) * s2  # fmt: skip
-            pp, qq = p0 * p0 + p1 * p1 + p2 * p2, q0 * q0 + q1 * q1 + q2 * q2
-            var_x, cov, var_y = pp + eps2d, p0 * q0 + p1 * q1 + p2 * q2, qq + eps2d
-            # Determinant as a sum of squares (Lagrange): var_x var_y - cov^2 cancels for needles.
-            n0, n1, n2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
-            det = n0 * n0 + n1 * n1 + n2 * n2 + eps2d * (pp + qq) + eps2d * eps2d
+            kx, ky = minimum(maximum(xz, left), right), minimum(maximum(yz, top), bottom)
+            a, b, _, _, _, _ = affine_rows(iz, kx, ky, R, fx, fy)
+            qw, qx, qy, qz, _ = unit_quats(quats, i)
+            M = scale_columns(rotation(qw, qx, qy, qz), scale_lanes(log_scales, i))
+            var_x, var_y, cov, det = covariance(row_times(a, M), row_times(b, M), eps2d)
             reach = (l - log2_skip) * _f(
                 2.0 * math.log(2.0)
             )  # alpha >= skip where the Mahalanobis^2 <= reach

@@ -22,7 +22,8 @@ MAX_SIGMA_PX = 1e6
 """A Gaussian wider than this on the image plane is not drawn: float32 can no longer place it."""
 
 FRUSTUM_MARGIN = 0.3
-"""The Jacobian of the projection is taken at most this part of the half field of view outside the image (gsplat)."""
+"""The Jacobian of the projection is taken at most this part of the half field of view outside the image
+(gsplat)."""
 
 
 @dataclass(frozen=True)
@@ -70,5 +71,6 @@ class RasterSettings:
 
     @property
     def log2_alpha_skip(self) -> float:
-        """Exponent below which a Gaussian is skipped: alpha = 2^q, so the cut is a compare before the exponential."""
+        """Exponent below which a Gaussian is skipped: alpha = 2^q, so the cut is a compare before the
+        exponential."""
         return math.log2(self.alpha_skip)

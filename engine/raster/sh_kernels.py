@@ -1,7 +1,7 @@
 """Spherical harmonics, sixteen Gaussians at a time: colours from coefficients, and back.
 
-The basis is evaluated with one Gaussian per lane and transposed, so that a Gaussian's coefficients, which lie next to
-each other, meet its basis values in one multiplication per channel.
+The basis is evaluated with one Gaussian per lane and transposed, so that a Gaussian's coefficients, which
+lie next to each other, meet its basis values in one multiplication per channel.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -13,7 +13,8 @@ from numba import prange
 from engine.model import SH_C0
 from engine.numerics.jit import inlined, parallel_kernel
 from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
-from engine.raster.lane_memory import load, load_some, store, store_some, sum_rows, transpose, unzip3, zip3
+from engine.raster.lane_memory import load, load_some, store, store_some, unzip3, zip3
+from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import maximum, root, spread
 
 __all__ = ["SH_SCRATCH", "differentiate_sh", "evaluate_sh", "spread_sh"]
@@ -34,7 +35,8 @@ _C30, _C31, _C32, _C33, _C34 = (_f(c) for c in SH_C3)
 
 @inlined
 def sh_lanes(own, coefficients):
-    """Basis values of the 16 directions at own[0:48] (x, y, z rows, any length), transposed: 16 of one Gaussian a row."""
+    """Basis values of the 16 directions at own[0:48] (x, y, z rows, any length), transposed: 16 of one
+    Gaussian a row."""
     x, y, z = load(own, 0), load(own, 16), load(own, 32)
     scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
     x, y, z = x * scale, y * scale, z * scale
@@ -75,8 +77,8 @@ def set_direction(own, lane, means, i, position):
 def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
     """colors[i] = max(0, 0.5 + sum_k Y_k sh[i, k]).
 
-    `sh`, `means` and `colors` are flat. `wanted` (N,) int32 leaves out Gaussians where it is 0; empty: none is left
-    out. `scratch` has one row per share of the Gaussians.
+    `sh`, `means` and `colors` are flat. `wanted` (N,) int32 leaves out Gaussians where it is 0; empty: none
+    is left out. `scratch` has one row per share of the Gaussians.
     """
     n = means.shape[0] // 3
     shares = scratch.shape[0]
@@ -98,7 +100,8 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
             for g in range(filled):
                 at = who[g] * row
                 r, g_, b = unzip3(
-                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)), load_some(sh, at + 32, _i(row - 32))
+                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)), load_some(sh, at + 32,
+                    _i(row - 32))
                 )  # fmt: skip
                 y = load(own, _TURNED + g * 16)
                 store(own, _PRODUCTS + g * 16, r * y)

@@ -1,7 +1,7 @@
 """Pass 2: visible Gaussians front to back, by a stable radix sort of their depths.
 
-Depths are positive, so their bits sort like the numbers. Chunks arrive in model order and every pass is stable:
-equal depths keep the model's order, whatever the number of threads.
+Depths are positive, so their bits sort like the numbers. Chunks arrive in model order and every pass is
+stable: equal depths keep the model's order, whatever the number of threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls

@@ -31,7 +31,8 @@ def _checked(sh: Float32, means: Float32, camera_position: npt.ArrayLike) -> tup
 
 
 def sh_colors(sh: Float32, means: Float32, camera_position: npt.ArrayLike, wanted: Int32 = _ALL) -> Float32:
-    """Colours of Gaussians seen from a point: ``max(0, 0.5 + sum_k Y_k(d) sh[k])``, d from camera to Gaussian.
+    """Colours of Gaussians seen from a point: ``max(0, 0.5 + sum_k Y_k(d) sh[k])``, d from camera to
+    Gaussian.
 
     Parameters
     ----------

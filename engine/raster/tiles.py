@@ -1,15 +1,16 @@
 """What the passes over tiles share: a tile's pixels as vectors, and which blocks of it a Gaussian reaches.
 
-A worker keeps one tile at a time in its own flat float32 scratch. 4 x 4 pixels are a block, one vector; 16 blocks
-are a tile, so a field of a tile is 256 numbers in block order. The scratch holds
+A worker keeps one tile at a time in its own flat float32 scratch. 4 x 4 pixels are a block, one vector; 16
+blocks are a tile, so a field of a tile is 256 numbers in block order. The scratch holds
 
     STATE      transmittance T; minus |T| once the pixel has ended
     GRID_X, GRID_Y   pixel centres relative to the tile's corner
     OCCLUSION  sum of alpha * impact, for Eq 8's stop
     FIELDS     one field per channel (colours out, or cotangents in), then what the pass needs
 
-Gaussians come in batches of `BATCH`. For each, one vector test finds the blocks its ellipse reaches; the (Gaussian,
-block) items of a batch go to a compact list, and the inner loop runs over that list without a branch.
+Gaussians come in batches of `BATCH`. For each, one vector test finds the blocks its ellipse reaches; the
+(Gaussian, block) items of a batch go to a compact list, and the inner loop runs over that list without a
+branch.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -106,8 +107,8 @@ def living_blocks(own, alive, stop):
 def reached_blocks(records, o, gx, gy, log2_skip):
     """Bit per block: does q reach log2_skip inside the rectangle of the block's pixel centres?
 
-    q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in y. The
-    lanes are the 16 blocks.
+    q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in
+    y. The lanes are the 16 blocks.
     """
     a, b, c, l = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
     left, top = _block_left() - gx, _block_top() - gy
@@ -155,8 +156,8 @@ def log2_alpha(own, row, dx, dy):
 def blend(q, transmittance, log2_skip, clamp, stop):
     """Blend one Gaussian over the pixels of a block.
 
-    Returns alpha before the clamp, the blending weight w (0 where it is skipped or the pixel has ended) and the
-    transmittance afterwards (minus its magnitude where the pixel has ended).
+    Returns alpha before the clamp, the blending weight w (0 where it is skipped or the pixel has ended) and
+    the transmittance afterwards (minus its magnitude where the pixel has ended).
     """
     zero = spread(_f(0.0))
     alpha = exp2(q)
@@ -168,7 +169,8 @@ def blend(q, transmittance, log2_skip, clamp, stop):
 
 @inlined
 def end_by_impact(own, place, alpha, weight, after, clamp, impact, threshold):
-    """Eq 8: end the pixels whose sum of alpha * impact has reached the threshold; returns their transmittance."""
+    """Eq 8: end the pixels whose sum of alpha * impact has reached the threshold; returns their
+    transmittance."""
     zero = spread(_f(0.0))
     total = load(own, OCCLUSION + place) + select(weight > zero, minimum(alpha, clamp) * impact, zero)
     store(own, OCCLUSION + place, total)

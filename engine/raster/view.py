@@ -28,7 +28,8 @@ from engine.raster.workspace import Workspace, borrow_workspace
 __all__ = ["View", "blend_colors", "prepare_view"]
 
 _WIDTHS = (1, 3, 4, 8, 16)
-"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 16 go in groups."""
+"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 16 go in
+groups."""
 
 
 def channel_groups(channels: int) -> list[tuple[int, int, int]]:
@@ -61,9 +62,9 @@ def blend_colors(
     evaluated = work.array("evaluated", (len(geometry.starts) - 1,), np.int64)
     blend_tiles(
         geometry.records, colors.reshape(-1), (0,) * channels, geometry.ids, geometry.starts, camera.width,
-        camera.height, geometry.tiles_x, geometry.limits, background, impact, image.reshape(-1), alpha.reshape(-1),
-        work.array("forward", (workers, forward_scratch(channels))),
-        work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64), evaluated,
+        camera.height, geometry.tiles_x, geometry.limits, background, impact, image.reshape(-1),
+        alpha.reshape(-1), work.array("forward", (workers, forward_scratch(channels))), work.array("items",
+        (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64), evaluated,
     )  # fmt: skip
     return image, alpha, 16 * int(evaluated.sum())
 
@@ -72,8 +73,8 @@ def blend_colors(
 class View:
     """Frozen geometry of one model and camera; made by `prepare_view`.
 
-    Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a real
-    scene of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
+    Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a
+    real scene of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
 
     Parameters
     ----------
@@ -238,10 +239,10 @@ class View:
         with parallel_section(), borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
             pair_weights(
-                geometry.records, geometry.ids, geometry.starts, camera.width, camera.height, geometry.tiles_x,
-                geometry.limits, self.impact, pixel_map.reshape(-1), sums, maxima,
-                work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))),
-                work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
+                geometry.records, geometry.ids, geometry.starts, camera.width, camera.height,
+                geometry.tiles_x, geometry.limits, self.impact, pixel_map.reshape(-1), sums, maxima,
+                work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))), work.array("items",
+                (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
             )  # fmt: skip
             gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
             gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)

@@ -1,7 +1,7 @@
 """Scratch memory that outlives a call, without being shared between threads.
 
-A rasterizer call borrows a whole workspace; two calls at the same time get two. Reuse matters: fresh pages cost
-more than the passes that fill them.
+A rasterizer call borrows a whole workspace; two calls at the same time get two. Reuse matters: fresh pages
+cost more than the passes that fill them.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ def borrow_workspace() -> Iterator[Workspace]:
 
 
 def release_memory() -> None:
-    """Give the idle scratch memory back (some 100 bytes a Gaussian and 20 to 70 a pair, after a large scene)."""
+    """Give the idle scratch memory back (some 100 bytes a Gaussian and 20 to 70 a pair, after a large
+    scene)."""
     with _lock:
         _idle.clear()
