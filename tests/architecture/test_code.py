@@ -1,0 +1,258 @@
+"""Rules on code: what it exports, documents, prints and compiles. Syntax only, nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.architecture.tree import dotted, module_name, parse, product_files
+
+FILES = [pytest.param(path, id=module_name(path)) for path in product_files()]
+PACKAGES = [
+    pytest.param(path, id=module_name(path)) for path in product_files() if path.name == "__init__.py"
+]
+COMPILERS = {"cfunc", "guvectorize", "jit", "jitclass", "njit", "stencil", "vectorize"}
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+# --- exports -----------------------------------------------------------------------------------------------
+
+
+def exports(tree: ast.Module) -> list[str] | None:
+    """`__all__` as written, None where there is none."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and [dotted(t) for t in node.targets] == ["__all__"]:
+            return list(ast.literal_eval(node.value))
+    return None
+
+
+def bound_names(tree: ast.Module) -> set[str]:
+    """Names that a module binds at its top level, imports included."""
+    names: set[str] = set()
+    for node in tree.body:
+        if isinstance(node, Function | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Assign):
+            names |= {n.id for t in node.targets for n in ast.walk(t) if isinstance(n, ast.Name)}
+        elif isinstance(node, ast.AnnAssign):
+            names.add(dotted(node.target))
+    return names - {"annotations"}
+
+
+def ruff_order(name: str) -> tuple[int, str]:
+    """CONSTANTS, then Classes, then the rest, each by the alphabet (ruff's RUF022)."""
+    return (0 if name.isupper() else 1 if name[:1].isupper() else 2, name)
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_exports_exist_and_are_sorted(path: Path) -> None:
+    names = exports(parse(path))
+    if names is not None:
+        assert names == sorted(set(names), key=ruff_order)
+        assert not set(names) - bound_names(parse(path)), "exported, but not there"
+
+
+@pytest.mark.parametrize("path", PACKAGES)
+def test_a_package_exports_exactly_what_it_gathers(path: Path) -> None:
+    tree = parse(path)
+    # A version and the like may be read by attribute; everything else public is there to be exported.
+    public = {name for name in bound_names(tree) if not name.startswith("_")}
+    assert public == set(exports(tree) or [])
+
+
+# --- documentation -----------------------------------------------------------------------------------------
+
+
+def documented_parameters(text: str) -> list[str]:
+    """Names in the Parameters section of a numpydoc text."""
+    lines = text.splitlines()
+    heads = [i for i, line in enumerate(lines[1:]) if re.fullmatch(r"-{3,}", line.strip())]
+    for head, following in pairwise([*heads, len(lines)]):
+        if lines[head].strip() != "Parameters":
+            continue
+        margin = len(lines[head]) - len(lines[head].lstrip())
+        names = []
+        for line in lines[head + 2 : following]:
+            if line.strip() and len(line) - len(line.lstrip()) == margin:
+                names += [name.strip().lstrip("*") for name in line.partition(" :")[0].split(",")]
+        return names
+    return []
+
+
+def real_parameters(node: Function) -> set[str]:
+    """Names of all parameters of a function."""
+    a = node.args
+    every = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x is not None)]
+    return {argument.arg for argument in every}
+
+
+def class_parameters(node: ast.ClassDef) -> set[str]:
+    """Fields of a dataclass or enumeration of settings, and parameters of a written `__init__`."""
+    names = {dotted(item.target) for item in node.body if isinstance(item, ast.AnnAssign)}
+    for item in node.body:
+        if isinstance(item, Function) and item.name == "__init__":
+            names |= real_parameters(item)
+    return names
+
+
+def false_names(tree: ast.Module) -> list[str]:
+    """`owner: name` for each documented parameter that is none."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, Function):
+            known = real_parameters(node)
+        elif isinstance(node, ast.ClassDef):
+            known = class_parameters(node)
+        else:
+            continue
+        named = documented_parameters(ast.get_docstring(node) or "")
+        found += [f"{node.name}: {name}" for name in named if name not in known]
+    return found
+
+
+def undocumented(tree: ast.Module) -> Iterator[str]:
+    """Public functions and classes, at the top level, without a word."""
+    listed = exports(tree)
+    for node in tree.body:
+        if isinstance(node, Function | ast.ClassDef) and ast.get_docstring(node) is None:
+            public = node.name in listed if listed is not None else not node.name.startswith("_")
+            if public:
+                yield node.name
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_documented_parameters_are_the_real_ones(path: Path) -> None:
+    assert not false_names(parse(path))
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_what_is_public_is_documented(path: Path) -> None:
+    assert ast.get_docstring(parse(path)), "the module says nothing about itself"
+    assert not list(undocumented(parse(path)))
+
+
+def test_documentation_rules_see_what_they_look_for() -> None:
+    code = '''
+def f(a, *, b, **options):
+    """Say.
+
+    Parameters
+    ----------
+    a, c : int
+        An a : of sorts.
+    b : int
+    **options
+        More.
+
+    Returns
+    -------
+    nothing : None
+    """
+
+def g(): pass
+
+def _h(): pass
+
+class C:
+    """Hold.
+
+    Parameters
+    ----------
+    x : int
+    y : int
+    """
+
+    x: int
+'''
+    assert false_names(ast.parse(code)) == ["f: c", "C: y"]
+    assert list(undocumented(ast.parse(code))) == ["g"]
+
+
+# --- what code must not do ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_library_code_does_not_print(path: Path) -> None:
+    calls = [node for node in ast.walk(parse(path)) if isinstance(node, ast.Call)]
+    assert not [
+        node.lineno for node in calls if dotted(node.func) in ("print", "builtins.print", "pprint.pprint")
+    ]
+
+
+def numba_names(tree: ast.Module) -> set[str]:
+    """Spellings under which a file can reach numba's compilers: `numba.njit`, `nb.njit`, `njit`."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "numba":
+                    names |= {f"{alias.asname or alias.name}.{compiler}" for compiler in COMPILERS}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "numba":
+            names |= {alias.asname or alias.name for alias in node.names if alias.name in COMPILERS}
+    return names
+
+
+def uncached_kernels(tree: ast.Module) -> list[int]:
+    """Lines that compile with numba and do not say cache=True.
+
+    A dict of options of the same module counts when it is written out there; so does forceinline, for such a
+    piece is compiled into its callers and cached with them.
+    """
+    compilers = numba_names(tree)
+    caching = set()
+    for node in tree.body:
+        value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
+        if isinstance(value, ast.Dict):
+            pairs = {
+                k.value: v
+                for k, v in zip(value.keys, value.values, strict=True)
+                if isinstance(k, ast.Constant)
+            }
+            if isinstance(pairs.get("cache"), ast.Constant) and pairs["cache"].value is True:
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                caching |= {dotted(target) for target in targets}
+    cached = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and dotted(node.func) in compilers:
+            for keyword in node.keywords:
+                said = isinstance(keyword.value, ast.Constant) and keyword.value.value is True
+                if (keyword.arg in ("cache", "forceinline") and said) or (
+                    keyword.arg is None and dotted(keyword.value) in caching
+                ):
+                    cached.add(id(node.func))
+    uses = [node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute)]
+    return sorted(node.lineno for node in uses if dotted(node) in compilers and id(node) not in cached)
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_kernels_are_kept_on_disk(path: Path) -> None:
+    assert not uncached_kernels(parse(path))
+
+
+def test_kernel_rule_sees_what_it_looks_for() -> None:
+    code = """
+import numba
+import numba as nb
+from numba import njit as compiled, prange
+GOOD = {"cache": True}
+BAD = {"cache": False}
+@numba.njit(cache=True)
+def a(): pass
+@nb.njit(**GOOD)
+def b(): pass
+@numba.njit
+def c(): pass
+@compiled(parallel=True)
+def d(): pass
+e = numba.vectorize(**BAD)(a)
+f = compiled(cache=False)(a)
+g = nb.njit(forceinline=True)(a)
+"""
+    assert uncached_kernels(ast.parse(code)) == [11, 13, 15, 16]

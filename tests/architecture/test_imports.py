@@ -1,0 +1,74 @@
+"""Rules on imports: the package opens at once, and torch is loaded only by those who work with it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.architecture.tree import ROOT, module_name, parse, product_files
+
+SECONDS = 0.5
+"""Longest median time of `import engine`."""
+
+TORCH_MODULES = {
+    "engine.pipeline.distortions",
+    "engine.pipeline.refinement",
+    "engine.raster.autograd",
+    "engine.sim.fine_tuning",
+}
+"""Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
+
+OPENING = """
+import json, sys, time
+start = time.perf_counter()
+import engine
+seconds = time.perf_counter() - start
+print(json.dumps([seconds, sorted({"torch", "numba", "cv2", "scipy", "skimage"} & set(sys.modules))]))
+"""
+
+EVERYTHING = """
+import importlib, json, sys
+blame = {}
+for name in json.loads(sys.argv[1]):
+    importlib.import_module(name)
+    if "torch" in sys.modules and not blame:
+        blame[name] = "torch"
+print(json.dumps(blame))
+"""
+
+
+def run(code: str, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def imports_at_load(path: Path, package: str) -> bool:
+    """Whether a file imports a package when it is itself imported (type checking apart)."""
+    for node in parse(path).body:
+        if isinstance(node, ast.Import) and any(a.name.split(".")[0] == package for a in node.names):
+            return True
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == package:
+            return True
+    return False
+
+
+def test_engine_opens_at_once_and_brings_nothing_heavy() -> None:
+    runs = [json.loads(run(OPENING)) for _ in range(5)]
+    assert statistics.median(seconds for seconds, _ in runs) <= SECONDS
+    assert all(heavy == [] for _, heavy in runs)
+
+
+def test_only_torch_modules_import_torch_when_loaded() -> None:
+    direct = {module_name(path) for path in product_files() if imports_at_load(path, "torch")}
+    assert direct <= TORCH_MODULES
+    others = sorted({module_name(path) for path in product_files()} - TORCH_MODULES)
+    assert len(others) > 20
+    assert json.loads(run(EVERYTHING, json.dumps(others))) == {}
