@@ -101,16 +101,14 @@ def clean(
     if len(means) == 0:
         raise FormatError("holds no Gaussians", file=file, element=element)
 
-    faults = {
+    faults: dict[str, Bool] = {
         "means": _out_of_bounds(means, MAGNITUDE_LIMIT),
-        "log_scales": ~(log_scales < np.inf).all(axis=1),
+        "log_scales": np.any(~(log_scales < np.inf), axis=1),
         "quats": _out_of_bounds(quats, _LARGEST),
         "opacity_logits": np.isnan(opacity_logits),
         "sh": _out_of_bounds(sh, MAGNITUDE_LIMIT),
     }
-    bad = np.zeros(len(means), dtype=np.bool_)
-    for fault in faults.values():
-        bad |= fault
+    bad: Bool = np.any(list(faults.values()), axis=0)
     log = _Log()
     if bad.any():
         first = int(np.argmax(bad))

@@ -1,0 +1,148 @@
+"""Any file with Gaussians in it, told by its first bytes and not by its name."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.formats.compressed_ply import is_compressed, read_compressed_ply
+from engine.formats.ply import read_ply
+from engine.formats.ply_header import parse_header
+from engine.formats.repairs import Repair
+from engine.formats.splat import looks_like_splat, read_splat
+from engine.model import GaussianModel
+
+FORMATS = ("ply", "compressed.ply", "splat", "spz", "sog")
+"""What is read and written; also the file name's ending of each."""
+
+_META = "meta.json"
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model as it came from a file, with what is worth knowing about that file.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    format : str
+        One of `FORMATS`.
+    repairs : tuple of Repair
+        Harmless faults that were mended or ignored.
+    source_bytes : int
+        Size of the file, or of all files of a folder, bytes.
+    sha256 : str
+        Of the file, hexadecimal. Of a folder: of the list of its files' own SHA-256, sorted by name, a line
+        ``<sha256>  <name>`` each, as ``sha256sum`` prints them.
+    """
+
+    model: GaussianModel
+    format: str
+    repairs: tuple[Repair, ...]
+    source_bytes: int
+    sha256: str
+
+
+def read_model(
+    path_or_bytes: str | os.PathLike[str] | bytes | bytearray | memoryview,
+    *,
+    name: str | None = None,
+    spz_frame: str = "auto",
+) -> LoadedModel:
+    """Read a Gaussian model of any format in `FORMATS`.
+
+    Parameters
+    ----------
+    path_or_bytes : path or bytes-like
+        A file, the folder of an unpacked SOG scene (or its ``meta.json``), or the content of a file.
+    name : str, optional
+        What to call the input in messages; the path by default. Never opened.
+    spz_frame : str, default "auto"
+        Axes of an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
+
+    Returns
+    -------
+    LoadedModel
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read; the message names file, element, row and property.
+    UnsupportedFormatError
+        It is of no known format, or of one that is not read here, such as ``.ksplat``.
+    InputError
+        There is no such file, or it may not be opened.
+    """
+    if isinstance(path_or_bytes, bytes | bytearray | memoryview):
+        return _decode(bytes(path_or_bytes), name or "(bytes)", spz_frame)
+    path = Path(path_or_bytes)
+    file = name or str(path)
+    if "\0" in str(path):
+        raise InputError(f"{file!r}: is no file name")
+    try:
+        if path.name == _META and path.is_file():
+            path = path.parent
+        if path.is_dir():
+            return _read_folder(path, file)
+        if path.exists() and not path.is_file():
+            raise InputError(f"{file}: is no regular file")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+    return _decode(data, file, spz_frame)
+
+
+def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
+    try:
+        kind, (model, repairs) = _dispatch(data, file, spz_frame)
+    except MemoryError:
+        raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
+    return LoadedModel(model, kind, repairs, len(data), hashlib.sha256(data).hexdigest())
+
+
+def _dispatch(data: bytes, file: str, spz_frame: str) -> tuple[str, Any]:
+    if data.startswith((b"ply\n", b"ply\r")):
+        header = parse_header(data, file=file)
+        if is_compressed(header):
+            return "compressed.ply", read_compressed_ply(data, file=file, header=header)
+        return "ply", read_ply(data, file=file, header=header)
+    if data.startswith((b"\x1f\x8b", b"NGSP")):
+        from engine.formats.spz import read_spz
+
+        return "spz", read_spz(data, file=file, frame=spz_frame)
+    if data.startswith(b"PK"):
+        from engine.formats.sog import read_sog
+
+        return "sog", read_sog(data, file=file)
+    if not data:
+        raise FormatError("is empty", file=file)
+    if file.lower().endswith(".ksplat"):
+        message = (
+            ".ksplat is not read here; convert it to .ply, .spz or .sog with a viewer that still reads it"
+        )
+        raise UnsupportedFormatError(message, file=file)
+    if data.startswith(b"glTF"):
+        raise UnsupportedFormatError("is glTF, which is not read here; export the scene as .ply", file=file)
+    if looks_like_splat(data):
+        return "splat", read_splat(data, file=file)
+    raise UnsupportedFormatError(f"is none of the formats read here: {', '.join(FORMATS)}", file=file)
+
+
+def _read_folder(path: Path, file: str) -> LoadedModel:
+    from engine.formats.sog import read_sog_folder
+
+    if not (path / _META).is_file():
+        raise UnsupportedFormatError(f"is a folder without {_META}: no unpacked SOG scene", file=file)
+    model, repairs = read_sog_folder(path)
+    size, digests = 0, []
+    for part in sorted(path.iterdir(), key=lambda p: p.name):
+        if part.is_file() and (part.name == _META or part.suffix == ".webp"):
+            content = part.read_bytes()
+            size += len(content)
+            digests.append(f"{hashlib.sha256(content).hexdigest()}  {part.name}\n")
+    digest = hashlib.sha256("".join(digests).encode("utf-8", "surrogateescape")).hexdigest()
+    return LoadedModel(model, "sog", repairs, size, digest)

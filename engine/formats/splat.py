@@ -1,0 +1,113 @@
+"""The .splat format: 32 bytes a Gaussian, no header, no spherical harmonics (antimatter15/splat)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.formats.repairs import Repair, clean
+from engine.model import SH_C0, GaussianModel
+
+RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
+"""Centre and metric scales, color and alpha in steps of 1/255, quaternion w, x, y, z as 128 + 128 q."""
+
+_SAMPLE = 4096
+_PLAUSIBLE_MAGNITUDE = 1e9
+
+
+def looks_like_splat(data: bytes | memoryview) -> bool:
+    """Whether bytes without any magic are probably Gaussians of this format.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file.
+
+    Returns
+    -------
+    bool
+        The length is a multiple of 32, and of up to 4,096 rows spread over the file at least half hold a
+        finite centre, three scales that are not negative, and a quaternion of about unit length. Of random
+        rows, about one in a hundred does.
+    """
+    if len(data) == 0 or len(data) % RECORD.itemsize:
+        return False
+    records = np.frombuffer(data, dtype=RECORD)
+    rows = records[:: -(-len(records) // _SAMPLE)]
+    scales = rows["scales"]
+    norms = np.linalg.norm((rows["quats"].astype(np.float32) - 128) / 128, axis=1)
+    good = (np.abs(rows["means"]) < _PLAUSIBLE_MAGNITUDE).all(axis=1)
+    good &= ((scales >= 0) & (scales < _PLAUSIBLE_MAGNITUDE)).all(axis=1)
+    good &= np.abs(norms - 1) < 0.1
+    return bool(2 * np.count_nonzero(good) >= len(rows))
+
+
+def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Read a .splat file; degree 0.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file.
+    file : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    model : GaussianModel
+    repairs : tuple of Repair
+
+    Raises
+    ------
+    FormatError
+        The length is no multiple of 32, or no Gaussian is usable.
+    """
+    if len(data) % RECORD.itemsize:
+        message = f"{len(data)} bytes are no multiple of {RECORD.itemsize}"
+        raise FormatError(message, file=file, element="vertex", row=len(data) // RECORD.itemsize)
+    records = np.frombuffer(data, dtype=RECORD)
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # a scale of zero is mended, a negative one is a fault
+        log_scales = np.log(records["scales"])
+        quats = (records["quats"].astype(np.float32) - 128) / 128
+        norms = np.linalg.norm(quats, axis=1, keepdims=True)
+        quats /= np.where(norms > 0, norms, 1)  # eight bits never give unit length: no fault of the file
+        rgba = records["rgba"]
+        logits = _ALPHA_LOGITS[rgba[:, 3]]
+    dc = ((rgba[:, :3] / 255 - 0.5) / SH_C0).astype(np.float32)
+    return clean(records["means"], log_scales, quats, logits, dc[:, None, :], file=file)
+
+
+def write_splat(model: GaussianModel) -> bytes:
+    """The file; spherical harmonics beyond degree 0 are lost, colors are clipped to 0..1.
+
+    Parameters
+    ----------
+    model : GaussianModel
+
+    Returns
+    -------
+    bytes
+        32 for every Gaussian, in the order of the model.
+    """
+    records = np.empty(len(model), dtype=RECORD)
+    records["means"], records["scales"] = model.means, model.scales
+    records["rgba"][:, :3] = _to_bytes((0.5 + SH_C0 * model.sh[:, 0]) * 255)
+    records["rgba"][:, 3] = _to_bytes(model.opacities * 255)
+    records["quats"] = _to_bytes(model.quats * 128 + 128)
+    return records.tobytes()
+
+
+def _to_bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _alpha_logits() -> npt.NDArray[np.float32]:
+    alpha = np.arange(256) / 255
+    with np.errstate(divide="ignore"):  # 0 and 255 give infinities, which loading mends
+        return (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
+
+
+_ALPHA_LOGITS = _alpha_logits()

@@ -1,0 +1,133 @@
+"""Models into files: whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from engine.errors import InputError, UnsupportedFormatError
+from engine.formats.compressed_ply import write_compressed_ply
+from engine.formats.ply import write_ply
+from engine.formats.reading import FORMATS
+from engine.formats.splat import write_splat
+from engine.model import GaussianModel
+
+
+def encode_model(model: GaussianModel, format: str) -> bytes:
+    """The bytes of a file.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        At least one Gaussian.
+    format : str
+        One of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        The model is empty.
+    UnsupportedFormatError
+        No such format.
+    """
+    return b"".join(_encode(model, format))
+
+
+def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:
+    """Write a model; an earlier file of that name is replaced in one step once the new one is complete.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        At least one Gaussian.
+    path : path
+        Its ending chooses the format unless one is given.
+    format : str, optional
+        One of `FORMATS`.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    InputError
+        The model is empty, or the file cannot be written.
+    UnsupportedFormatError
+        No such format.
+    """
+    return write_whole(path, _encode(model, format or _format_of(Path(path).name)))
+
+
+def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
+    """Write a file that appears under its name only once it is complete, even if interrupted.
+
+    Parameters
+    ----------
+    path : path
+        A link stays a link; its target is replaced.
+    pieces : iterable of bytes
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    if "\0" in str(path) or not str(path):
+        raise InputError(f"{str(path)!r}: is no file name")
+    try:
+        target = Path(os.path.realpath(path))
+        if target.exists() and not target.is_file():
+            raise InputError(f"{path}: is no regular file")
+        part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
+        try:
+            with open(part, "xb") as file:
+                written = sum(file.write(piece) for piece in pieces)
+            os.replace(part, target)
+        finally:  # also after Ctrl-C; once replaced, there is nothing left to remove
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return written
+
+
+def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
+    if len(model) == 0:
+        raise InputError("the model holds no Gaussians: there is nothing to write")
+    if format == "ply":
+        return write_ply(model)
+    if format == "compressed.ply":
+        return [write_compressed_ply(model)]
+    if format == "splat":
+        return [write_splat(model)]
+    if format == "spz":
+        from engine.formats.spz import write_spz
+
+        return [write_spz(model)]
+    if format == "sog":
+        from engine.formats.sog import write_sog
+
+        return [write_sog(model)]
+    raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")
+
+
+def _format_of(name: str) -> str:
+    for format in sorted(FORMATS, key=len, reverse=True):  # .compressed.ply before .ply
+        if name.lower().endswith("." + format):
+            return format
+    endings = ", ".join("." + format for format in FORMATS)
+    raise UnsupportedFormatError(f"the name ends in none of {endings}", file=name)
