@@ -10,12 +10,13 @@ from pathlib import Path
 
 from engine.errors import FormatError
 from engine.formats.repairs import Repair
-from engine.formats.sog_archive import MAX_META_BYTES, META, Folder, ZipArchive
+from engine.formats.sog_archive import MAX_META_BYTES, META, Folder, ZipArchive, write_zip
 from engine.formats.sog_decoding import decode_scene
+from engine.formats.sog_encoding import SogPalette, encode_scene
 from engine.formats.sog_meta import parse_meta
 from engine.model import GaussianModel
 
-__all__ = ["read_sog", "read_sog_folder"]
+__all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
@@ -71,3 +72,35 @@ def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]
     meta = parse_meta(archive.read(META, MAX_META_BYTES), file=str(path))
     archive.weigh(meta.names)
     return decode_scene(meta, archive, file=str(path))
+
+
+def write_sog(model: GaussianModel, *, palette: SogPalette | None = None) -> bytes:
+    """Write a bundled scene, version 2; the Gaussians come out in another order (along a Z-curve).
+
+    Parameters
+    ----------
+    model : GaussianModel
+        At least one Gaussian.
+    palette : (codes, labels), optional
+        Spherical harmonics above DC that are vector-quantised already: 1 to 65,536 code vectors
+        (P, K - 1, 3), and which of them each Gaussian has, (N,). They then stand for `model.sh[:, 1:]`. By
+        default a palette of 1k to 64k code vectors is learnt, by the number of Gaussians as PlayCanvas's
+        writer; exact where no more differ.
+
+    Returns
+    -------
+    bytes
+        The same for the same input, on any number of threads.
+
+    Raises
+    ------
+    InputError
+        The model is empty, or the palette does not fit it.
+
+    Notes
+    -----
+    Errors: centres half of 1/65535 of their range in the domain sign(x) log(1 + abs(x)), opacities 1/510,
+    the three smaller components of a quaternion 0.0028 each; log scales, DC and code vectors that of the best
+    256 values for all of them.
+    """
+    return write_zip(encode_scene(model, palette))

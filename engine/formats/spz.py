@@ -30,7 +30,7 @@ from engine.numerics.similarity import transform_model
 __all__ = ["Frame", "read_spz", "write_spz"]
 
 
-def read_spz(data: bytes, *, file: str, frame: Frame = "auto") -> tuple[GaussianModel, tuple[Repair, ...]]:
+def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read an SPZ file.
 
     Parameters
