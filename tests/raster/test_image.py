@@ -1,0 +1,144 @@
+"""Images against the slow twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from engine.errors import InputError
+from engine.model import GaussianModel
+from engine.raster import RasterSettings, prepare_view, render, render_depth, sh_colors
+from engine.raster.settings import TILE
+from tests.raster.scenes import TOLERANCE, assert_same_image, camera, random_model
+from tests.reference import raster as twin
+
+
+def twin_image(model: GaussianModel, view_from, **options):
+    with torch.no_grad():
+        image, alpha, _ = twin.rasterize(
+            twin.parameters(model, view_from), view_from.width, view_from.height, **options
+        )
+    return image.numpy(), alpha.numpy()
+
+
+@pytest.mark.parametrize(("count", "coefficients", "size"), [(200, 16, (53, 47)), (200, 9, (32, 48)), (60, 4, (17, 16)), (7, 1, (64, 5))])  # fmt: skip # noqa: E501
+def test_render(count: int, coefficients: int, size: tuple[int, int]) -> None:
+    model, view_from = random_model(count, count, coefficients), camera(*size)
+    expected, alpha = twin_image(model, view_from, background=0.3)
+    image = render(model, view_from, 0.3)
+    assert image.dtype == np.float32
+    assert_same_image(image, expected)
+    view = prepare_view(model, view_from)
+    again, seen_alpha = view.render(sh_colors(model.sh, model.means, view_from.position), 0.3)
+    np.testing.assert_array_equal(again, image)
+    assert_same_image(seen_alpha, alpha)
+
+
+def test_pixels_end() -> None:
+    rng = np.random.default_rng(0)
+    model = random_model(400, 8, 1).with_(opacity_logits=rng.normal(6.0, 2.0, 400).astype(np.float32))
+    expected, alpha = twin_image(model, camera())
+    assert alpha.max() > 0.999
+    assert_same_image(render(model, camera()), expected)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        RasterSettings(eps2d=0.0), RasterSettings(eps2d=1.5, near=1.5), RasterSettings(alpha_clamp=0.5),
+        RasterSettings(alpha_skip=0.05, transmittance_stop=0.2),
+    ],
+)  # fmt: skip
+def test_settings(settings: RasterSettings) -> None:
+    model = random_model(150, 5, 4)
+    expected, _ = twin_image(model, camera(), settings=settings)
+    assert_same_image(render(model, camera(), settings=settings), expected)
+    if settings.eps2d:
+        assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
+
+
+def test_stop_by_impact() -> None:
+    """Eq 8: a pixel ends once sum alpha * W^freq reaches tau."""
+    model = random_model(200, 6, 1)
+    impact = np.random.default_rng(0).uniform(0.0, 1.0, 200).astype(np.float32)
+    settings = RasterSettings(impact_stop=0.95)
+    expected, _ = twin_image(model, camera(), settings=settings, impact=impact)
+    assert_same_image(render(model, camera(), settings=settings, impact=impact), expected)
+    assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
+    view = prepare_view(model, camera(), settings, impact=impact)
+    colors = np.random.default_rng(1).normal(size=(200, 3)).astype(np.float32)
+    cotangent = np.random.default_rng(2).normal(size=(47, 53, 3)).astype(np.float32)
+    image, _ = view.render(colors)
+    pullback = view.backward_colors(cotangent)
+    assert np.vdot(image, cotangent) == pytest.approx(np.vdot(colors, pullback), rel=1e-3)
+    with pytest.raises(InputError, match="impact"):
+        render(model, camera(), settings=settings)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 8, 16, 19])
+def test_any_number_of_channels(channels: int) -> None:
+    model = random_model(120, 7, 1)
+    colors = np.random.default_rng(channels).normal(size=(120, channels)).astype(np.float32)
+    background = np.linspace(-1.0, 1.0, channels)
+    view = prepare_view(model, camera())
+    image, alpha = view.render(colors, background)
+    expected, expected_alpha = twin_image(
+        model, camera(), colors=torch.tensor(colors, dtype=torch.float64), background=torch.tensor(background)
+    )
+    assert_same_image(image, expected)
+    assert_same_image(alpha, expected_alpha)
+
+
+def test_depth() -> None:
+    model = random_model(120, 9, 4)
+    image, alpha, depth = render_depth(model, camera(), 0.2)
+    np.testing.assert_array_equal(image, render(model, camera(), 0.2))
+    row = camera().viewmat[2]
+    z = torch.tensor((model.means @ row[:3] + row[3])[:, None], dtype=torch.float64)
+    weighted, expected_alpha = twin_image(model, camera(), colors=z)
+    assert_same_image(alpha, expected_alpha)
+    solid = expected_alpha > 0.1
+    error = np.abs(depth - weighted[..., 0] / np.maximum(expected_alpha, 1e-9))[solid]
+    assert error.max() <= 10 * TOLERANCE["pixel"]
+    assert (depth[expected_alpha == 0] == 0).all()
+
+
+def test_tile_mask() -> None:
+    model, view_from = random_model(200, 10, 1), camera(83, 61)
+    mask = np.random.default_rng(0).random((4, 6)) < 0.5
+    whole = prepare_view(model, view_from)
+    part = prepare_view(model, view_from, tile_mask=mask)
+    colors = np.random.default_rng(1).normal(size=(200, 3)).astype(np.float32)
+    pixels = np.kron(mask, np.ones((TILE, TILE), bool))[:61, :83]
+    full, _ = whole.render(colors, 0.5)
+    cut, alpha = part.render(colors, 0.5)
+    np.testing.assert_array_equal(cut[pixels], full[pixels])
+    assert (cut[~pixels] == 0.5).all()
+    assert (alpha[~pixels] == 0.0).all()
+    cotangent = np.random.default_rng(2).normal(size=(61, 83, 3)).astype(np.float32)
+    inside = np.where(pixels[..., None], cotangent, 0).astype(np.float32)
+    np.testing.assert_allclose(part.backward_colors(cotangent), whole.backward_colors(inside), atol=1e-6)
+    with pytest.raises(InputError, match="tile_mask"):
+        prepare_view(model, view_from, tile_mask=mask[:3])
+
+
+def test_wrong_shapes_are_refused() -> None:
+    model = random_model(20, 0, 1)
+    view = prepare_view(model, camera())
+    with pytest.raises(InputError, match="colors"):
+        view.render(np.zeros((19, 3), np.float32))
+    with pytest.raises(InputError, match="background"):
+        view.render(np.zeros((20, 3), np.float32), (0.0, 1.0))
+    with pytest.raises(InputError, match="background"):
+        render(model, camera(), (0.0, 1.0))
+    with pytest.raises(InputError, match="cotangent"):
+        view.backward_colors(np.zeros((53, 47, 3), np.float32))
+    with pytest.raises(InputError, match="pixel_map"):
+        view.weighted(np.zeros((53, 47), np.float32))
+
+
+@pytest.mark.parametrize("bad", [{"eps2d": -1.0}, {"near": 0.0}, {"alpha_clamp": 1.0}, {"alpha_skip": 0.0}, {"transmittance_stop": 0.0}, {"impact_stop": 0.0}])  # fmt: skip # noqa: E501
+def test_settings_are_checked(bad: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        RasterSettings(**bad)
