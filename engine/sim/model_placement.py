@@ -111,7 +111,7 @@ def join(first: GaussianModel, second: GaussianModel) -> GaussianModel:
     width = max(first.sh.shape[1], second.sh.shape[1])
 
     def padded(sh: Float32) -> Float32:
-        return np.pad(sh, ((0, 0), (0, width - sh.shape[1]), (0, 0)))
+        return sh if sh.shape[1] == width else np.pad(sh, ((0, 0), (0, width - sh.shape[1]), (0, 0)))
 
     return GaussianModel(
         np.concatenate([first.means, second.means]),
@@ -141,23 +141,26 @@ def foreign_scene(model: GaussianModel, count: int, rng: np.random.Generator) ->
     local = rng.uniform(-1.0, 1.0, (count, 3))  # in the sheet's own frame
     means = centers[sheet] + np.einsum("nij,nj->ni", turns[sheet], half_sizes[sheet] * local)
 
-    def alike(values: Float32, size: tuple[int, ...]) -> Float64:
+    def alike(values: Float32, size: tuple[int, ...]) -> Float32:
         """Normal samples with the mean and spread of each column of the values."""
-        columns = values.astype(np.float64)
-        return np.asarray(columns.mean(axis=0) + columns.std(axis=0) * rng.standard_normal(size))
+        mean, spread = values.mean(axis=0, dtype=np.float64), values.std(axis=0, dtype=np.float64)
+        samples = rng.standard_normal(size, dtype=np.float32)
+        samples *= spread.astype(np.float32)
+        samples += mean.astype(np.float32)
+        return samples
 
     base = alike(model.sh[:, 0], (sheets, 3))
     texture = 0.4 * model.sh[:, 0].astype(np.float64).std(axis=0)
     waves = np.sin(local @ rng.normal(0.0, 4.0, (3, 3)) + rng.uniform(0, 2 * np.pi, 3))
-    sh = np.empty((count, *model.sh.shape[1:]))
+    sh = np.empty((count, *model.sh.shape[1:]), dtype=np.float32)
     sh[:, 0] = base[sheet] + texture * (waves + 0.3 * rng.standard_normal((count, 3)))
     sh[:, 1:] = alike(model.sh[:, 1:], sh[:, 1:].shape)
     return GaussianModel(
         means.astype(np.float32),
-        alike(model.log_scales, (count, 3)).astype(np.float32),
+        alike(model.log_scales, (count, 3)),
         _unit(rng.standard_normal((count, 4))).astype(np.float32),
-        alike(model.opacity_logits, (count,)).astype(np.float32),
-        sh.astype(np.float32),
+        alike(model.opacity_logits, (count,)),
+        sh,
     )
 
 

@@ -98,14 +98,15 @@ def _strength(value: float) -> float:
 def _noisy(values: Float32, factor: float, rng: np.random.Generator) -> Float32:
     """One spread for the whole attribute: noise must not depend on how the axes happen to lie."""
     spread = np.sqrt(values.astype(np.float64).var(axis=0).mean())
-    noisy: Float64 = values + factor * spread * rng.standard_normal(values.shape)
-    return noisy.astype(np.float32)
+    return values + np.float32(factor * spread) * rng.standard_normal(values.shape, dtype=np.float32)
 
 
 def _noisy_sh(sh: Float32, factor: float, rng: np.random.Generator) -> Float32:
     spread = np.sqrt(sh.astype(np.float64).var(axis=0).mean(axis=1))[:, None]  # (K, 1): channels pooled
-    noisy: Float64 = sh + factor * spread * rng.standard_normal(sh.shape)
-    return noisy.astype(np.float32)
+    noise: Float32 = (
+        np.float32(factor) * spread.astype(np.float32) * rng.standard_normal(sh.shape, np.float32)
+    )
+    return sh + noise
 
 
 def _rounded(values: Float32, levels: int) -> Float32:
