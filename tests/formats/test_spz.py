@@ -1,0 +1,432 @@
+"""SPZ against its slow twin, against two foreign codecs, and against hostile bytes."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import tracemalloc
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.formats.ply import read_ply
+from engine.formats.spz import read_spz, write_spz
+from engine.formats.spz_container import unpack
+from engine.formats.spz_frames import SPECIFICATION
+from engine.model import GaussianModel
+from tests.formats.gaussforge_child import gaussforge
+from tests.reference.similarity import covariance, moved_colour, moved_covariance
+from tests.reference.spherical_harmonics import sh_colour
+from tests.reference.spz import decode_gaussian
+
+TRAIN = Path(__file__).parents[1] / "data" / "train_1000.ply"
+STRIDES = {2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
+
+
+@pytest.fixture(scope="module")
+def train() -> GaussianModel:
+    return read_ply(TRAIN.read_bytes(), file="train")[0]
+
+
+def random_model(degree: int, n: int = 200, seed: int = 0) -> GaussianModel:
+    """Values inside the ranges of SPZ."""
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    return GaussianModel(
+        rng.normal(0, 5, (n, 3)),
+        rng.uniform(-9, 2, (n, 3)),
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        rng.uniform(-4, 4, n),
+        np.concatenate(
+            [rng.uniform(-3, 3, (n, 1, 3)), rng.uniform(-0.98, 0.98, (n, (degree + 1) ** 2 - 1, 3))], 1
+        ),
+    )
+
+
+def random_sections(version: int, degree: int, n: int, seed: int) -> list[bytes]:
+    rng = np.random.default_rng(seed)
+    return [rng.bytes(s * n) for s in (*STRIDES[version], 3 * ((degree + 1) ** 2 - 1))]
+
+
+def head(version: int, n: int, degree: int, bits: int = 12, flags: int = 0) -> bytes:
+    return struct.pack("<IIIBBBB", 0x5053474E, version, n, degree, bits, flags, 0)
+
+
+def gzipped(
+    version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0
+) -> bytes:
+    return gzip.compress(head(version, n, degree, flags=flags) + b"".join(sections) + tail, 1)
+
+
+def record(kind: int, payload: bytes) -> bytes:
+    return struct.pack("<II", kind, len(payload)) + payload
+
+
+def frame_record(number: int) -> bytes:
+    return record(0xADBE0003, struct.pack("<I", number))
+
+
+def assert_valid(model: GaussianModel) -> None:
+    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+        assert np.isfinite(getattr(model, name)).all(), name
+    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)
+
+
+def angles(a: GaussianModel, b: GaussianModel) -> np.ndarray:
+    """Degrees between the orientations; the small-angle form, as arccos has no precision near 1."""
+    q, r = a.quats.astype(float), b.quats.astype(float)
+    r = r * np.where((q * r).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    return np.degrees(4 * np.arcsin(np.minimum(np.linalg.norm(q - r, axis=1) / 2, 1.0)))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_reader_is_its_slow_twin_on_any_bytes(version, degree):
+    n, rest = 50, (degree + 1) ** 2 - 1
+    sections = random_sections(version, degree, n, seed=degree)
+    sections[1] = bytes(range(1, n + 1))  # no infinite logit
+    model, repairs = read_spz(gzipped(version, n, degree, sections), file="x", frame="ply")
+    assert len(model) == n
+    assert {r.code for r in repairs} <= {"quaternions_normalized"}  # random bits may exceed the unit sphere
+    for i in range(n):
+        twin = decode_gaussian(sections, i, version, 12, rest)
+        np.testing.assert_array_equal(model.means[i], twin["means"].astype(np.float32))
+        np.testing.assert_array_equal(model.log_scales[i], twin["log_scales"].astype(np.float32))
+        np.testing.assert_allclose(model.opacities[i], twin["alpha"], rtol=1e-6)
+        np.testing.assert_allclose(model.sh[i, 0], twin["dc"], rtol=1e-6, atol=1e-7)
+        np.testing.assert_array_equal(model.sh[i, 1:], twin["rest"].astype(np.float32))
+        np.testing.assert_allclose(model.quats[i], twin["quats"], atol=1e-6)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_round_trip_errs_by_half_a_step(version, degree):
+    model = random_model(degree)
+    back, repairs = read_spz(write_spz(model, version=version), file="x")
+    assert repairs == ()
+    step = 2.0 ** -max(12, 17 - int(np.floor(np.log2(np.abs(model.means).max()))))
+    assert np.abs(back.means - model.means).max() <= step / 2 + 1e-7
+    assert np.abs(back.log_scales - model.log_scales).max() <= 1 / 32 + 1e-6
+    assert np.abs(back.opacities - model.opacities).max() <= 1 / 510 + 1e-6
+    assert np.abs(back.sh[:, 0] - model.sh[:, 0]).max() <= 1 / 76.5 + 1e-6
+    if degree:
+        assert np.abs(back.sh[:, 1:] - model.sh[:, 1:]).max() <= 1 / 256 + 1e-6
+    # Three components off by sqrt(1/2) / 1022 each, and the largest follows: under 0.25 degrees.
+    assert 0 < angles(back, model).max() < 0.25
+
+
+def test_fewer_sh_bits_cost_what_the_docstring_says():
+    model = random_model(3)
+    errors, sizes = [], []
+    for bits in ((8, 8), (5, 4), (1, 1)):
+        data = write_spz(model, sh_bits=bits)
+        back, _ = read_spz(data, file="x")
+        error = np.abs(back.sh - model.sh).max(axis=(0, 2))
+        for part, b in ((error[1:4], bits[0]), (error[4:], bits[1])):
+            # The multiple above the range is clipped to 127/128: half of the last bucket errs one step more.
+            assert part.max() <= 2.0**-b + (0 if b == 8 else 2.0**-8) + 1 / 128
+            assert part.max() > 0.8 * 2.0**-b
+        errors.append(error[4:].max())
+        sizes.append(len(data))
+    assert errors[0] < errors[1] < errors[2]
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_same_model_same_bytes_and_no_date(version):
+    model = random_model(2)
+    data = write_spz(model, version=version)
+    assert data == write_spz(model, version=version)
+    if version == 3:
+        assert data[:4] == b"\x1f\x8b\x08\x00"
+        assert data[4:8] == bytes(4)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_gsply_reads_and_writes_the_same(train, version, tmp_path):
+    from gsply.spz import read_spz as foreign_read
+    from gsply.spz import write_spz as foreign_write
+
+    path = tmp_path / "a.spz"
+    path.write_bytes(write_spz(train, version=version, fractional_bits=12))
+    theirs = foreign_read(path)
+    ours, _ = read_spz(path.read_bytes(), file="x", frame="ply")  # gsply knows no frames
+    np.testing.assert_array_equal(theirs.means, ours.means)
+    np.testing.assert_array_equal(theirs.scales, ours.log_scales)
+    np.testing.assert_allclose(theirs.quats, ours.quats, atol=1e-6)
+    np.testing.assert_allclose(theirs.sh0, ours.sh[:, 0], atol=1e-6)
+    np.testing.assert_array_equal(theirs.shN, ours.sh[:, 1:])
+    finite = np.abs(theirs.opacities) < 10
+    np.testing.assert_allclose(theirs.opacities[finite], ours.opacity_logits[finite], atol=1e-4)
+
+    foreign_write(path, theirs, version=version)
+    again, _ = read_spz(path.read_bytes(), file="x", frame="ply")
+    np.testing.assert_array_equal(again.means, ours.means)
+    np.testing.assert_array_equal(again.sh, ours.sh)
+    np.testing.assert_allclose(again.quats, ours.quats, atol=1e-6)
+
+
+def test_gaussforge_writes_what_we_read_in_every_version(train):
+    """GaussForge writes PLY axes, 12 fractional bits and SH of (5, 4) bits."""
+    source = TRAIN.read_bytes()
+    versions = (2, 3, 4)
+    files = gaussforge(
+        *(
+            ("convert", {"data": source, "in_format": "ply", "out_format": "spz", "spz_version": v})
+            for v in versions
+        )
+    )
+    for version, data in zip(versions, files, strict=True):
+        model, _ = read_spz(data, file="x", frame="ply")
+        assert len(model) == len(train)
+        assert np.abs(model.means - train.means).max() <= 2.0**-13 + 1e-7
+        assert np.abs(model.log_scales - train.log_scales).max() <= 1 / 32 + 1e-6
+        assert np.abs(model.opacities - train.opacities).max() <= 1 / 510 + 1e-6
+        assert np.abs(model.sh[:, 0] - train.sh[:, 0]).max() <= 1 / 76.5 + 1e-6
+        assert np.abs(model.sh[:, 1:4] - train.sh[:, 1:4]).max() <= 2.0**-5 + 2.0**-8
+        assert np.abs(model.sh[:, 4:] - train.sh[:, 4:]).max() <= 2.0**-4 + 2.0**-8
+        assert angles(model, train).max() < (13 if version == 2 else 0.25)  # version 2 derives a small w
+
+
+def test_writer_has_the_bytes_of_gaussforge(train):
+    """Same quantisation, bucket for bucket, once the frame is taken out of the comparison."""
+    means, quats, sh = train.means.copy(), train.quats.copy(), train.sh.copy()
+    SPECIFICATION.apply_signs(means, quats, sh)  # our writer will turn it back, GaussForge never turned it
+    flipped = train.with_(means=means, quats=quats, sh=sh)
+    ours = unpack(write_spz(flipped, sh_bits=(5, 4), fractional_bits=12), file="x")
+    (foreign,) = gaussforge(
+        ("convert", {"data": TRAIN.read_bytes(), "in_format": "ply", "out_format": "spz", "spz_version": 3})
+    )
+    theirs = unpack(foreign, file="x")
+    assert ours.header == theirs.header
+    for name, a, b in zip("pacsrh", ours.sections, theirs.sections, strict=True):
+        different = np.frombuffer(a, np.uint8) != np.frombuffer(b, np.uint8)
+        assert different.mean() < 1e-3, name  # halves may round either way
+
+
+AXES = {"L": (-1, 0, 0), "R": (1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+FRAMES = (
+    "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
+    "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(1, 17))
+def test_every_declared_frame_moves_geometry_and_colours_alike(number):
+    """Covariances and colours of the result are those of the file, seen in PLY's axes; mirrors included."""
+    n = 6
+    sections = random_sections(3, 3, n, seed=number)
+    sections[1] = bytes([128] * n)
+    data = gzipped(3, n, 3, sections, frame_record(number), flags=2)
+    raw, _ = read_spz(data, file="x", frame="ply")
+    model, _ = read_spz(data, file="x")
+    to_ply = np.array([AXES[a] for a in FRAMES[number - 1]], dtype=float).T
+    np.testing.assert_allclose(model.means, raw.means @ to_ply.T, rtol=1e-6)
+    direction = np.array([0.48, -0.6, 0.64])
+    for i in range(n):
+        expected = moved_covariance(raw, i, 1.0, to_ply)
+        np.testing.assert_allclose(
+            covariance(model, i), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max()
+        )
+        colour = sh_colour(model.sh[i].astype(float), direction)
+        np.testing.assert_allclose(colour, moved_colour(raw, i, to_ply, direction), atol=1e-5)
+
+
+def test_frame_is_the_specifications_unless_the_file_or_the_caller_says_otherwise():
+    model = random_model(1)
+    plain, declaring = write_spz(model), write_spz(model, version=4)
+    for data in (plain, declaring):
+        auto, spec, ply = (read_spz(data, file="x", frame=f)[0] for f in ("auto", "spec", "ply"))
+        np.testing.assert_array_equal(auto.means, spec.means)
+        assert np.abs(auto.means - model.means).max() < 1e-3
+        np.testing.assert_array_equal(ply.means, auto.means * np.array([1, -1, -1], dtype=np.float32))
+    sections = random_sections(3, 0, 5, seed=1)
+    in_ply_axes = gzipped(3, 5, 0, sections, record(0xADBE0002, bytes(12)) + frame_record(6), flags=2)
+    np.testing.assert_array_equal(
+        read_spz(in_ply_axes, file="x")[0].means, read_spz(in_ply_axes, file="x", frame="ply")[0].means
+    )
+    unspecified = gzipped(3, 5, 0, sections, frame_record(0), flags=2)
+    np.testing.assert_array_equal(
+        read_spz(unspecified, file="x")[0].means, read_spz(unspecified, file="x", frame="spec")[0].means
+    )
+    unknown = gzipped(3, 5, 0, sections, frame_record(17), flags=2)
+    with pytest.raises(FormatError, match="declares frame 17"):
+        read_spz(unknown, file="x")
+    assert len(read_spz(unknown, file="x", frame="spec")[0]) == 5
+    with pytest.raises(InputError, match="'rub'"):
+        read_spz(plain, file="x", frame="rub")
+
+
+def test_alpha_of_nought_and_255_become_finite():
+    sections = random_sections(3, 0, 4, seed=0)
+    sections[1] = bytes([0, 255, 1, 254])
+    model, repairs = read_spz(gzipped(3, 4, 0, sections), file="x")
+    assert np.isfinite(model.opacity_logits).all()
+    np.testing.assert_array_equal(np.rint(model.opacities * 255), [0, 255, 1, 254])
+    assert [(r.code, r.count) for r in repairs if r.code.startswith("opac")] == [("opacities_infinite", 2)]
+
+
+@pytest.mark.parametrize(
+    ("reach", "bits"), [(1e-5, 24), (0.1, 21), (1.0, 17), (100.0, 12), (3000.0, 11), (1e6, 3)]
+)
+def test_fractional_bits_follow_the_size_of_the_scene(reach, bits):
+    model = random_model(0)
+    model = model.with_(means=model.means / np.abs(model.means).max() * reach)
+    data = write_spz(model)
+    assert zlib.decompress(data, 31)[13] == bits
+    back, _ = read_spz(data, file="x")
+    assert np.abs(back.means - model.means).max() <= 2.0**-bits / 2 * (1 + 1e-6) + reach * 1e-7
+
+
+def test_writer_refuses_what_does_not_fit():
+    model = random_model(0)
+    far = model.with_(means=model.means * 1e9)
+    for refused in (
+        lambda: write_spz(model, version=2),
+        lambda: write_spz(model, sh_bits=(9, 4)),
+        lambda: write_spz(model, sh_bits=(0, 4)),
+        lambda: write_spz(model, fractional_bits=25),
+        lambda: write_spz(model, fractional_bits=24),
+        lambda: write_spz(far),
+    ):
+        with pytest.raises(InputError):
+            refused()
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_every_cut_and_every_tail_is_refused_by_name(version):
+    data = write_spz(random_model(1, n=20), version=version)
+    for length in range(len(data)):
+        with pytest.raises(FormatError, match=r"^scan\.spz"):
+            read_spz(data[:length], file="scan.spz")
+    for tail in (b"\0", data, bytes(100)):
+        with pytest.raises(FormatError, match=r"^scan\.spz"):
+            read_spz(data + tail, file="scan.spz")
+
+
+def test_counts_that_lie_are_refused():
+    sections = random_sections(3, 0, 10, seed=0)
+    for n in (0, 9, 11, 2**31, 2**32 - 1):
+        with pytest.raises(FormatError):
+            read_spz(gzipped(3, n, 0, sections), file="x")
+    with pytest.raises(FormatError, match="holds 0 Gaussians"):
+        read_spz(gzipped(3, 0, 0, [b""]), file="x")
+    with pytest.raises(FormatError, match="follow the gzip stream"):
+        read_spz(gzipped(3, 10, 0, sections) * 2, file="x")
+    with pytest.raises(FormatError, match="more than the 200 bytes"):
+        read_spz(gzipped(3, 10, 0, sections, bytes(8)), file="x")
+    with pytest.raises(FormatError, match="claims 9 bytes"):
+        read_spz(gzipped(3, 10, 0, sections, struct.pack("<II", 1, 9) + bytes(8), flags=2), file="x")
+    with pytest.raises(FormatError, match="fractional bits"):
+        read_spz(gzip.compress(head(3, 10, 0, bits=25) + b"".join(sections)), file="x")
+
+
+@pytest.mark.parametrize(
+    ("header", "what"),
+    [
+        (head(1, 10, 0), "version 1"),
+        (head(4, 10, 0), "version 4"),
+        (head(5, 10, 0), "version 5"),
+        (head(3, 10, 4), "degree 4"),
+        (head(3, 10, 0, flags=0x80), "levels of detail"),
+    ],
+)
+def test_what_is_not_read_is_named(header, what):
+    with pytest.raises(UnsupportedFormatError, match=what):
+        read_spz(gzip.compress(header + bytes(1000)), file="x")
+
+
+def test_other_files_are_no_spz():
+    for data in (
+        b"",
+        b"ply\n",
+        b"NGSP",
+        gzip.compress(b"hello"),
+        gzip.compress(b"PK" + bytes(1000)),
+        b"\x1f\x8b",
+    ):
+        with pytest.raises(FormatError):
+            read_spz(data, file="x")
+
+
+def test_gzip_bomb_costs_no_memory():
+    """64 MB behind a header of 10 Gaussians, or of 200 M Gaussians: nothing of it is unpacked."""
+    for n in (10, 200_000_000):
+        bomb = gzip.compress(head(3, n, 0) + bytes(64 << 20), 9)
+        assert len(bomb) < 100_000
+        tracemalloc.start()
+        with pytest.raises(FormatError):
+            read_spz(bomb, file="x")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 1 << 20
+
+
+def v4(n: int, sections: list[bytes], toc: list[tuple[int, int]] | None = None) -> bytes:
+    entries = toc or [(len(zstandard.compress(s)), len(s)) for s in sections]
+    header = struct.pack("<IIIBBBBI12x", 0x5053474E, 4, n, 0, 12, 0, 5, 32)
+    return (
+        header
+        + b"".join(struct.pack("<QQ", *e) for e in entries)
+        + b"".join(map(zstandard.compress, sections))
+    )
+
+
+def test_zstd_streams_that_lie_are_refused():
+    n = 10
+    sections = random_sections(4, 0, n, seed=0)[:5]
+    assert len(read_spz(v4(n, sections), file="x")[0]) == n
+    true = [(len(zstandard.compress(s)), len(s)) for s in sections]
+    longer = [*sections[:4], sections[4] + b"\0"]
+    bomb = [*sections[:4], bytes(256 << 20)]
+    shifted = [(true[0][0] - 1, true[0][1]), (true[1][0] + 1, true[1][1]), *true[2:]]
+    for data in (
+        v4(n + 1, sections),
+        v4(n, longer),
+        v4(n, longer, [*true[:4], (len(zstandard.compress(longer[4])), true[4][1])]),
+        v4(n, bomb, [*true[:4], (len(zstandard.compress(bomb[4])), true[4][1])]),
+        v4(n, sections, shifted),
+        v4(n, sections, [(2**63, true[0][1]), *true[1:]]),
+        v4(100_000_000, sections, [(a, b * 10_000_000) for a, b in true]),
+    ):
+        tracemalloc.start()
+        with pytest.raises(FormatError):
+            read_spz(data, file="x")
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+        tracemalloc.stop()
+
+
+PLAIN = zlib.decompress(write_spz(random_model(1, n=12)), 31)
+PACKED = {3: write_spz(random_model(1, n=12)), 4: write_spz(random_model(1, n=12), version=4)}
+MUTATIONS = st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=6)
+
+
+def mutated(data: bytes, mutations: list[tuple[int, int]]) -> bytes:
+    result = bytearray(data)
+    for position, value in mutations:
+        result[position % len(result)] = value
+    return bytes(result)
+
+
+@settings(max_examples=300, deadline=None)
+@given(MUTATIONS, st.sampled_from(["gzip", "inside gzip", "zstd", "header", "zstd header"]))
+def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations, where):
+    if where == "inside gzip":
+        data = gzip.compress(mutated(PLAIN, mutations), 1)
+    elif where == "header":
+        data = gzip.compress(mutated(PLAIN[:16], mutations) + PLAIN[16:], 1)
+    elif where == "zstd header":
+        data = mutated(PACKED[4][:140], mutations) + PACKED[4][140:]
+    else:
+        data = mutated(PACKED[3 if where == "gzip" else 4], mutations)
+    try:
+        model, _ = read_spz(data, file="x")
+    except FormatError:
+        return
+    assert_valid(model)
