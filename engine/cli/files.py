@@ -160,8 +160,8 @@ def write_picture(image: Float32, path: Path, target: Path) -> None:
     check_picture_ending(target)
     levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
-    extra: dict[str, Any] = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}[kind]
-    Image.fromarray(levels).save(path, format=kind, **extra)
+    options: dict[str, dict[str, Any]] = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}
+    Image.fromarray(levels).save(path, format=kind, **options[kind])
 
 
 def check_picture_ending(target: Path) -> None:

@@ -13,24 +13,18 @@ if TYPE_CHECKING:
     from engine.formats import Repair
     from engine.model import GaussianModel
 
-ENDINGS = {
-    ".compressed.ply": "compressed.ply",
-    ".ply": "ply",
-    ".splat": "splat",
-    ".spz": "spz",
-    ".sog": "sog",
-}
-"""File endings of the formats that can be written, longest first."""
-
 DEMO_SCENE = "plant.splat"
 
 
 def format_for(path: Path) -> str:
     """Format that the ending of an output file names."""
-    for ending, name in ENDINGS.items():
-        if path.name.lower().endswith(ending):
+    from engine.formats import FORMATS
+
+    for name in sorted(FORMATS, key=len, reverse=True):  # .compressed.ply before .ply
+        if path.name.lower().endswith(f".{name}"):
             return name
-    raise InputError(f"{str(path)!r}: the ending must name a format: {', '.join(ENDINGS)}")
+    endings = ", ".join(f".{name}" for name in FORMATS)
+    raise InputError(f"{str(path)!r}: the ending must name a format: {endings}")
 
 
 def loss_note(model: GaussianModel, kind: str) -> list[str]:

@@ -15,7 +15,7 @@ SpzFrame = Annotated[
     str,
     typer.Option(
         "--spz-frame",
-        help="Axes of .spz input: auto, spz (as specified) or ply (as many tools write them).",
+        help="Axes of .spz input: auto, spec (as specified) or ply (as many tools write it).",
     ),
 ]
 

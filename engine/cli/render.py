@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json as json_text
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -73,7 +72,7 @@ def render(
     if save_camera is not None:
         check_target(save_camera)
 
-    from engine.formats import read_model
+    from engine.formats import read_model, write_cameras
     from engine.raster import render as draw
 
     with console.progress() as progress:
@@ -87,16 +86,14 @@ def render(
         render_ms = 1000.0 * (time.perf_counter() - started)
     with whole_file(out) as part:
         write_picture(image, part, out)
-    entry = camera_entry(chosen, out.name)
     if save_camera is not None:
-        with whole_file(save_camera) as part:
-            part.write_text(json_text.dumps([entry], indent=1) + "\n")
+        write_cameras([chosen], save_camera)
     report = {
         "out": str(out),
         "width": chosen.width,
         "height": chosen.height,
         "gaussians": len(loaded.model),
-        "camera": entry,
+        "camera": {"viewmat": chosen.viewmat, "K": chosen.K},
         "render_ms": render_ms,
         "seconds": time.perf_counter() - began,
     }
@@ -127,19 +124,3 @@ def choose_camera(
         )
     chosen = cameras[view]
     return chosen if size is None else chosen.resized(*size)
-
-
-def camera_entry(camera: Camera, name: str) -> dict[str, Any]:
-    """A camera as an entry of INRIA's cameras.json."""
-    return {
-        "id": 0,
-        "img_name": name,
-        "width": camera.width,
-        "height": camera.height,
-        "position": camera.position.tolist(),
-        "rotation": camera.viewmat[:3, :3].T.tolist(),
-        "fx": float(camera.K[0, 0]),
-        "fy": float(camera.K[1, 1]),
-        "cx": float(camera.K[0, 2]),
-        "cy": float(camera.K[1, 2]),
-    }
