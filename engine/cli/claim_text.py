@@ -24,9 +24,9 @@ HEADLINES = {
 
 
 def odds(log10_probability: float) -> str:
-    """A small probability as "1 in 10^N", N rounded down so that nothing is overstated."""
+    """A bound as "at most 1 in 10^N", N rounded down so that nothing is overstated."""
     exponent = math.floor(-log10_probability + 1e-9)
-    return f"1 in 10^{exponent}" if exponent >= 1 else "no better than chance"
+    return f"at most 1 in 10^{exponent}" if exponent >= 1 else "no better than chance"
 
 
 def percent(share: float) -> str:
@@ -34,6 +34,11 @@ def percent(share: float) -> str:
     if 0.999 <= share < 1.0:
         return "more than 99.9 %"
     return f"{100.0 * share:.1f} %".replace("100.0 %", "100 %")
+
+
+def surely(probability: float) -> str:
+    """A probability in percent; nothing measured is ever certain."""
+    return percent(min(probability, 0.9999))
 
 
 def headline(report: Mapping[str, Any], suspect: str) -> str:
@@ -56,19 +61,15 @@ def facts(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     report : mapping
         Keys of `verify --json`.
     """
-    reliability = report["bit_reliability"]
     asked = odds(math.log10(report["false_claim_rate"]))
+    bits = f"{report['matching_bits']} of {report['bits']} bits as registered"
     found = [
-        (
-            "message read",
-            f"{report['message']}: {report['matching_bits']} of {report['bits']} bits as registered,"
-            f" the least sure of them {percent(min(reliability))} reliable",
-        ),
-        ("false claim", f"{odds(report['log10_false_claim'])} at most (asked for: {asked})"),
+        ("message read", f"{report['message']}: {bits}, {_sureness(report)}"),
+        ("false claim", f"{odds(report['log10_false_claim'])} (asked for: {asked})"),
     ]
     if report["verdict"] == "not_marked" and report["power"] > 0:
-        text = f"the mark, worn down to half its strength, would have shown: {percent(report['power'])} sure"
-        found.append(("missed mark", text))
+        sure = surely(report["power"])
+        found.append(("missed mark", f"even a mark of half the strength would have shown: {sure} sure"))
     if report["missing"]:
         found.append(("missing", report["missing"]))
     if report["derived_fraction"] is not None:
@@ -76,8 +77,7 @@ def facts(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         found.append(("share of asset", text))
     if report["transform"] is not None and "scale" in report["transform"]:
         turn, scale = _angle(report["transform"]["rotation"]), 1.0 / report["transform"]["scale"]
-        text = f"the suspect was turned by {turn:.1f} degrees and scaled by {scale:.4g}"
-        found.append(("moved", text))
+        found.append(("moved", f"turned by {turn:.1f} degrees and scaled by {scale:.4g}"))
     found.append(("evidence", ROUTES.get(report["route"], report["route"])))
     if report["copy"]:
         found.append(("copy", f"the one made for {report['copy']!r}"))
@@ -92,7 +92,7 @@ def meaning(report: Mapping[str, Any]) -> tuple[str, str]:
     if report["verdict"] == "marked":
         chance = odds(report["log10_false_claim"])
         says = (
-            f"It means that a key with no part in making this suspect would come this far in at most {chance}"
+            f"It means that a key with no part in making this suspect would come this far in {chance}"
             " cases. That is a proven bound (Hoeffding's inequality), whatever the suspect is. It was found"
             " with the owner's record, which holds the unmarked original."
         )
@@ -128,6 +128,12 @@ def claim_lines(report: Mapping[str, Any], suspect: str) -> list[str]:
     for text in meaning(report):
         lines += ["", *textwrap.wrap(text, WIDTH)]
     return lines
+
+
+def _sureness(report: Mapping[str, Any]) -> str:
+    if report["verdict"] != "marked":
+        return f"where coins would give about {report['bits'] // 2}"
+    return f"the least sure of them {surely(min(report['bit_reliability']))} reliable"
 
 
 def _angle(rotation: Any) -> float:

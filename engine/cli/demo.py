@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.claim_text import claim_lines, headline, odds, percent
+from engine.cli.claim_text import claim_lines, headline, odds, surely
 from engine.cli.console import Console, Progress
 from engine.cli.embed import size
 from engine.cli.files import check_target, read_picture, whole_file, write_picture, write_secret
@@ -211,7 +211,7 @@ def _summary(report: Mapping[str, Any]) -> str:
     if report["verdict"] == "marked":
         chance = odds(report["log10_false_claim"])
         return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
-    return f"{verdict:<11} {bits}, as coins would; a worn mark would show: {percent(report['power'])} sure"
+    return f"{verdict:<11} {bits}, as coins would; a worn mark would show: {surely(report['power'])} sure"
 
 
 def _wrong_key(work: _Work) -> dict[str, Any]:
