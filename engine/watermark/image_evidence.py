@@ -1,20 +1,26 @@
 """From one suspect picture, already aligned to a render of the reference, to evidence for every chip (DESIGN 4.8).
 
-The residual is weighted (its subbands by how reliable they look), pulled back by the rasterizer's VJP, and summed
-over the members of each code vector. Inputs are the suspect and the unmarked reference alone, never a chip.
+The residual is weighted (its subbands by how reliable they look, or by the exact score of the JPEG quantiser it
+went through), pulled back by the rasterizer's VJP, and summed over the members of each code vector. Inputs are the
+suspect and the unmarked reference alone, never a chip.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from engine.model import SH_C0, Bool, Float32, Float64
 from engine.raster import View
 from engine.watermark.image_residual import image_cotangent
+from engine.watermark.jpeg_score import block_spread, find_quality, jpeg_cotangent
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
+
+CLIP = 8.0
+"""Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
+(fog, a wall) would otherwise outweigh thousands."""
 
 
 def gather_image_evidence(
@@ -52,18 +58,46 @@ def gather_image_evidence(
     Evidence
         y is in units of precision times displacement, so evidence of several pictures is summed (`add_evidence`).
     """
-    pull = _puller(layout, view)
-    cotangent = image_cotangent(reference, warped, mask)
-    y = pull(cotangent)
     weights = layout.amplitudes
+    quality = find_quality(warped)
+    spread = block_spread(_public_pattern(layout, view, float(np.std(mark_image)))) if quality else None
+
+    def pull(known: Float32) -> Float64:
+        if quality is not None and spread is not None:
+            cotangent = jpeg_cotangent(known, warped, mask, spread, quality)
+        else:
+            cotangent = image_cotangent(known, warped, mask)
+        return SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent)))
+
+    y = pull(reference)
+    limits = _limits(weights * y, len(layout.directions[0]))
+    y = _saturate(y, weights, limits)
     # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim.
-    response = pull(image_cotangent(reference, warped + mark_image, mask) - cotangent)
+    response = _saturate(pull(reference - mark_image), weights, limits) - y
     return Evidence(y, weights, mark_signs * response)
 
 
-def _puller(layout: Layout, view: View) -> Callable[[Float32], Float64]:
-    return lambda cotangent: SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent)))
+def _public_pattern(layout: Layout, view: View, rms: float) -> Float32:
+    """(H, W, 3) a mark-like pattern of public signs, scaled to `rms`: what a mark's spectrum looks like."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], layout.chips)
+    pattern = view.render(np.ascontiguousarray(SH_C0 * layout.displace(layout.amplitudes * signs)))[0]
+    return pattern * np.float32(rms / max(float(pattern.std()), 1e-12))
+
+
+def _limits(evidence: Float64, carriers: int) -> Float64:
+    """(C,) where evidence saturates: CLIP medians of what the picture shows, for each carrier."""
+    limits = np.empty_like(evidence)
+    for r in range(carriers):
+        shown = np.abs(evidence[r::carriers])
+        shown = shown[shown > 0]
+        limits[r::carriers] = CLIP * float(np.median(shown)) if len(shown) else 1.0
+    return limits
+
+
+def _saturate(y: Float64, weights: Float64, limits: Float64) -> Float64:
+    """y such that w y = limit tanh(w y / limit): an odd function of the suspect's evidence, blind to chips."""
+    return np.where(weights > 0, limits * np.tanh(weights * y / limits) / np.maximum(weights, 1e-300), 0.0)
 
 
 def add_evidence(parts: Sequence[Evidence]) -> Evidence:
@@ -72,8 +106,5 @@ def add_evidence(parts: Sequence[Evidence]) -> Evidence:
     Every part has the same weights (the plan's), so the sum of w y per chip is a fixed function of the suspect
     pictures and each secret sign still enters once: the theorem of 4.9 stands.
     """
-    total = Evidence(parts[0].y.copy(), parts[0].weights, parts[0].signal.copy())
-    for part in parts[1:]:
-        total.y[:] += part.y
-        total.signal[:] += part.signal
-    return total
+    y = np.sum([part.y for part in parts], axis=0)
+    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0))
