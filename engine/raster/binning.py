@@ -1,9 +1,9 @@
 """Pass 3: per tile, the list of Gaussians that touch it, front to back.
 
 A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: per row
-of tiles the ellipse's span in x. Two walks over the depth order, one to count and one to fill, need no
-capacity guess; both split the order into contiguous shares, so lists come out in depth order whatever the
-number of shares. A tile mask leaves tiles out altogether.
+of tiles the ellipse's span in x. One walk over the depth order notes the pairs and counts them per tile, a
+second pass puts them in place. Both split the order into contiguous shares, so lists come out in depth
+order whatever the number of shares. A tile mask leaves tiles out altogether.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -19,7 +19,7 @@ from engine.raster.lane_memory import prefetch
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 
-__all__ = ["count_pairs", "fill_pairs", "list_starts"]
+__all__ = ["list_pairs", "list_starts", "place_pairs"]
 
 _KERNEL_VERSION = 1
 
@@ -63,15 +63,27 @@ def _columns(records, extents, rects, i, row, log2_skip):
 
 
 @parallel_kernel
-def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes):
-    """Count the tiles of every Gaussian (`sizes`, (N,)) and, share by share, the Gaussians of every tile."""
+def list_pairs(
+    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles,
+    owners, counts
+):  # fmt: skip
+    """Walk the Gaussians front to back and note every (tile, Gaussian) pair.
+
+    Each share of the order fills its own row of `tiles` and `owners` (shares, capacity) and counts its
+    pairs per tile in `histograms` (shares, tiles) and altogether in `counts` (shares,); `sizes` (N,) gets
+    the tiles of every Gaussian. Where a row is too short the walk goes on counting: the caller makes longer
+    rows and calls again.
+    """
     shares = histograms.shape[0]
     share = (visible + shares - 1) // shares
     masked = tile_mask.shape[0] > 0
+    capacity = tiles.shape[1]
     for part in prange(shares):
         own = histograms[part]
+        own_tiles, own_owners = tiles[part], owners[part]
         for tile in range(own.shape[0]):
             own[tile] = 0
+        count = np.int64(0)
         end = min(visible, (part + 1) * share)
         for k in range(part * share, end):
             if k + _AHEAD < end:
@@ -80,7 +92,7 @@ def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log
                 prefetch(records, RECORD * ahead)
                 prefetch(extents, 2 * ahead)
             i = np.int64(order[k])
-            size = 0
+            before = count
             for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
                 first, last = _columns(records, extents, rects, i, row, log2_skip)
                 for column in range(first, last + 1):
@@ -88,49 +100,38 @@ def count_pairs(order, visible, records, extents, rects, tiles_x, tile_mask, log
                     if masked and not tile_mask[tile]:
                         continue
                     own[tile] += 1
-                    size += 1
-            sizes[i] = size
+                    if count < capacity:
+                        own_tiles[count] = tile
+                        own_owners[count] = i
+                    count += 1
+            sizes[i] = count - before
+        counts[part] = count
 
 
 @parallel_kernel
-def fill_pairs(
-    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, ids, firsts, slots
-):
-    """Write the lists.
+def place_pairs(tiles, owners, counts, histograms, ids, firsts, slots):
+    """Write the lists from the rows of `list_pairs`.
 
     `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the
     lists, tile after tile. ``slots[firsts[i]:firsts[i + 1]]`` are the places of Gaussian i in `ids`; left
     out if `slots` is empty.
     """
-    shares = histograms.shape[0]
-    share = (visible + shares - 1) // shares
-    masked = tile_mask.shape[0] > 0
     keep = slots.shape[0] > 0
-    for part in prange(shares):
+    for part in prange(counts.shape[0]):
         own = histograms[part]
-        end = min(visible, (part + 1) * share)
-        for k in range(part * share, end):
-            if k + _AHEAD < end:
-                ahead = np.int64(order[k + _AHEAD])
-                prefetch(rects, 4 * ahead)
-                prefetch(records, RECORD * ahead)
-                prefetch(extents, 2 * ahead)
-                if keep:
-                    prefetch(firsts, ahead)
-            i = np.int64(order[k])
-            slot = np.int64(firsts[i]) if keep else 0
-            for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
-                first, last = _columns(records, extents, rects, i, row, log2_skip)
-                for column in range(first, last + 1):
-                    tile = row * tiles_x + column
-                    if masked and not tile_mask[tile]:
-                        continue
-                    to = own[tile]
-                    own[tile] = to + 1
-                    ids[to] = i
-                    if keep:
-                        slots[slot] = to
-                        slot += 1
+        own_tiles, own_owners = tiles[part], owners[part]
+        previous, run = np.int64(-1), np.int64(0)
+        for k in range(counts[part]):
+            tile, i = own_tiles[k], np.int64(own_owners[k])
+            to = own[tile]
+            own[tile] = to + 1
+            ids[to] = i
+            if keep:
+                if k + _AHEAD < counts[part]:
+                    prefetch(firsts, np.int64(own_owners[k + _AHEAD]))
+                run = (run + 1) * np.int64(i == previous)  # a Gaussian's pairs follow each other
+                previous = i
+                slots[np.int64(firsts[i]) + run] = to
 
 
 @kernel

@@ -9,7 +9,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
 from engine.numerics.jit import thread_count
-from engine.raster.binning import count_pairs, fill_pairs, list_starts
+from engine.raster.binning import list_pairs, list_starts, place_pairs
 from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
@@ -21,6 +21,7 @@ __all__ = ["Geometry", "build_geometry"]
 _CHUNKS = 32
 _LANES = 16
 _MOST_PAIRS = 2**31 - 1
+_PAIRS_PER_GAUSSIAN = 3  # real scenes at a megapixel have about 2; more make room and walk again
 _NO_MASK = np.zeros(0, dtype=np.bool_)
 _EMPTY = np.zeros(0, dtype=np.int32)
 
@@ -154,20 +155,31 @@ def build_geometry(
     sizes.fill(0)
     histograms = work.array("tile histograms", (workers, tiles), np.int64)
     skip = np.float32(settings.log2_alpha_skip)
-    count_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes)
+    capacity = _PAIRS_PER_GAUSSIAN * -(-seen // workers)
+    while True:
+        noted = work.array("pair tiles", (workers, capacity), np.int32)
+        owners = work.array("pair owners", (workers, capacity), np.int32)
+        counts = np.zeros(workers, dtype=np.int64)
+        list_pairs(
+            order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes, noted, owners,
+            counts
+        )  # fmt: skip
+        if counts.sum() > _MOST_PAIRS:
+            raise InputError(
+                f"{counts.sum()} pairs of tile and Gaussian are too many to draw at once, at most "
+                f"{_MOST_PAIRS} are possible; draw a smaller image or mask tiles"
+            )
+        if counts.max() <= capacity:
+            break
+        capacity = int(counts.max())
     starts = np.empty(tiles + 1, dtype=np.int64)
     pairs = list_starts(histograms, starts)
-    if pairs > _MOST_PAIRS:
-        raise InputError(
-            f"{pairs} pairs of tile and Gaussian are too many to draw at once (at most {_MOST_PAIRS}); "
-            "draw a smaller image or mask tiles"
-        )
     ids = lasting("ids", pairs, np.int32)
     firsts, slots = _EMPTY, _EMPTY
     if keep:
         firsts, slots = aligned((rows + 1,), np.int32), aligned((pairs,), np.int32)
         firsts[0] = 0
         np.cumsum(sizes, out=firsts[1:])
-    fill_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, ids, firsts, slots)
+    place_pairs(noted, owners, counts, histograms, ids, firsts, slots)
     visible = order[:seen].copy() if keep else order[:seen]
     return Geometry(camera, settings, n, records, visible, ids, starts, firsts, slots), sizes[:n]
