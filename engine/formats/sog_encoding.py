@@ -32,6 +32,7 @@ FILES = {
 
 def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, bytes]:
     """Names and bytes of all parts; see `engine.formats.sog.write_sog`."""
+    width, height = image_size(len(model))
     codes, mins, maxs = position_codes(model.means)
     order = morton_order(codes.astype(np.float32))
     codes, model = codes[order], model.take(order)
@@ -70,7 +71,6 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
             "codebook": codebook.tolist(),
             "files": FILES["shN"],
         }
-    width, height = image_size(len(model))
     for name, pixels in images.items():
         parts[name] = encode_webp(_lay_out(pixels, width, height))
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
