@@ -112,9 +112,9 @@ def robust_umeyama(
         None where `umeyama` returns None.
     """
     fit = umeyama(source, target) if start is None else start
-    for _ in range(rounds):
-        if fit is None:
-            return None
+    if fit is None:
+        return None
+    for turn in range(rounds):
         error = np.linalg.norm(fit.apply(source) - target, axis=1)
         # 4.685 standard deviations: 95 % efficiency for normal errors. The median of a 3-D normal error's
         # length is 1.538 standard deviations.
@@ -122,7 +122,7 @@ def robust_umeyama(
         weights = np.square(np.clip(1.0 - np.square(error / cut), 0.0, None))
         better = umeyama(source, target, weights)
         if better is None:
-            return fit
+            return None if turn == 0 else fit
         moved = float(np.abs(better.t - fit.t).max()) + float(np.abs(better.R - fit.R).max()) * cut
         fit = better
         if moved < 1e-9 * cut:

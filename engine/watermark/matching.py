@@ -1,8 +1,8 @@
 """Which reference Gaussian each suspect Gaussian is, once the similarity between the two models is known.
 
-Position alone does not tell: noise of a tenth of the scene's spread carries a Gaussian past thousands of
-others. So the match is made in position, size, opacity, base colour and rotation together, each measured in its
-own expected error, and these errors are learnt from the matches. No secret of the mark enters.
+Position alone does not tell: noise of a tenth of the spread takes a Gaussian past thousands of others. So the
+match is made in position, size, opacity, base colour and rotation together, each measured in its own expected
+error, and these errors are learnt from the matches. No secret of the mark enters.
 """
 
 from __future__ import annotations
@@ -75,9 +75,8 @@ class Deviations:
         """Whether some error is more than `factor` times that of `other`."""
         mine = np.append(self.sigmas, self.rotation)
         theirs = np.append(other.sigmas, other.rotation)
-        finite = np.isfinite(mine) & np.isfinite(theirs)
         tint = np.abs(self.gain - other.gain) + np.abs(self.offset - other.offset)
-        return bool((mine[finite] > factor * theirs[finite]).any() or (tint > factor * other.color).any())
+        return bool((mine > factor * theirs).any() or (tint > factor * other.color).any())
 
 
 def floor_deviations(extent: float) -> Deviations:

@@ -55,7 +55,7 @@ class RegistrationConfig:
     sample : int
         Suspect Gaussians on which a hypothesis is judged and refined.
     min_matches : int
-        Matched Gaussians of that sample below which nothing is found.
+        Distinct reference Gaussians matched in that sample below which nothing is found.
     colorless : bool
         Whether to search once more without colours, which costs time where nothing is found.
     """

@@ -79,7 +79,7 @@ def judge(
     rng : numpy Generator
         Of the decoys.
     min_matches : int
-        Fewest matched Gaussians among `rows`.
+        Fewest distinct reference Gaussians that `rows` must be matched to.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def judge(
             return None
     pairs = paired(matcher.match(part, fit, deviations))
     for _ in range(ROUNDS):
-        if len(pairs[0]) < min_matches:
+        if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian are one witness
             return None
         better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
         if better is None:
@@ -122,7 +122,7 @@ def judge(
         pairs = paired(matcher.match(part, fit, deviations))
         if settled:
             break
-    if len(pairs[0]) < min_matches or not _beats_decoys(
+    if len(np.unique(pairs[0])) < min_matches or not _beats_decoys(
         reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0
     ):
         return None
