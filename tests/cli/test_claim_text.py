@@ -18,8 +18,8 @@ def report(verdict: str, **changes: object) -> dict[str, object]:
 
 @pytest.mark.parametrize(
     ("log10", "text"),
-    [(-612.4, "at most 1 in 10^612"), (-9.0, "at most 1 in 10^9"), (-1.99, "at most 1 in 10^1"), (-0.5, "no better than chance"),
-     (0.0, "no better than chance")],
+    [(-612.4, "at most 1 in 10^612"), (-9.0, "at most 1 in 10^9"),
+     (-1.99, "at most 1 in 10^1"), (-0.5, "no better than chance"), (0.0, "no better than chance")],
 )  # fmt: skip
 def test_odds_are_rounded_against_the_claim(log10: float, text: str) -> None:
     assert odds(log10) == text
@@ -40,8 +40,8 @@ def test_nothing_measured_is_certain() -> None:
 def test_a_marked_claim_says_all_of_it() -> None:
     text = "\n".join(claim_lines(report("marked"), "suspect.ply"))
     for part in (
-        "MARKED: suspect.ply", "c0ffee42", "32 of 32", "1 in 10^612", "asked for: at most 1 in 10^9", "24.8 %",
-        "'acme'", "ab" * 16, "proven bound", "does not mean", "2^-128",
+        "MARKED: suspect.ply", "c0ffee42", "32 of 32", "1 in 10^612", "asked for: at most 1 in 10^9",
+        "24.8 %", "'acme'", "ab" * 16, "proven bound", "does not mean", "2^-128",
     ):  # fmt: skip
         assert part in " ".join(text.split()), part
 

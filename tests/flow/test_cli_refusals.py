@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -35,22 +39,54 @@ def test_a_record_is_not_replaced_without_force(marked: Marked, capsys: Capsys, 
     assert not (tmp_path / "out.ply").exists()
 
 
-def test_ctrl_c_leaves_nothing(
+def test_interrupted_at_the_last_moment(
     key: Path, capsys: Capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Interrupted at the last moment: the model is written beside its place, the record is not yet."""
+    """The model is written beside its place, the record is not yet: nothing of either stays."""
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
+    thin = tmp_path / "thin.ply"
+    assert ask(capsys, "attack", "prune_random", SCENE, thin, "--strength", "0.85")[0] == 0
     monkeypatch.setattr("engine.cli.embed.write_secret", interrupted)
     out, record = tmp_path / "out" / "m.splat", tmp_path / "out" / "m.record"
     out.parent.mkdir()
     code, said = ask(
-        capsys, "embed", SMALL, out, "--key", key, "--record", record, "--bits", "16", "--profile", "fast"
-    )
+        capsys, "embed", thin, out, "--key", key, "--record", record, "--bits", "16", "--profile", "fast",
+        "--psnr", "40",
+    )  # fmt: skip
     assert (code, said["error"]["type"]) == (130, "Interrupted")
     assert list(out.parent.iterdir()) == []
+
+
+def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    arguments = [
+        "embed",
+        SCENE,
+        out / "m.ply",
+        "--key",
+        key,
+        "--record",
+        out / "m.record",
+        "--profile",
+        "strong",
+    ]
+    program = "import sys; from engine.cli.app import main; sys.stderr.write('started\\n'); main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)], stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stderr is not None
+        assert running.stderr.readline() == "started\n"
+        time.sleep(2.0)
+        running.send_signal(signal.SIGINT)
+        said = running.stderr.read()
+    assert running.returncode == 130
+    assert "interrupted; nothing was written" in said
+    assert "Traceback" not in said
+    assert list(out.iterdir()) == []
 
 
 def test_a_message_the_scene_cannot_carry(key: Path, capsys: Capsys, tmp_path: Path) -> None:
