@@ -19,7 +19,8 @@ from engine.errors import InputError
 
 def bench(
     what: Annotated[
-        str, typer.Argument(metavar="WHAT", help="raster, embed, verify, attacks, screenshots or truth.")
+        str,
+        typer.Argument(metavar="WHAT", help="raster, embed, verify, attacks, screenshots, finetune, truth."),
     ],
     scene: Annotated[
         list[Path] | None,
@@ -30,8 +31,11 @@ def bench(
     ] = "fast",
     repeats: Annotated[int, typer.Option("--repeats", min=1, help="Timed runs; the median is reported.")] = 3,
     trials: Annotated[
-        int, typer.Option("--trials", min=1, help="screenshots: pictures a scene; truth: wrong keys.")
-    ] = 50,
+        int | None,
+        typer.Option(
+            "--trials", min=1, help="Screenshots (50), epochs (500) or wrong keys (100,000) a scene."
+        ),
+    ] = None,
     size: Annotated[
         tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")
     ] = (1297, 840),
@@ -48,12 +52,13 @@ def bench(
     verify       seconds for a model, a picture, a screenshot of unknown camera
     attacks      bits, z and claim after every attack of the bars
     screenshots  claims from pictures of unknown camera, and from another scene's
+    finetune     claims after training on clean pictures at the key views
     truth        false claims among wrong keys, against the proven bound
 
     Examples:
 
       mark3dgs bench embed --scene city.sog --repeats 5
-      mark3dgs bench attacks --scene city.sog --scene plant.splat --out attacks.json
+      mark3dgs bench attacks --scene city.sog --scene plant.splat --out a.json
     """
     console = Console(json)
     scenes = scene or [shipped_scene()]

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from engine.evaluate.marked_scene import MarkedScene
+    from engine.model import GaussianModel
+
+
+SCREENSHOTS, EPOCHS, WRONG_KEYS = 50, 500, 100_000
+"""How many trials those benches run unless told otherwise."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +28,8 @@ class Job:
         Of the embeddings.
     repeats : int
         Timed runs.
-    trials : int
-        Random pictures or keys.
+    trials : int or None
+        Random pictures, epochs or wrong keys; None for what the bars ask.
     size : (int, int)
         Width and height of rastered images, pixels.
     seed : int
@@ -34,7 +40,7 @@ class Job:
     scenes: list[Path]
     profile: str
     repeats: int
-    trials: int
+    trials: int | None
     size: tuple[int, int]
     seed: int
     advance: Callable[[float], None]
@@ -85,12 +91,48 @@ def _attacks(job: Job) -> dict[str, Any]:
 
 
 def _screenshots(job: Job) -> dict[str, Any]:
+    """Own screenshots of every scene; with several scenes, also those of the next one against its record."""
     from engine.evaluate.bars_images import bench_screenshots
 
+    trials = job.trials or SCREENSHOTS
     rows: list[dict[str, Any]] = []
-    for scene in job.marked():
-        rows += bench_screenshots(scene, job.trials, job.seed)
-    return {"profile": job.profile, "trials": job.trials, "rows": rows}
+    for number, scene in enumerate(job.marked()):
+        own = bench_screenshots(scene, trials, job.seed)
+        rows += [{"source": "own", **row} for row in own]
+        if len(job.scenes) > 1:
+            other = job.scenes[(number + 1) % len(job.scenes)]
+            foreign = bench_screenshots(scene, trials, job.seed, foreign=partial(_model_at, other))
+            rows += [{"source": other.name, **row} for row in foreign]
+    return {"profile": job.profile, "trials": trials, "rows": rows}
+
+
+def _model_at(path: Path) -> GaussianModel:
+    from engine.formats import read_model
+
+    return read_model(path).model
+
+
+def _fine_tuning(job: Job) -> dict[str, Any]:
+    from engine.evaluate.bars_fine_tuning import bench_fine_tuning
+
+    epochs = job.trials or EPOCHS
+    rows = [bench_fine_tuning(scene, epochs) for scene in job.marked()]
+    return {"profile": job.profile, "epochs": epochs, "rows": rows}
+
+
+def _truth(job: Job) -> dict[str, Any]:
+    """Wrong keys on every scene, every record against every other scene, and a forged original for each."""
+    from engine.evaluate.bars_truth import cross_check, forge, wrong_key_rates
+    from engine.pipeline.profiles import profile
+
+    keys = job.trials or WRONG_KEYS
+    scenes = list(job.marked())
+    wrong = [row for scene in scenes for row in wrong_key_rates(scene, keys, job.seed)]
+    crossed = cross_check(scenes, [(scene.name, scene.original) for scene in scenes])
+    forged = [forge(scene, profile(job.profile)) for scene in scenes]
+    kinds = {"wrong keys": wrong, "cross check": crossed, "forged original": forged}
+    rows = [{"check": kind, **row} for kind, found in kinds.items() for row in found]
+    return {"profile": job.profile, "keys": keys, "rows": rows}
 
 
 BENCHES: dict[str, Callable[[Job], dict[str, Any]]] = {
@@ -99,4 +141,6 @@ BENCHES: dict[str, Callable[[Job], dict[str, Any]]] = {
     "verify": _verify,
     "attacks": _attacks,
     "screenshots": _screenshots,
+    "finetune": _fine_tuning,
+    "truth": _truth,
 }
