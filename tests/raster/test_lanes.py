@@ -222,5 +222,5 @@ def test_aligned_arrays(shape: tuple[int, ...]) -> None:
     array = aligned(shape)
     assert array.shape == shape
     assert array.dtype == np.float32
-    assert array.ctypes.data % 64 == 0
+    assert array.size == 0 or array.ctypes.data % 64 == 0
     array[:] = 1.0
