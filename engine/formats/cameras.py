@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import CameraError, InputError
-from engine.formats.cameras_colmap import colmap_files, read_colmap
 from engine.formats.cameras_json import read_inria, read_nerf
 from engine.formats.writing import write_whole
 from engine.model import Camera
@@ -103,7 +102,7 @@ def write_cameras(cameras: Sequence[Camera], path: str | os.PathLike[str]) -> in
 def _read_folder(folder: Path) -> list[Camera]:
     for subfolder in _SUBFOLDERS:
         for suffix in (".bin", ".txt"):
-            if all(file.is_file() for file in colmap_files(folder / subfolder, suffix)):
+            if all(file.is_file() for file in _colmap_files(folder / subfolder, suffix)):
                 return _read_colmap(folder / subfolder, suffix)
     for name in _JSON_NAMES:
         if (folder / name).is_file():
@@ -114,8 +113,14 @@ def _read_folder(folder: Path) -> list[Camera]:
     raise CameraError(f"{folder}: {message}")
 
 
+def _colmap_files(folder: Path, suffix: str) -> tuple[Path, Path]:
+    return folder / f"cameras{suffix}", folder / f"images{suffix}"
+
+
 def _read_colmap(folder: Path, suffix: str) -> list[Camera]:
-    cameras, images = colmap_files(folder, suffix)
+    from engine.formats.cameras_colmap import read_colmap  # scipy costs 0.2 s, and most callers read JSON
+
+    cameras, images = _colmap_files(folder, suffix)
     return read_colmap(_read(cameras), _read(images), str(cameras), str(images), binary=suffix == ".bin")
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ _LENSES = {
     "RADIAL": _Lens(3, 5, 1),
     "OPENCV": _Lens(4, 8, 2),
 }
+_LARGEST = 1e15  # in pixels and scene units; also false for what is no number
 _NAMES = {lens.number: name for name, lens in _LENSES.items()}
 
 
@@ -49,11 +50,6 @@ class _Image:
     t: tuple[float, ...]
     camera: int
     where: str
-
-
-def colmap_files(folder: Path, suffix: str) -> tuple[Path, Path]:
-    """The files of intrinsics and of poses."""
-    return folder / f"cameras{suffix}", folder / f"images{suffix}"
 
 
 def read_colmap(
@@ -88,8 +84,8 @@ def read_colmap(
         lens = lenses.get(image.camera)
         if lens is None:
             raise CameraError(f"{image.where}: camera {image.camera} is not in {cameras_file}")
-        norm = float(np.linalg.norm(image.quat))
-        if not (0.5 < norm < 2.0 and np.isfinite(image.t).all()):
+        norm = math.hypot(*image.quat)
+        if not (0.5 < norm < 2.0 and all(abs(value) < _LARGEST for value in image.t)):
             raise CameraError(f"{image.where}: the pose is no rotation and translation")
         to_camera = quaternion_to_rotation(np.array(image.quat) / norm).reshape(3, 3)
         position = -to_camera.T @ np.array(image.t)
@@ -114,7 +110,7 @@ def _intrinsics(model: str, width: int, height: int, parameters: list[float], wh
     fx, fy = parameters[0], parameters[lens.focals - 1]
     cx, cy = parameters[lens.focals : lens.focals + 2]
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    if not (np.isfinite(parameters).all() and fx > 0 and fy > 0):
+    if not (all(abs(value) < _LARGEST for value in parameters) and fx > 0 and fy > 0):
         raise CameraError(f"{where}: the parameters are no focal length and principal point")
     return _Intrinsics(K, width, height, any(parameters[lens.focals + 2 :]))
 

@@ -1,0 +1,105 @@
+"""Which reader a file gets, and what is known about the file afterwards."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import engine.formats
+from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.formats import FORMATS, encode_model, read_model, write_model
+from tests.formats.models import DATA, assert_same, random_model
+
+TRAIN = DATA / "train_1000.ply"
+
+
+def test_public_names() -> None:
+    names = engine.formats.__all__
+    assert names == sorted(names)
+    assert all(hasattr(engine.formats, name) for name in names)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_the_first_bytes_decide_and_not_the_name(tmp_path: Path, format: str) -> None:
+    model = random_model(0, 300)
+    data = encode_model(model, format)
+    path = tmp_path / ("scene.spz" if format == "ply" else "scene.ply")
+    path.write_bytes(data)
+    loaded = read_model(path)
+    assert loaded.format == format
+    assert len(loaded.model) == 300
+    assert loaded.source_bytes == len(data)
+    assert loaded.sha256 == hashlib.sha256(data).hexdigest()
+    for content in (bytearray(data), memoryview(data)):
+        assert_same(read_model(content).model, loaded.model)
+
+
+def test_the_name_is_what_messages_call_the_file() -> None:
+    with pytest.raises(FormatError) as caught:
+        read_model(b"", name="their.ply")
+    assert str(caught.value) == "their.ply: is empty"
+    assert caught.value.file == "their.ply"
+    with pytest.raises(FormatError, match=r"^\(bytes\): is empty"):
+        read_model(b"")
+
+
+def test_other_formats_are_refused_by_name() -> None:
+    with pytest.raises(UnsupportedFormatError, match=r"\.ksplat is not read here"):
+        read_model(bytes(4096), name="Scene.KSPLAT")
+    with pytest.raises(UnsupportedFormatError, match="is glTF"):
+        read_model(b"glTF" + bytes(60), name="scene.glb")
+    with pytest.raises(
+        UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, splat"
+    ):
+        read_model(b"hello", name="scene.ply")
+
+
+def test_paths_that_are_no_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent\.ply: cannot be read: No such file"):
+        read_model(tmp_path / "absent.ply")
+    with pytest.raises(UnsupportedFormatError, match=r"folder without meta\.json"):
+        read_model(tmp_path)
+    with pytest.raises(InputError, match="is no file name"):
+        read_model("a\0b.ply")
+    fifo = tmp_path / "pipe.ply"
+    os.mkfifo(fifo)
+    with pytest.raises(InputError, match="is no regular file"):
+        read_model(fifo)
+
+
+def test_an_unpacked_sog_scene(tmp_path: Path) -> None:
+    import zipfile
+
+    path = tmp_path / "scene.sog"
+    write_model(random_model(1, 300), path)
+    folder = tmp_path / "scene"
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    packed, unpacked = read_model(path), read_model(folder)
+    assert_same(packed.model, unpacked.model)
+    assert unpacked.format == "sog"
+    assert unpacked.source_bytes == sum(file.stat().st_size for file in folder.iterdir())
+    by_meta = read_model(folder / "meta.json")
+    assert by_meta.sha256 == unpacked.sha256
+    (folder / "notes.txt").write_text("not of the scene")
+    assert read_model(folder).sha256 == unpacked.sha256
+    image = next(folder.glob("*.webp"))
+    image.write_bytes(image.read_bytes() + b"\0")
+    assert read_model(folder).sha256 != unpacked.sha256
+
+
+def test_chains_of_formats_stay_the_same_scene() -> None:
+    """Through every format in turn: the geometry moves by no more than the formats round."""
+    model = read_model(TRAIN).model
+    for format in FORMATS:
+        model = read_model(encode_model(model, format)).model
+        assert len(model) == 1000
+    original = read_model(TRAIN).model
+    extent = float(np.ptp(original.means, axis=0).max())
+    centre = np.abs(model.means.mean(axis=0) - original.means.mean(axis=0)).max()
+    assert centre < 1e-3 * extent
+    np.testing.assert_allclose(np.sort(model.opacities), np.sort(original.opacities), atol=0.02)

@@ -1,0 +1,97 @@
+"""The .splat format, which has no magic and no header."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats import encode_model, read_model
+from engine.formats.repairs import INFINITE_OPACITY_LOGIT
+from engine.formats.splat import RECORD, looks_like_splat, read_splat
+from engine.model import SH_C0
+from tests.formats.gaussforge_child import gaussforge
+from tests.formats.models import DATA, random_model
+
+PLANT = DATA / "plant.splat"
+
+
+def test_round_trip_within_half_a_step() -> None:
+    model = random_model(0, 5000)
+    loaded = read_model(encode_model(model, "splat"))
+    assert loaded.format == "splat"
+    back = loaded.model
+    np.testing.assert_array_equal(back.means, model.means)
+    np.testing.assert_allclose(back.log_scales, model.log_scales, atol=1e-6)
+    assert np.abs(back.opacities - model.opacities).max() <= 0.5 / 255 + 1e-6
+    colors = np.clip(0.5 + SH_C0 * model.sh[:, 0], 0, 1)
+    assert np.abs(0.5 + SH_C0 * back.sh[:, 0] - colors).max() <= 0.5 / 255 + 1e-6
+    dots = np.abs(np.einsum("nq,nq->n", back.quats.astype(np.float64), model.quats))
+    assert np.degrees(2 * np.arccos(dots.min())) < 1.0
+
+
+def test_a_real_scene_is_written_back_byte_for_byte_but_for_quaternions() -> None:
+    """Other writers do not scale quaternions to the same length before rounding."""
+    loaded = read_model(PLANT)
+    theirs = np.frombuffer(PLANT.read_bytes(), RECORD)
+    ours = np.frombuffer(encode_model(loaded.model, "splat"), RECORD)
+    np.testing.assert_array_equal(ours["means"], theirs["means"])
+    np.testing.assert_array_equal(ours["rgba"], theirs["rgba"])
+    np.testing.assert_allclose(ours["scales"], theirs["scales"], rtol=1e-5)
+    assert np.abs(ours["quats"].astype(int) - theirs["quats"]).max() <= 2
+    assert [(repair.code, repair.count) for repair in loaded.repairs] == [("opacities_infinite", 199)]
+    assert len(loaded.model) == 113648
+
+
+def test_spherical_harmonics_are_dropped() -> None:
+    model = random_model(3, 50)
+    back = read_model(encode_model(model, "splat")).model
+    assert back.sh_degree == 0
+
+
+def test_alpha_of_zero_and_one_become_finite() -> None:
+    model = random_model(0, 3).with_(opacity_logits=np.array([50, -50, 0]))
+    logits = read_model(encode_model(model, "splat")).model.opacity_logits
+    np.testing.assert_allclose(logits[:2], [INFINITE_OPACITY_LOGIT, -INFINITE_OPACITY_LOGIT])
+
+
+def test_agrees_with_gaussforge() -> None:
+    data = encode_model(random_model(0), "splat")
+    ours = read_model(data).model
+    (answer,) = gaussforge(("convert", {"data": data, "in_format": "splat", "out_format": "ply"}))
+    theirs = read_model(answer).model
+    np.testing.assert_array_equal(ours.means, theirs.means)
+    np.testing.assert_allclose(ours.log_scales, theirs.log_scales, atol=1e-5)
+    np.testing.assert_allclose(ours.sh, theirs.sh, atol=0.01)
+    np.testing.assert_allclose(ours.quats, theirs.quats, atol=0.01)
+    np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=0.01)
+
+
+def test_dirty_rows() -> None:
+    records = np.frombuffer(encode_model(random_model(0, 10), "splat"), RECORD).copy()
+    records["scales"][1] = 0
+    records["scales"][2, 1] = -1
+    records["means"][3, 0] = np.nan
+    records["quats"][4] = 128
+    loaded = read_model(records.tobytes())
+    counts = {repair.code: repair.count for repair in loaded.repairs}
+    assert counts == {"rows_dropped": 2, "scales_clamped": 1, "quaternions_zero": 1}
+    np.testing.assert_array_equal(loaded.model.quats[2], [1, 0, 0, 0])
+
+
+@pytest.mark.parametrize("change", [-1, 1, 31])
+def test_a_length_that_is_no_multiple_of_32_is_refused(change: int) -> None:
+    data = encode_model(random_model(0, 10), "splat")
+    data = data[:change] if change < 0 else data + bytes(change)
+    with pytest.raises(UnsupportedFormatError, match="none of the formats"):
+        read_model(data)
+    with pytest.raises(FormatError, match=f"{len(data)} bytes are no multiple of 32"):
+        read_splat(data, file="x")
+
+
+def test_what_does_not_look_like_gaussians() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, 32 * 5000, dtype=np.uint8).tobytes()
+    text = b"The quick brown fox jumps over.\n" * 100
+    for data in (noise, text, bytes(3200), b"\xff" * 3200, b""):
+        assert not looks_like_splat(data)
+    assert looks_like_splat(PLANT.read_bytes())
