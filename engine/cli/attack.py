@@ -166,7 +166,11 @@ def _attack_picture(
     result = chosen.apply(image, value, rng=seed, reading=reading)
     before, after = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, result))
     with whole_file(out) as part:
-        write_picture(result, part, out)
+        if chosen.name == "jpeg":  # coded once more with the same tables: a file as the attack would leave it
+            used = chosen.default if value is None else value
+            write_picture(result, part, out, int(used))
+        else:
+            write_picture(result, part, out)
     return {
         "size_in": [image.shape[1], image.shape[0]],
         "size_out": [result.shape[1], result.shape[0]],

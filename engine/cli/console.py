@@ -23,6 +23,7 @@ STAGES = {
     "quantize": "grouping Gaussians into code vectors",
     "plan": "planning the mark",
     "refine": "refining the mark against distortions",
+    "landmarks": "learning to know the scene again in pictures",
     "record": "making the record",
     "write": "writing",
     "open record": "opening the record",

@@ -149,11 +149,11 @@ def _trials(
     """Steal the marked model in three ways, and try the unmarked original."""
     import numpy as np
 
-    from engine.evaluate.bars_images import random_view, to_8_bit
+    from engine.evaluate.bars_images import random_view
     from engine.formats import read_model, write_model
     from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
     from engine.raster import render
-    from engine.sim.attacks import image_attack, model_attack
+    from engine.sim.attacks import model_attack
 
     config = VerifyConfig()
 
@@ -181,10 +181,10 @@ def _trials(
     def screenshot() -> Verification:
         camera = random_view(marked, np.random.default_rng(SEED), *SCREENSHOT_SIZE)
         work.progress("render", 0.0)
-        picture = to_8_bit(render(marked, camera))
-        path = work.folder / "stolen-screenshot.png"
+        picture = render(marked, camera)
+        path = work.folder / "stolen-screenshot.jpg"
         with whole_file(path) as part:
-            write_picture(image_attack("jpeg").apply(picture, SCREENSHOT_QUALITY), part, path)
+            write_picture(picture, part, path, SCREENSHOT_QUALITY)
         return verify_images([read_picture(path)], opened, config, None, work.progress)
 
     work.console.say("4. Somebody takes it, and the owner checks what turns up:")

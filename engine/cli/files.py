@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 MAX_PICTURE_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded: no screen or phone makes them."""
 
+JPEG_QUALITY = 95
+
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
 
 _PICTURE_MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
@@ -149,10 +151,16 @@ def read_picture(path: Path) -> Float32:
     return np.ascontiguousarray(levels / np.float32(255.0))
 
 
-def write_picture(image: Float32, path: Path, target: Path) -> None:
-    """Store (H, W, 3) float32 in 0..1 at `path`, in the format that the ending of `target` names.
+def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_QUALITY) -> None:
+    """Store a picture at `path`, in the format that the ending of `target` names.
 
-    JPEG at quality 95; the `jpeg` attack is the tool for less.
+    Parameters
+    ----------
+    image : (H, W, 3) float32
+        Clipped to 0..1, stored with 8 bits.
+    path, target : Path
+    quality : int
+        Of a JPEG; the other formats lose nothing.
     """
     import numpy as np
     from PIL import Image
@@ -160,7 +168,7 @@ def write_picture(image: Float32, path: Path, target: Path) -> None:
     check_picture_ending(target)
     levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
-    options: dict[str, dict[str, Any]] = {"JPEG": {"quality": 95}, "PNG": {}, "WEBP": {"lossless": True}}
+    options: dict[str, dict[str, Any]] = {"JPEG": {"quality": quality}, "PNG": {}, "WEBP": {"lossless": True}}
     Image.fromarray(levels).save(path, format=kind, **options[kind])
 
 
