@@ -3,10 +3,10 @@
 The image is linear in the colours, dL/dcolor_i = sum over pixels of w_i * cotangent. The passes walk the
 tiles as `forward` does and take the same decisions. Each batch keeps one accumulator row (16 lanes) per
 Gaussian and quantity; at the end of the batch 16 rows at a time collapse into one vector by a transposed
-sum. Every pair has its own place in the output (16 bytes for three channels), so nothing is shared between
-threads, and `gather_sums` adds a Gaussian's pairs in the order of tiles: the result has the same bits whatever
-the number of threads. The gather is a sixth of the pass (real scene, 524k Gaussians, 0.9 M pairs: 4.7 of 28 ms
-on one core).
+sum. Every pair has its own place in the output (16 bytes for three channels), so nothing is shared
+between threads, and `gather_sums` adds a Gaussian's pairs in the order of tiles: the result has the same bits
+whatever the number of threads. The gather is a sixth of the pass (real scene, 524k Gaussians, 0.9 M pairs:
+4.7 of 28 ms on one core).
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
