@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from engine.model import GaussianModel
+
 
 def webp(pixels: np.ndarray, lossless: bool = True) -> bytes:
     buffer = io.BytesIO()
@@ -134,3 +136,21 @@ def version_1(n: int, degree: int, seed: int = 0) -> tuple[bytes, dict[str, np.n
     files = {f"{name}.webp": webp(pixels) for name, pixels in parts.items()}
     arrays = {name: np.array(values) for name, values in expected.items()}
     return bundle({"meta.json": json.dumps(meta).encode(), **files}), arrays
+
+
+def random_model(degree: int, n: int = 300, seed: int = 0) -> GaussianModel:
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    return GaussianModel(
+        rng.normal(0, 5, (n, 3)),
+        rng.normal(-4, 1.5, (n, 3)),
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        rng.uniform(-5, 5, n),
+        rng.normal(0, 0.3, (n, (degree + 1) ** 2, 3)),
+    )
+
+
+def assert_valid(model: GaussianModel) -> None:
+    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+        assert np.isfinite(getattr(model, name)).all(), name
+    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)

@@ -2,80 +2,30 @@
 
 from __future__ import annotations
 
-import gzip
-import struct
-import tracemalloc
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.errors import FormatError, InputError
 from engine.formats.ply import read_ply
 from engine.formats.spz import read_spz, write_spz
 from engine.formats.spz_container import unpack
 from engine.formats.spz_frames import SPECIFICATION
 from engine.model import GaussianModel
 from tests.formats.gaussforge_child import gaussforge
+from tests.formats.spz_scenes import frame_record, gzipped, random_model, random_sections, record
 from tests.reference.similarity import covariance, moved_colour, moved_covariance
 from tests.reference.spherical_harmonics import sh_colour
 from tests.reference.spz import decode_gaussian
 
 TRAIN = Path(__file__).parents[1] / "data" / "train_1000.ply"
-STRIDES = {2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
 
 
 @pytest.fixture(scope="module")
 def train() -> GaussianModel:
     return read_ply(TRAIN.read_bytes(), file="train")[0]
-
-
-def random_model(degree: int, n: int = 200, seed: int = 0) -> GaussianModel:
-    """Values inside the ranges of SPZ."""
-    rng = np.random.default_rng(seed)
-    quats = rng.normal(size=(n, 4))
-    return GaussianModel(
-        rng.normal(0, 5, (n, 3)),
-        rng.uniform(-9, 2, (n, 3)),
-        quats / np.linalg.norm(quats, axis=1, keepdims=True),
-        rng.uniform(-4, 4, n),
-        np.concatenate(
-            [rng.uniform(-3, 3, (n, 1, 3)), rng.uniform(-0.98, 0.98, (n, (degree + 1) ** 2 - 1, 3))], 1
-        ),
-    )
-
-
-def random_sections(version: int, degree: int, n: int, seed: int) -> list[bytes]:
-    rng = np.random.default_rng(seed)
-    return [rng.bytes(s * n) for s in (*STRIDES[version], 3 * ((degree + 1) ** 2 - 1))]
-
-
-def head(version: int, n: int, degree: int, bits: int = 12, flags: int = 0) -> bytes:
-    return struct.pack("<IIIBBBB", 0x5053474E, version, n, degree, bits, flags, 0)
-
-
-def gzipped(
-    version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0
-) -> bytes:
-    return gzip.compress(head(version, n, degree, flags=flags) + b"".join(sections) + tail, 1)
-
-
-def record(kind: int, payload: bytes) -> bytes:
-    return struct.pack("<II", kind, len(payload)) + payload
-
-
-def frame_record(number: int) -> bytes:
-    return record(0xADBE0003, struct.pack("<I", number))
-
-
-def assert_valid(model: GaussianModel) -> None:
-    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-        assert np.isfinite(getattr(model, name)).all(), name
-    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)
 
 
 def angles(a: GaussianModel, b: GaussianModel) -> np.ndarray:
@@ -297,136 +247,3 @@ def test_writer_refuses_what_does_not_fit():
     ):
         with pytest.raises(InputError):
             refused()
-
-
-@pytest.mark.parametrize("version", [3, 4])
-def test_every_cut_and_every_tail_is_refused_by_name(version):
-    data = write_spz(random_model(1, n=20), version=version)
-    for length in range(len(data)):
-        with pytest.raises(FormatError, match=r"^scan\.spz"):
-            read_spz(data[:length], file="scan.spz")
-    for tail in (b"\0", data, bytes(100)):
-        with pytest.raises(FormatError, match=r"^scan\.spz"):
-            read_spz(data + tail, file="scan.spz")
-
-
-def test_counts_that_lie_are_refused():
-    sections = random_sections(3, 0, 10, seed=0)
-    for n in (0, 9, 11, 2**31, 2**32 - 1):
-        with pytest.raises(FormatError):
-            read_spz(gzipped(3, n, 0, sections), file="x")
-    with pytest.raises(FormatError, match="holds 0 Gaussians"):
-        read_spz(gzipped(3, 0, 0, [b""]), file="x")
-    with pytest.raises(FormatError, match="follow the gzip stream"):
-        read_spz(gzipped(3, 10, 0, sections) * 2, file="x")
-    with pytest.raises(FormatError, match="more than the 200 bytes"):
-        read_spz(gzipped(3, 10, 0, sections, bytes(8)), file="x")
-    with pytest.raises(FormatError, match="claims 9 bytes"):
-        read_spz(gzipped(3, 10, 0, sections, struct.pack("<II", 1, 9) + bytes(8), flags=2), file="x")
-    with pytest.raises(FormatError, match="fractional bits"):
-        read_spz(gzip.compress(head(3, 10, 0, bits=25) + b"".join(sections)), file="x")
-
-
-@pytest.mark.parametrize(
-    ("header", "what"),
-    [
-        (head(1, 10, 0), "version 1"),
-        (head(4, 10, 0), "version 4"),
-        (head(5, 10, 0), "version 5"),
-        (head(3, 10, 4), "degree 4"),
-        (head(3, 10, 0, flags=0x80), "levels of detail"),
-    ],
-)
-def test_what_is_not_read_is_named(header, what):
-    with pytest.raises(UnsupportedFormatError, match=what):
-        read_spz(gzip.compress(header + bytes(1000)), file="x")
-
-
-def test_other_files_are_no_spz():
-    for data in (
-        b"",
-        b"ply\n",
-        b"NGSP",
-        gzip.compress(b"hello"),
-        gzip.compress(b"PK" + bytes(1000)),
-        b"\x1f\x8b",
-    ):
-        with pytest.raises(FormatError):
-            read_spz(data, file="x")
-
-
-def test_gzip_bomb_costs_no_memory():
-    """64 MB behind a header of 10 Gaussians, or of 200 M Gaussians: nothing of it is unpacked."""
-    for n in (10, 200_000_000):
-        bomb = gzip.compress(head(3, n, 0) + bytes(64 << 20), 9)
-        assert len(bomb) < 100_000
-        tracemalloc.start()
-        with pytest.raises(FormatError):
-            read_spz(bomb, file="x")
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert peak < 1 << 20
-
-
-def v4(n: int, sections: list[bytes], toc: list[tuple[int, int]] | None = None) -> bytes:
-    entries = toc or [(len(zstandard.compress(s)), len(s)) for s in sections]
-    header = struct.pack("<IIIBBBBI12x", 0x5053474E, 4, n, 0, 12, 0, 5, 32)
-    return (
-        header
-        + b"".join(struct.pack("<QQ", *e) for e in entries)
-        + b"".join(map(zstandard.compress, sections))
-    )
-
-
-def test_zstd_streams_that_lie_are_refused():
-    n = 10
-    sections = random_sections(4, 0, n, seed=0)[:5]
-    assert len(read_spz(v4(n, sections), file="x")[0]) == n
-    true = [(len(zstandard.compress(s)), len(s)) for s in sections]
-    longer = [*sections[:4], sections[4] + b"\0"]
-    bomb = [*sections[:4], bytes(256 << 20)]
-    shifted = [(true[0][0] - 1, true[0][1]), (true[1][0] + 1, true[1][1]), *true[2:]]
-    for data in (
-        v4(n + 1, sections),
-        v4(n, longer),
-        v4(n, longer, [*true[:4], (len(zstandard.compress(longer[4])), true[4][1])]),
-        v4(n, bomb, [*true[:4], (len(zstandard.compress(bomb[4])), true[4][1])]),
-        v4(n, sections, shifted),
-        v4(n, sections, [(2**63, true[0][1]), *true[1:]]),
-        v4(100_000_000, sections, [(a, b * 10_000_000) for a, b in true]),
-    ):
-        tracemalloc.start()
-        with pytest.raises(FormatError):
-            read_spz(data, file="x")
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-        tracemalloc.stop()
-
-
-PLAIN = zlib.decompress(write_spz(random_model(1, n=12)), 31)
-PACKED = {3: write_spz(random_model(1, n=12)), 4: write_spz(random_model(1, n=12), version=4)}
-MUTATIONS = st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=6)
-
-
-def mutated(data: bytes, mutations: list[tuple[int, int]]) -> bytes:
-    result = bytearray(data)
-    for position, value in mutations:
-        result[position % len(result)] = value
-    return bytes(result)
-
-
-@settings(max_examples=300, deadline=None)
-@given(MUTATIONS, st.sampled_from(["gzip", "inside gzip", "zstd", "header", "zstd header"]))
-def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations, where):
-    if where == "inside gzip":
-        data = gzip.compress(mutated(PLAIN, mutations), 1)
-    elif where == "header":
-        data = gzip.compress(mutated(PLAIN[:16], mutations) + PLAIN[16:], 1)
-    elif where == "zstd header":
-        data = mutated(PACKED[4][:140], mutations) + PACKED[4][140:]
-    else:
-        data = mutated(PACKED[3 if where == "gzip" else 4], mutations)
-    try:
-        model, _ = read_spz(data, file="x")
-    except FormatError:
-        return
-    assert_valid(model)

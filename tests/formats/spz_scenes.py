@@ -1,0 +1,56 @@
+"""Models inside the ranges of SPZ, and SPZ files put together by hand, so that a test can make them lie."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+
+import numpy as np
+
+from engine.model import GaussianModel
+
+STRIDES = {2: (9, 1, 3, 3, 3), 3: (9, 1, 3, 3, 4), 4: (9, 1, 3, 3, 4)}
+
+
+def random_model(degree: int, n: int = 200, seed: int = 0) -> GaussianModel:
+    """Values inside the ranges of SPZ."""
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    return GaussianModel(
+        rng.normal(0, 5, (n, 3)),
+        rng.uniform(-9, 2, (n, 3)),
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        rng.uniform(-4, 4, n),
+        np.concatenate(
+            [rng.uniform(-3, 3, (n, 1, 3)), rng.uniform(-0.98, 0.98, (n, (degree + 1) ** 2 - 1, 3))], 1
+        ),
+    )
+
+
+def random_sections(version: int, degree: int, n: int, seed: int) -> list[bytes]:
+    rng = np.random.default_rng(seed)
+    return [rng.bytes(s * n) for s in (*STRIDES[version], 3 * ((degree + 1) ** 2 - 1))]
+
+
+def head(version: int, n: int, degree: int, bits: int = 12, flags: int = 0) -> bytes:
+    return struct.pack("<IIIBBBB", 0x5053474E, version, n, degree, bits, flags, 0)
+
+
+def gzipped(
+    version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0
+) -> bytes:
+    return gzip.compress(head(version, n, degree, flags=flags) + b"".join(sections) + tail, 1)
+
+
+def record(kind: int, payload: bytes) -> bytes:
+    return struct.pack("<II", kind, len(payload)) + payload
+
+
+def frame_record(number: int) -> bytes:
+    return record(0xADBE0003, struct.pack("<I", number))
+
+
+def assert_valid(model: GaussianModel) -> None:
+    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+        assert np.isfinite(getattr(model, name)).all(), name
+    assert np.allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-5)

@@ -1,0 +1,169 @@
+"""SOG against archives, images and a meta.json that are damaged or lie."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.sog import read_sog, write_sog
+from tests.formats.sog_scenes import assert_valid, bundle, random_model, unbundle, webp, with_meta, with_parts
+
+SCENE = write_sog(random_model(1))
+
+LIES = {
+    "count": [None, 0, -1, 1.5, True, "300", 301 * 4, 10**9, 10**400],
+    "version": [0, 3, "2", True, [2]],
+    "means": [None, [], 7],
+    "means.files": [None, ["means_l.webp"], ["../means_l.webp", "means_u.webp"], ["means_l.webp", 5]],
+    "quats.files": [
+        ["/etc/passwd"],
+        ["a/b.webp"],
+        [".."],
+        [""],
+        ["missing.webp"],
+        ["meta.json"],
+        ["q\\q.webp"],
+    ],
+    "means.mins": [[0, 0], [0, 0, "0"], [0, 0, float("nan")], [0, 0, 1e40], 0, [0, 0, True]],
+    "scales.codebook": [None, [], [0.0] * 257, ["a"] * 256, [None] * 256, [float("inf")] * 256],
+    "shN": [7, {}],
+    "shN.bands": [None, 0, 2, 4, 1.0],
+    "shN.count": [None, 0, 65537, 6400],
+}
+
+
+@pytest.mark.parametrize("member", LIES)
+def test_a_meta_that_lies_is_refused_by_name(member):
+    for lie in LIES[member]:
+        with pytest.raises(FormatError, match=r"^scan\.sog"):
+            read_sog(with_meta(SCENE, **{member: lie}), file="scan.sog")
+
+
+def test_meta_must_be_json():
+    parts = unbundle(SCENE)
+    for text in (b"", b"[]", b"\xff", b"{", b"[" * 100_000, b'"x"', b"1" * 5000, b" " * (2 << 20)):
+        with pytest.raises(FormatError):
+            read_sog(bundle({**parts, "meta.json": text}), file="x")
+
+
+def test_images_that_do_not_fit_are_refused():
+    grey = np.zeros((20, 16, 4), dtype=np.uint8)
+    huge = webp(np.zeros((4000, 4000, 3), dtype=np.uint8))
+    assert len(huge) < 100_000
+    good = unbundle(SCENE)["quats.webp"]
+    for parts in (
+        {"quats": None},
+        {"quats": webp(grey[:10])},  # too few pixels
+        {"quats": webp(np.zeros((40, 40, 4), dtype=np.uint8))},  # another size than the rest
+        {"quats": huge},
+        {"means_l": huge},
+        {"shN_centroids": webp(np.zeros((4, 190, 3), dtype=np.uint8))},
+        {"shN_centroids": webp(np.zeros((1, 192, 3), dtype=np.uint8))},
+        {"shN_centroids": webp(np.zeros((1025, 192, 3), dtype=np.uint8))},
+        {"shN_centroids": huge},
+        {"sh0": b"\x89PNG"},
+        {"sh0": b""},
+        {"sh0": good[:100]},
+        {"sh0": good[:30] + bytes(len(good) - 30)},
+    ):
+        with pytest.raises(FormatError):
+            read_sog(with_parts(SCENE, **parts), file="x")
+    with pytest.raises(UnsupportedFormatError, match="lossy"):
+        read_sog(with_parts(SCENE, sh0=webp(grey, lossless=False)), file="x")
+
+
+def test_archives_that_lie_are_refused():
+    parts = unbundle(SCENE)
+    several = bundle({f"junk{i:04d}": b"" for i in range(2000)} | parts)
+    twice = io.BytesIO()
+    with zipfile.ZipFile(twice, "w") as archive:
+        archive.writestr("meta.json", parts["meta.json"])
+        with pytest.warns(UserWarning, match="Duplicate"):
+            archive.writestr("meta.json", parts["meta.json"])
+    encrypted = bytearray(SCENE)
+    for signature, offset in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
+        encrypted[encrypted.index(signature) + offset] |= 1
+    for data in (
+        b"",
+        b"PK",
+        bundle({}),
+        bundle({f"scene/{name}": part for name, part in parts.items()}),  # not at its root
+        several,
+        twice.getvalue(),
+        bytes(encrypted),
+        SCENE[:-1],
+        SCENE[: len(SCENE) // 2],
+        SCENE[100:],
+    ):
+        with pytest.raises(FormatError):
+            read_sog(data, file="x")
+
+
+def test_foreign_entries_are_never_unpacked():
+    """Names with paths and bombs beside the scene do no harm: nobody asks for them."""
+    extra = {"../../evil": b"x", "/etc/evil": b"x", "__MACOSX/._meta.json": b"x", "bomb": bytes(16 << 20)}
+    data = bundle({**unbundle(SCENE), **extra}, zipfile.ZIP_DEFLATED)
+    model, _ = read_sog(data, file="x")
+    assert len(model) == 300
+
+
+def test_zip_bomb_is_not_unpacked():
+    parts = unbundle(SCENE)
+    for name in ("meta.json", "sh0.webp"):
+        bomb = bundle({**parts, name: parts[name] + bytes(32 << 20)}, zipfile.ZIP_DEFLATED)
+        assert len(bomb) < 200_000
+        with pytest.raises(FormatError, match=f"{name}.*at most"):
+            read_sog(bomb, file="x")
+        lying = bytearray(bomb)  # the directory claims less than the stream holds
+        at = lying.index(b"PK\x01\x02", lying.index(name.encode()))
+        while lying[at + 46 : at + 46 + len(name)] != name.encode():
+            at = lying.index(b"PK\x01\x02", at + 4)
+        lying[at + 24 : at + 28] = (1000).to_bytes(4, "little")
+        with pytest.raises(FormatError):
+            read_sog(bytes(lying), file="x")
+
+
+SMALL = write_sog(random_model(1, n=20))
+SMALL_PARTS = unbundle(SMALL)
+PLACES = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=6)
+
+
+@settings(max_examples=250, deadline=None)
+@given(PLACES, st.sampled_from(["archive", *sorted(SMALL_PARTS)]))
+def test_damaged_bytes_give_a_format_error_or_a_valid_model(places, where):
+    damaged = bytearray(SMALL if where == "archive" else SMALL_PARTS[where])
+    for position, value in places:
+        damaged[position % len(damaged)] = value
+    data = bytes(damaged) if where == "archive" else bundle({**SMALL_PARTS, where: bytes(damaged)})
+    try:
+        model, _ = read_sog(data, file="x")
+    except FormatError:
+        return
+    assert_valid(model)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=6,
+)
+MEMBERS = [
+    "version", "count", "means", "means.mins", "means.maxs", "means.files", "scales", "scales.codebook",
+    "quats", "quats.files", "sh0.codebook", "sh0.files", "shN", "shN.count", "shN.bands", "shN.codebook",
+]  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(MEMBERS), JSON)
+def test_any_member_of_meta_may_be_anything(member, value):
+    try:
+        model, _ = read_sog(with_meta(SMALL, **{member: value}), file="x")
+    except FormatError:
+        return
+    assert_valid(model)
