@@ -69,7 +69,8 @@ def read_compressed_ply(
     tables = read_tables(data, header, kept, file=file)
     bounded_color = "min_r" in chunk.names
     bounds = np.stack([tables["chunk"][name] for name in _BOUNDS[: 18 if bounded_color else 12]], axis=1)
-    bounds = bounds.astype(np.float64)  # (C, 12 or 18)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        bounds = bounds.astype(np.float64)  # (C, 12 or 18)
     if not bounded_color:
         bounds = np.hstack([bounds, np.zeros((len(bounds), 3)), np.ones((len(bounds), 3))])
 
@@ -115,7 +116,9 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
         chunk's extent / 2047 (y: 1023), 1/255 in color and opacity; a coefficient within +-4 is off by up to
         1/32, one beyond is clipped.
     """
-    model = model.take(morton_order(model.means))
+    order = morton_order(model.means)
+    rest = _quantize_rest(model.sh, order)
+    model = model.with_(sh=model.sh[:, :1]).take(order)
     count, chunks = len(model), -(-len(model) // CHUNK)
     colors = 0.5 + SH_C0 * model.sh[:, 0].astype(np.float64)
     log_scales = np.clip(model.log_scales, -_SCALE_LIMIT, _SCALE_LIMIT)
@@ -133,17 +136,24 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     packed["packed_rotation"] = _pack_rotations(model.quats)
 
     words = np.column_stack([packed[word] for word in _WORDS]).astype("<u4")
-    rest = model.sh[:, 1:].transpose(0, 2, 1).reshape(count, -1)  # (N, 3 (K - 1)), channel-major as in PLY
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}"]
     lines += [f"property float {name}" for name in _BOUNDS]
     lines += [f"element vertex {count}", *(f"property uint {word}" for word in _WORDS)]
     if rest.shape[1]:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
     header = ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
-    bytes_of_rest = np.clip(np.trunc(rest * 32 + 128), 0, 255).astype(np.uint8)
-    return b"".join(
-        [header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), bytes_of_rest.tobytes()]
-    )
+    return b"".join([header, np.hstack(bounds).astype("<f4").tobytes(), words.tobytes(), rest.tobytes()])
+
+
+def _quantize_rest(sh: Float32, order: npt.NDArray[np.int64]) -> npt.NDArray[np.uint8]:
+    """(N, 3 (K - 1)) bytes of all coefficients but the first, channel-major as in PLY, rows in that order."""
+    coefficients = sh.shape[1] - 1
+    quantized = np.empty((len(sh), 3, coefficients), dtype=np.uint8)
+    for start in range(0, len(sh) if coefficients else 0, CHUNK * _CHUNKS_AT_ONCE):
+        rows = slice(start, start + CHUNK * _CHUNKS_AT_ONCE)
+        steps = sh[order[rows], 1:] * np.float32(32) + np.float32(128)
+        quantized[rows] = np.clip(steps, 0, 255, out=steps).astype(np.uint8).transpose(0, 2, 1)
+    return quantized.reshape(len(sh), -1)
 
 
 def _check_elements(header: Header, file: str) -> tuple[Element, Element, Element | None]:

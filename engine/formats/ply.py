@@ -173,7 +173,7 @@ def _columns(arrays: dict[str, Float32], present: frozenset[str]) -> dict[str, F
 
 def _spread(records: npt.NDArray[Any], columns: dict[str, Float32]) -> None:
     """Copy the fields of the records into the columns, whatever their type and byte order."""
-    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, and is found as such
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
         for start in range(0, len(records), _ROWS_AT_ONCE):
             block = records[start : start + _ROWS_AT_ONCE]
             for name, column in columns.items():

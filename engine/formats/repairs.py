@@ -145,7 +145,7 @@ class _Log:
 
 
 def _float32(array: npt.NDArray[Any]) -> Float32:
-    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, and is dealt with as such
+    with np.errstate(over="ignore", invalid="ignore"):  # a double beyond float32 becomes infinite
         return np.ascontiguousarray(array, dtype=np.float32)
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from engine.errors import FormatError
+from engine.formats import encode_model, read_model
 from engine.formats.repairs import (
     INFINITE_OPACITY_LOGIT,
     LOG_SCALE_RANGE,
@@ -153,3 +154,13 @@ def test_doubles_beyond_float32_and_no_gaussians() -> None:
     assert len(run(arrays)[0]) == 3
     with pytest.raises(FormatError, match=r"scene\.ply, element 'vertex': holds no Gaussians"):
         run({name: array[:0] for name, array in arrays.items()})
+
+
+@pytest.mark.parametrize("format", ["ply", "compressed.ply", "splat"])
+def test_signalling_nan_is_no_warning(format: str) -> None:
+    """Casting one raises the processor's invalid flag, which numpy turns into a warning."""
+    data = encode_model(random_model(0, 300), format)
+    start = data.index(b"end_header\n") + 11 if format != "splat" else 0
+    data = data[:start] + b"\x01\x00\xa0\x7f" + data[start + 4 :]
+    loaded = read_model(data.replace(b"property float x", b"property float32 x"))
+    assert [repair.code for repair in loaded.repairs] == ["rows_dropped"]
