@@ -1,8 +1,8 @@
 """Help teaches, quickly: no heavy import on the way to it."""
 
+import resource
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -26,12 +26,14 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_help_comes_at_once() -> None:
+    """In seconds of this process's own work: the machine may be busy with other things."""
     program = "from engine.cli.app import run; run(['--help'])"
     seconds = []
     for _ in range(3):
-        began = time.perf_counter()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-        seconds.append(time.perf_counter() - began)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     assert min(seconds) <= 0.5
 
 
