@@ -31,8 +31,11 @@ class PruneConfig:
         Spatial clusters with a threshold of their own.
     merge_distance : float
         Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing.
+    rank : str
+        What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper"
+        (Eq 4). Eq 4 calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
     steps : int
-        Most bisection steps.
+        Most candidates rendered.
     tolerance_db : float
         How close to the budget is close enough (never below it).
     """
@@ -41,6 +44,7 @@ class PruneConfig:
     gamma: float = 0.2
     clusters: int = 256
     merge_distance: float = 0.05
+    rank: str = "error"
     steps: int = 12
     tolerance_db: float = 0.15
 
@@ -70,8 +74,7 @@ def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float)
     (N,) bool
     """
     below = np.bincount(clusters, rank < tau_base) / np.maximum(np.bincount(clusters), 1)
-    # A cluster that is mostly redundant is cut harder, one that is mostly needed is left alone.
-    tau = tau_base * (1.0 + gamma * below) if tau_base < 1.0 else np.full_like(below, tau_base)
+    tau = tau_base + gamma * below  # a cluster that is mostly redundant is cut harder
     return np.asarray(rank >= tau[clusters])
 
 
@@ -88,7 +91,7 @@ def prune(
     ----------
     model : GaussianModel
     impact : (N,) float64
-        Eq 4.
+        What to rank by.
     worst_psnr : callable
         Worst view's PSNR of a candidate against the original renders, dB.
     radius : float
@@ -110,22 +113,21 @@ def prune(
     rank = rankdata(impact, method="ordinal") / len(base)
     features = (base.means / radius).astype(np.float32)
     clusters = split_cells(features, np.ones(len(base)), min(config.clusters, max(1, len(base) // 64)))
-    low, high = 0.0, 0.98
     best = Pruned(base, rows, worst_psnr(base), n - len(base))
+    low, psnr_low = 0.0, min(best.psnr_db, goal + 40.0)
+    high, psnr_high = 0.98, goal - 25.0  # nothing much is left there
     for _ in range(config.steps):
         if best.psnr_db - goal < config.tolerance_db:
             break
-        tau = 0.5 * (low + high)
-        keep = adaptive_keep(rank, clusters, tau, config.gamma)
-        if keep.sum() < 16:
-            high = tau
-            continue
-        candidate = base.take(keep)
-        psnr = worst_psnr(candidate)
+        # PSNR falls about linearly: aim just above the goal, but always cut the bracket by an eighth.
+        share = (psnr_low - goal - 0.5 * config.tolerance_db) / max(psnr_low - psnr_high, 1e-9)
+        tau = low + min(max(share, 0.125), 0.875) * (high - low)
+        candidate = base.take(keep := adaptive_keep(rank, clusters, tau, config.gamma))
+        psnr = worst_psnr(candidate) if len(candidate) else 0.0
         if psnr >= goal:
-            low, best = tau, Pruned(candidate, rows[keep], psnr, n - len(base))
+            low, psnr_low, best = tau, psnr, Pruned(candidate, rows[keep], psnr, n - len(base))
         else:
-            high = tau
+            high, psnr_high = tau, psnr
     return best
 
 

@@ -38,10 +38,11 @@ def slim_down(
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
-    pruned = prune(thin, impact.impact, measure, extent.radius, config.prune)
+    rank = impact.impact if config.prune.rank == "paper" else impact.squared
+    pruned = prune(thin, rank, measure, extent.radius, config.prune)
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
         dropped = 0
-        pruned = prune(model, impact.impact, measure, extent.radius, config.prune)
+        pruned = prune(model, rank, measure, extent.radius, config.prune)
     return pruned.model, {
         "budget_db": budget,
         "psnr_pruned_worst_view": pruned.psnr_db,
