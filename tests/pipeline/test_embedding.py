@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.compress.pruning import PruneConfig
+from engine.errors import CapacityError, InputError
+from engine.evaluate.marked_scene import MarkedScene, bench_key
+from engine.model import GaussianModel
+from engine.numerics.image_metrics import psnr, ssim
+from engine.pipeline.embedding import Embedding, embed
+from engine.pipeline.profiles import RefineConfig, profile
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import VerifyConfig, verify_model
+from engine.raster import render
+from engine.watermark.messages import message_hex, message_signs
+
+DIGEST = "11" * 32
+
+
+def quick(model: GaussianModel, **changes: object) -> Embedding:
+    options = {"landmark_views": 0, "views": 3, "view_size": 256} | changes
+    bits = options.pop("bits", 32)
+    message = options.pop("message", None)
+    copy = options.pop("copy", "")
+    return embed(
+        model, bench_key(1), original_sha256=DIGEST, bits=bits, message=message, copy=copy,
+        config=profile("fast", **options),
+    )  # fmt: skip
+
+
+def test_fidelity_is_kept_in_the_key_views(scene: MarkedScene) -> None:
+    worst_psnr, worst_ssim = np.inf, 1.0
+    for camera in scene.opened.cameras:
+        plain, marked = render(scene.original, camera), render(scene.marked, camera)
+        worst_psnr, worst_ssim = min(worst_psnr, psnr(plain, marked)), min(worst_ssim, ssim(plain, marked))
+    assert worst_psnr == pytest.approx(scene.report["psnr_worst_view"], abs=0.02)
+    assert 47.0 <= worst_psnr < 47.3 or worst_ssim < 0.99805
+    assert worst_ssim >= 0.998
+
+
+def test_fidelity_changes_dc_and_nothing_else(scene: MarkedScene) -> None:
+    for name in ("means", "log_scales", "quats", "opacity_logits"):
+        np.testing.assert_array_equal(getattr(scene.marked, name), getattr(scene.original, name))
+    assert (scene.marked.sh[:, 0] != scene.original.sh[:, 0]).any(axis=1).mean() > 0.99
+
+
+def test_same_input_key_and_config_give_the_same_bytes(small_plant: GaussianModel) -> None:
+    first, second = quick(small_plant), quick(small_plant)
+    np.testing.assert_array_equal(first.model.sh, second.model.sh)
+    key = bench_key(1)
+    assert first.record.to_bytes(key) == second.record.to_bytes(key)
+
+
+@pytest.mark.parametrize("bits", [16, 48, 128])
+def test_every_length_reads_back(small_plant: GaussianModel, bits: int) -> None:
+    result = quick(small_plant, bits=bits, psnr_db=42.0, ssim=0.98)
+    opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
+    claim = verify_model(result.model, opened).claim
+    assert claim.bit_accuracy == 1.0
+    assert claim.message == result.report["message"]
+
+
+def test_a_given_message_is_carried(small_plant: GaussianModel) -> None:
+    result = quick(small_plant, message=message_signs("c0ffee11"))
+    assert result.report["message"] == "c0ffee11"
+    opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
+    assert message_hex(opened.message) == "c0ffee11"
+    assert verify_model(result.model, opened).claim.message == "c0ffee11"
+
+
+def test_too_long_a_message_is_refused_with_the_capacity(plant: GaussianModel) -> None:
+    tiny = plant.take(np.arange(0, len(plant), 400))
+    with pytest.raises(CapacityError) as caught:
+        quick(tiny, bits=256)
+    assert 0 <= caught.value.capacity < 256
+    with pytest.raises(InputError, match="at least 64"):
+        quick(plant.take(np.arange(10)))
+
+
+@pytest.mark.parametrize("budget", [38.0, 30.0])
+def test_pruning_meets_its_budget(plant: GaussianModel, budget: float) -> None:
+    result = quick(plant, prune=PruneConfig(budget_db=budget))
+    report = result.report
+    assert abs(report["psnr_pruned_worst_view"] - budget) <= 0.3
+    assert report["gaussians_out"] < 0.85 * report["gaussians_in"]
+    opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
+    assert verify_model(result.model, opened).claim.bit_accuracy == 1.0
+
+
+def test_tighter_budget_keeps_more(plant: GaussianModel) -> None:
+    counts = [len(quick(plant, prune=PruneConfig(budget_db=b)).model) for b in (42.0, 32.0)]
+    assert counts[0] > 1.1 * counts[1]
+
+
+def test_compact_is_the_sum_of_code_vectors_within_its_budget(small_plant: GaussianModel) -> None:
+    result = quick(small_plant, output="compact")
+    assert result.report["psnr_total_worst_view"] >= 40.0
+    opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
+    assert len(np.unique(opened.reference.sh[:, 0], axis=0)) < len(small_plant)
+    claim = verify_model(result.model, opened).claim
+    assert (claim.bit_accuracy, claim.verdict.value) == (1.0, "marked")
+
+
+def test_copies_have_messages_and_chips_of_their_own(small_plant: GaussianModel) -> None:
+    one, two = quick(small_plant, copy="studio A"), quick(small_plant, copy="studio B")
+    assert one.report["message"] != two.report["message"]
+    opened = [open_record(r.record.to_bytes(bench_key(1)), bench_key(1)) for r in (one, two)]
+    assert opened[0].copy == "studio A"
+    own = verify_model(one.model, opened[0]).claim
+    other = verify_model(one.model, opened[1]).claim
+    assert own.verdict.value == "marked"
+    assert other.verdict.value == "not_marked"
+    assert other.derived_but_unmarked
+
+
+def test_owner_cameras_are_used(small_plant: GaussianModel) -> None:
+    cameras = make_rig(small_plant, 12, 1000, 500)
+    result = embed(
+        small_plant, bench_key(1), original_sha256=DIGEST, cameras=cameras,
+        config=profile("fast", landmark_views=0, views=3, view_size=200),
+    )  # fmt: skip
+    opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
+    poses = [camera.viewmat for camera in cameras]
+    assert len(opened.cameras) == 3
+    for camera in opened.cameras:
+        assert (camera.width, camera.height) == (200, 100)
+        assert any(np.array_equal(camera.viewmat, pose) for pose in poses)
+
+
+def test_refinement_moves_the_mark_and_keeps_fidelity_and_bits(small_plant: GaussianModel) -> None:
+    plain = quick(small_plant)
+    refined = quick(small_plant, refine=RefineConfig(steps=6, size=96))
+    assert np.abs(plain.model.sh - refined.model.sh).max() > 1e-4
+    assert refined.report["psnr_worst_view"] >= 46.9
+    opened = open_record(refined.record.to_bytes(bench_key(1)), bench_key(1))
+    assert verify_model(refined.model, opened, VerifyConfig(route="model")).claim.bit_accuracy == 1.0
+
+
+def test_progress_and_seconds_name_the_stages(small_plant: GaussianModel) -> None:
+    seen: dict[str, float] = {}
+    result = embed(
+        small_plant, bench_key(1), original_sha256=DIGEST, progress=lambda stage, share: seen.update({stage: share}),
+        config=profile("fast", landmark_views=0, views=3, view_size=128),
+    )  # fmt: skip
+    assert set(seen) == set(result.report["seconds_by_stage"]) >= {"look", "quantize", "plan", "record"}
+    assert all(share == 1.0 for share in seen.values())

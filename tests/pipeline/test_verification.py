@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError, WrongKeyError
+from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bars_truth import forge, wrong_key_rates
+from engine.evaluate.marked_scene import MarkedScene, bench_key
+from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
+from engine.raster import render
+from engine.sim.attacks import image_attack, model_attack
+from engine.sim.fine_tuning import fine_tune
+
+MODEL_ATTACKS = [
+    ("similarity", 10.0), ("shuffle", 1.0), ("clone", 0.5), ("prune_random", 0.9), ("crop", 0.1),
+    ("noise_all", 0.1), ("convert", "splat"), ("convert", "spz"), ("merge_into", 1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "strength"), MODEL_ATTACKS, ids=lambda value: str(value))
+def test_model_attacks_leave_every_bit(scene: MarkedScene, name: str, strength: float | str) -> None:
+    suspect = model_attack(name).apply(scene.marked, strength, rng=3)
+    claim = verify_model(suspect, scene.opened).claim
+    assert claim.bit_accuracy == 1.0
+    assert claim.verdict.value == "marked"
+    assert claim.log10_false_claim < -100
+    assert claim.meets_dishonest_claimant_rate
+
+
+def test_unmarked_and_foreign_models_never_claim(scene: MarkedScene) -> None:
+    claim = verify_model(scene.original, scene.opened).claim
+    assert claim.verdict.value == "not_marked"
+    assert claim.derived_but_unmarked
+    rng = np.random.default_rng(0)
+    foreign = scene.marked.with_(
+        means=rng.uniform(-1, 1, scene.marked.means.shape),
+        log_scales=rng.uniform(-7, -3, scene.marked.means.shape),
+        opacity_logits=rng.standard_normal(len(scene.marked)),
+        sh=rng.standard_normal(scene.marked.sh.shape),
+    )
+    claim = verify_model(foreign, scene.opened, VerifyConfig(route="model")).claim
+    assert claim.verdict.value == "not_marked"
+    assert not claim.derived_but_unmarked
+
+
+def test_wrong_keys_stay_below_the_stated_bound(scene: MarkedScene) -> None:
+    rates = wrong_key_rates(scene, 20_000)
+    for row in rates:
+        assert row["claims_at_1e-9"] == 0
+        for threshold, measured in row["measured"].items():
+            stated = float(threshold)
+            assert measured <= stated + 5 * np.sqrt(stated / 20_000)
+
+
+def test_another_key_cannot_open_the_record(small_plant: object) -> None:
+    from engine.pipeline.embedding import embed
+
+    key, other = bench_key(1), bench_key(2)
+    result = embed(
+        small_plant, key, original_sha256="22" * 32,  # type: ignore[arg-type]
+        config=profile("fast", landmark_views=0, views=3, view_size=128),
+    )  # fmt: skip
+    with pytest.raises(WrongKeyError):
+        open_record(result.record.to_bytes(key), other)
+
+
+def test_a_forged_original_makes_no_claim(scene: MarkedScene) -> None:
+    row = forge(scene, profile("fast", landmark_views=0, views=3, view_size=256))
+    assert row["verdict"] != "marked"
+    assert row["log10_false_claim"] > -6
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [("jpeg", 10), ("noise_image", 0.1), ("blur", 1.0), ("crop_image", 0.4), ("scale_image", 0.75),
+     ("rotate_image", 30.0), ("brightness", 0.5), ("brightness", 1.5)],
+)  # fmt: skip
+def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength: float) -> None:
+    camera = scene.opened.cameras[1]
+    picture = image_attack(name).apply(to_8_bit(render(scene.marked, camera)), strength, rng=2)
+    claim = verify_images([to_8_bit(picture)], scene.opened, cameras=[camera]).claim
+    assert claim.verdict.value == "marked"
+    assert claim.bit_accuracy >= 0.96
+
+
+def test_several_pictures_say_more_than_one(scene: MarkedScene) -> None:
+    cameras = scene.opened.cameras[:3]
+    pictures = [image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)]
+    each = [verify_images([p], scene.opened, cameras=[c]).claim.z for p, c in zip(pictures, cameras, strict=True)]
+    together = verify_images(pictures, scene.opened, cameras=cameras).claim.z
+    assert together > 1.2 * max(each)
+
+
+def test_unmarked_picture_makes_no_claim(scene: MarkedScene) -> None:
+    camera = scene.opened.cameras[0]
+    claim = verify_images([to_8_bit(render(scene.original, camera))], scene.opened, cameras=[camera]).claim
+    assert claim.verdict.value != "marked"
+
+
+def test_render_route_sees_the_mark_as_a_black_box(scene: MarkedScene) -> None:
+    moved = model_attack("similarity").apply(scene.marked, 3.0, rng=1)
+    claim = verify_model(moved, scene.opened, VerifyConfig(route="render")).claim
+    assert claim.route == "render"
+    assert (claim.verdict.value, claim.bit_accuracy) == ("marked", 1.0)
+
+
+def test_paper_decoder_reads_the_unharmed_model_and_only_the_bits_differ(scene: MarkedScene) -> None:
+    paper = verify_model(scene.marked, scene.opened, VerifyConfig(decoder="paper")).claim
+    ours = verify_model(scene.marked, scene.opened).claim
+    assert paper.bit_accuracy == 1.0
+    assert paper.z == ours.z
+
+
+def test_fine_tuning_on_clean_images_keeps_every_bit(scene: MarkedScene) -> None:
+    cameras = [c.resized(128, 128) for c in scene.opened.cameras[:3]]
+    clean = [np.clip(render(scene.original, c), 0, 1) for c in cameras]
+    tuned = fine_tune(scene.marked, cameras, clean, epochs=15)
+    assert np.abs(tuned.sh - scene.marked.sh).max() > 0.01
+    claim = verify_model(tuned, scene.opened).claim
+    assert (claim.bit_accuracy, claim.verdict.value) == (1.0, "marked")
+
+
+def test_bad_requests_are_refused(scene: MarkedScene) -> None:
+    picture = np.zeros((64, 64, 3), np.float32)
+    with pytest.raises(InputError, match="route"):
+        VerifyConfig(route="oracle")
+    with pytest.raises(InputError, match="rate"):
+        VerifyConfig(false_claim_rate=2.0)
+    with pytest.raises(InputError, match="2 pictures but 1"):
+        verify_images([picture] * 2, scene.opened, cameras=scene.opened.cameras[:1])
+    with pytest.raises(InputError, match="landmarks"):
+        verify_images([picture], scene.opened)
+    with pytest.raises(InputError, match="empty"):
+        verify_model(scene.marked.take(np.arange(0)), scene.opened)
+
+
+def test_chips_of_the_record_follow_from_its_contents(scene: MarkedScene) -> None:
+    """An opened record with one chip flipped explains the mark a little worse: the chips really are used."""
+    spreading = scene.opened.spreading
+    flipped = spreading.chips.copy()
+    flipped[:2000] *= -1
+    altered = replace(scene.opened, spreading=replace(spreading, chips=flipped))
+    assert verify_model(scene.marked, altered).claim.z < verify_model(scene.marked, scene.opened).claim.z - 5
