@@ -1,0 +1,208 @@
+"""Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
+
+1. Keypoints of the picture, matched to the landmarks of the record.
+2. PnP-RANSAC over a ladder of focal lengths; refined on the matches that agree.
+3. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
+
+The picture of another scene fails at the number of agreeing matches, or at the correlation with the render.
+Nothing here sees a key or a chip.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.watermark.camera_hypotheses import Hypothesis, hypothesize
+from engine.watermark.features import detect_keypoints, luma
+from engine.watermark.landmark_matching import match_landmarks
+from engine.watermark.landmarks import Landmarks
+from engine.watermark.pose_refinement import Refined, refine_level
+
+__all__ = ["CameraConfig", "FoundCamera", "find_camera"]
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Knobs of `find_camera`.
+
+    Parameters
+    ----------
+    keypoints : int
+        SIFT keypoints of the picture.
+    detection_size : int
+        Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced.
+    ratio : float
+        Lowe's ratio of distances, 0..1.
+    same_place : float
+        Landmarks nearer to each other than this are one place, in radii of the bank.
+    tolerance : float
+        Reprojection error of an inlier, in longer sides of the picture.
+    least_inliers : int
+        Matches that must agree.
+    least_correlation : float
+        Correlation of brightness with the render below which the picture shows something else.
+    coarse_size, fine_size : int
+        Longer side of the first and largest longer side of the last level of the refinement, pixels.
+    iterations : int
+        Renders of one level at most.
+    step : float
+        The refinement ends when its step is smaller, pixels.
+    """
+
+    keypoints: int = 2000
+    detection_size: int = 1000
+    ratio: float = 0.85
+    same_place: float = 0.05
+    tolerance: float = 0.005
+    least_inliers: int = 12
+    least_correlation: float = 0.6
+    coarse_size: int = 480
+    fine_size: int = 2000
+    iterations: int = 8
+    step: float = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """The camera of a picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the picture's size; square pixels, principal point in the centre.
+    inliers : int
+        Matches that agree with the pose found from keypoints.
+    rms : float
+        Robust standard deviation of the brightness residual, 0..1.
+    correlation : float
+        Of picture and render, -1..1.
+    step : float
+        Root mean square flow of the last step of the refinement, pixels.
+    seconds_by_stage : dict
+        Of "keypoints", "match", "pose" and "refine".
+    """
+
+    camera: Camera
+    inliers: int
+    rms: float
+    correlation: float
+    step: float
+    seconds_by_stage: dict[str, float]
+
+
+def find_camera(
+    landmarks: Landmarks,
+    reference_model: GaussianModel,
+    image: Float32,
+    config: CameraConfig = CameraConfig(),
+) -> FoundCamera | None:
+    """Camera from which a picture shows a model.
+
+    Parameters
+    ----------
+    landmarks : Landmarks
+        Of the model, from its record.
+    reference_model : GaussianModel
+        The unmarked reference.
+    image : (h, w, 3) float32
+        The picture, range 0 to 1.
+    config : CameraConfig
+
+    Returns
+    -------
+    FoundCamera or None
+        None when no view of the model was recognised.
+
+    Raises
+    ------
+    InputError
+        If the picture is not a finite (h, w, 3) image.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
+        raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
+    if not np.isfinite(image).all():
+        raise InputError("the picture holds values that are not finite")
+    grey = luma(np.asarray(image, dtype=np.float32))
+    seconds: dict[str, float] = {}
+    began = time.perf_counter()
+
+    def lap(stage: str) -> None:
+        nonlocal began
+        now = time.perf_counter()
+        seconds[stage], began = now - began, now
+
+    height, width = grey.shape
+    shrink = min(1.0, config.detection_size / max(height, width))
+    small = _resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
+    keypoints = detect_keypoints(small, config.keypoints)
+    pixels = keypoints.points * (width / small.shape[1], height / small.shape[0])
+    lap("keypoints")
+    radius = config.same_place * _radius(landmarks)
+    keypoint, landmark, _ = match_landmarks(keypoints, landmarks, config.ratio, radius)
+    lap("match")
+    hypothesis = hypothesize(
+        landmarks.points[landmark].astype(np.float64), pixels[keypoint], width, height,
+        config.tolerance * max(width, height), config.least_inliers,
+    )  # fmt: skip
+    lap("pose")
+    if hypothesis is None:
+        return None
+    refined = _refine(reference_model, grey, hypothesis, config)
+    lap("refine")
+    if refined is None:
+        return None
+    return FoundCamera(
+        refined.camera, hypothesis.support, refined.rms, refined.correlation, refined.step, seconds
+    )
+
+
+def _refine(
+    model: GaussianModel, grey: Float32, hypothesis: Hypothesis, config: CameraConfig
+) -> Refined | None:
+    """Refine coarse to fine; None when a level does not look like the picture."""
+    camera = hypothesis.camera
+    height, width = grey.shape
+    largest = min(max(width, height), config.fine_size)
+    size = min(config.coarse_size, largest)
+    while True:
+        shrink = size / max(width, height)
+        shape = max(16, round(width * shrink)), max(16, round(height * shrink))
+        last = size == largest
+        refined = refine_level(
+            model, _resized(grey, *shape), camera.resized(*shape), config.iterations,
+            config.step if last else 10.0 * config.step,
+        )  # fmt: skip
+        if refined is None or refined.correlation < config.least_correlation:
+            return None
+        camera = _square(refined.camera.resized(width, height))
+        if last:
+            return Refined(camera, refined.rms, refined.correlation, refined.step, refined.iterations)
+        size = min(2 * size, largest)
+
+
+def _square(camera: Camera) -> Camera:
+    """Square pixels and a central principal point, which rounding of a level's size may have bent."""
+    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    K = np.array([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
+    return Camera(camera.viewmat, K, camera.width, camera.height)
+
+
+def _resized(grey: Float32, width: int, height: int) -> Float32:
+    import cv2
+
+    if (height, width) == grey.shape:
+        return grey
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _radius(landmarks: Landmarks) -> float:
+    """Median distance of the landmarks from their middle, scene units."""
+    if len(landmarks) == 0:
+        return 0.0
+    points: Float64 = landmarks.points.astype(np.float64)
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))

@@ -1,0 +1,71 @@
+"""Small motions of a camera: seven numbers that turn, shift and zoom it, and the flow of pixels they cause.
+
+A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; logarithm of the zoom) acts in
+the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.model import Camera, Float64
+
+__all__ = ["PARAMETERS", "moved", "normalized", "point_columns"]
+
+PARAMETERS = 7
+
+
+def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
+    """A camera after a motion.
+
+    Parameters
+    ----------
+    camera : Camera
+    motion : (7,)
+    depth : float
+        Unit of the shift, scene units.
+    """
+    import cv2
+
+    step = np.eye(4)
+    step[:3, :3] = cv2.Rodrigues(np.ascontiguousarray(motion[:3], dtype=np.float64))[0]
+    step[:3, 3] = depth * motion[3:6]
+    viewmat = step @ camera.viewmat
+    # Products of rotations drift away from rotations by rounding.
+    u, _, v = np.linalg.svd(viewmat[:3, :3])
+    viewmat[:3, :3] = u @ v
+    K = camera.K.copy()
+    K[0, 0] *= np.exp(motion[6])
+    K[1, 1] *= np.exp(motion[6])
+    return Camera(viewmat, K, camera.width, camera.height)
+
+
+def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:
+    """Image coordinates (P, 2) for focal length 1, and depths (P,), of world points (P, 3)."""
+    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    depth = local[:, 2]
+    return local[:, :2] / np.where(np.abs(depth) > 1e-12, depth, 1e-12)[:, None], depth
+
+
+def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:
+    """Flow of points by each parameter of a motion, pixels.
+
+    Parameters
+    ----------
+    rays : (P, 2)
+        Image coordinates for focal length 1.
+    depth : (P,)
+        In units of the shift.
+    focal : float
+        Pixels.
+
+    Returns
+    -------
+    (P, 2, 7)
+    """
+    a, b = rays.T
+    near = 1.0 / depth
+    zero = np.zeros_like(a)
+    horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a]
+    vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b]
+    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)
