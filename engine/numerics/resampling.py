@@ -1,8 +1,8 @@
 """Cubic resampling of images at exact positions.
 
-OpenCV's warps round positions to 1/32 pixel; evidence for a mark needs the images in register to a few hundredths
-of a pixel, so the interpolation is done here. Coordinates follow docs/CONVENTIONS.md: the centre of pixel
-(column i, row j) is (i + 0.5, j + 0.5).
+OpenCV's warps round positions to 1/32 pixel; evidence for a mark needs the images in register to a few
+hundredths of a pixel, so the interpolation is done here. Coordinates follow docs/CONVENTIONS.md: the centre
+of pixel (column i, row j) is (i + 0.5, j + 0.5).
 """
 
 from __future__ import annotations

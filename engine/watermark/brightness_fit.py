@@ -21,7 +21,7 @@ _LEAST_SAMPLES = 60
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Motion and brightness that lay a suspect over a reference: suspect(matrix x) = gain reference(x) + offset.
+    """Motion and brightness of a suspect over a reference: suspect(matrix x) = gain reference(x) + offset.
 
     Parameters
     ----------
@@ -138,7 +138,8 @@ def _robust_line(r: Float32, w: Float32) -> tuple[float, float]:
 def _steepest(image: Float32, level: int, homography: bool) -> tuple[Float64, Float32, Float32]:
     """Points (P, 2), brightness (P,) and motion columns (P, 4 or 8) of the steepest pixels."""
     gy, gx = np.gradient(image)
-    gy, gx, grey = gy[::level, ::level], gx[::level, ::level], image[::level, ::level]
+    grey = image[::level, ::level]
+    gy, gx = np.asarray(gy)[::level, ::level], np.asarray(gx)[::level, ::level]
     energy = (gx * gx + gy * gy).ravel()
     chosen = np.nonzero(energy > max(1e-8, float(np.quantile(energy, max(0.5, 1 - _SAMPLES / energy.size)))))[
         0

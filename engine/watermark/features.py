@@ -1,8 +1,8 @@
 """SIFT keypoints and their matching, shared by 2-D alignment and the search for a camera.
 
-Descriptors are RootSIFT (Arandjelovic and Zisserman 2012) in eight bits: the square roots of the normalised SIFT
-histogram, scaled to length 512. Products of such integers are exact in float32, so matching is one BLAS product
-and gives the same answer on every machine.
+Descriptors are RootSIFT (Arandjelovic and Zisserman 2012) in eight bits: the square roots of the normalised
+SIFT histogram, scaled to length 512. Products of such integers are exact in float32, so matching is one BLAS
+product and gives the same answer on every machine.
 """
 
 from __future__ import annotations

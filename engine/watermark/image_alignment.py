@@ -1,8 +1,8 @@
-"""Bring a suspect picture into the frame of a reference render: rotation, scale, crop, mild perspective (DESIGN 4.8).
+"""Bring a suspect picture into the frame of a reference render: rotated, scaled, cropped (DESIGN 4.8).
 
 1. Hypotheses: the picture as it is, the whole picture at another size, SIFT + RANSAC.
-2. Robust Gauss-Newton on brightness, coarse to fine, with gain and offset, to a few hundredths of a pixel. The
-   gradients are those of the noise-free render, so noise in the picture does not bias the fit.
+2. Robust Gauss-Newton on brightness, coarse to fine, with gain and offset, to a few hundredths of a pixel.
+   The gradients are those of the noise-free render, so noise in the picture does not bias the fit.
 3. A homography in place of the similarity only where it fits clearly better.
 4. The picture resampled into the reference's pixels, and the mask of pixels that carry evidence.
 
