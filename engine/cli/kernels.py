@@ -7,7 +7,7 @@ import time
 
 from engine.cli.console import Console, Progress
 
-LOADING_SECONDS = 2.0
+LOADING_SECONDS = 4.0
 """Loading compiled kernels from the cache takes less; whoever waits longer is being compiled for."""
 
 COMPILE_SECONDS = 20

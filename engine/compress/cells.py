@@ -11,14 +11,15 @@ import numba as nb
 import numpy as np
 
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
+from engine.numerics.jit import parallel_kernel, parallel_section
 
 COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
 
-_KERNEL_VERSION = 1  # numba's cache looks at this file only
+_KERNEL_VERSION = 2  # numba's cache looks at this file only
 
 
-@nb.njit(cache=True, parallel=True)
+@parallel_kernel
 def _split_level(
     features: Float32, weights: Float64, order: Int64, starts: Int64, scratch: Int64, cuts: Int64
 ) -> None:
@@ -86,12 +87,14 @@ def split_cells(features: Float32, weights: Float64, count: int) -> Int32:
     depth = int(np.log2(max(1, min(count, n))))
     floor = 0.02 * float(weights.mean()) + 1e-12
     weights = np.ascontiguousarray(weights, dtype=np.float64) + floor
+    features = np.ascontiguousarray(features, dtype=np.float32)
     order = np.arange(n, dtype=np.int64)
     starts = np.array([0, n], dtype=np.int64)
     scratch = np.empty(n, dtype=np.int64)
     for _ in range(depth):
         cuts = np.empty(len(starts) - 1, dtype=np.int64)
-        _split_level(np.ascontiguousarray(features), weights, order, starts, scratch, cuts)
+        with parallel_section():
+            _split_level(features, weights, order, starts, scratch, cuts)
         starts = np.unique(np.concatenate([starts, cuts]))
     labels = np.empty(n, dtype=np.int32)
     labels[order] = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))

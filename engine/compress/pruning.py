@@ -175,9 +175,8 @@ def drop_unseen_bands(
     order = np.argsort(flat, axis=None, kind="stable")
     # Neighbouring errors add up coherently (Gaussians overlap): allow a tenth of the second-order estimate.
     affordable = np.cumsum(flat.reshape(-1)[order].astype(np.float64)) <= 0.1 * error_budget * pixels * 3
-    drop = np.zeros(flat.size, dtype=bool)
-    drop[order[affordable]] = True
-    drop = drop.reshape(flat.shape)
+    drop = np.zeros(flat.shape, dtype=bool)
+    drop.reshape(-1)[order[affordable]] = True
     sh = model.sh.copy()
     dropped = 0
     for degree in range(1, model.sh_degree + 1):

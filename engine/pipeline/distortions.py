@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from engine.model import Float32
+
 JPEG_LUMA = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61], [12, 12, 14, 19, 26, 58, 60, 55], [14, 13, 16, 24, 40, 57, 69, 56],
@@ -57,7 +59,7 @@ def jpeg(image: Tensor, quality: float) -> Tensor:
     return rgb[:, :, :height, :width]
 
 
-def _code_plane(plane: Tensor, table: np.ndarray, factor: float) -> Tensor:  # type: ignore[type-arg]
+def _code_plane(plane: Tensor, table: Float32, factor: float) -> Tensor:
     steps = torch.tensor(np.clip(np.floor(table * factor + 0.5), 1, 255))
     count, _, height, width = plane.shape
     blocks = plane.reshape(count, height // 8, 8, width // 8, 8).permute(0, 1, 3, 2, 4)  # (c, by, bx, 8, 8)
@@ -73,10 +75,14 @@ def blur(image: Tensor, sigma: float) -> Tensor:
     taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2)
     taps = (taps / taps.sum()).to(image.dtype)
     rows = functional.conv2d(
-        functional.pad(image, (radius,) * 2 + (0, 0), mode="reflect"), taps.view(1, 1, 1, -1).repeat(3, 1, 1, 1), groups=3
+        functional.pad(image, (radius,) * 2 + (0, 0), mode="reflect"),
+        taps.view(1, 1, 1, -1).repeat(3, 1, 1, 1),
+        groups=3,
     )
     return functional.conv2d(
-        functional.pad(rows, (0, 0) + (radius,) * 2, mode="reflect"), taps.view(1, 1, -1, 1).repeat(3, 1, 1, 1), groups=3
+        functional.pad(rows, (0, 0) + (radius,) * 2, mode="reflect"),
+        taps.view(1, 1, -1, 1).repeat(3, 1, 1, 1),
+        groups=3,
     )
 
 

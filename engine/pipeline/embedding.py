@@ -17,7 +17,7 @@ import numpy as np
 from engine.compress.hvq import quantize
 from engine.compress.impact import measure_impact, uncertainty
 from engine.errors import InputError
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Camera, GaussianModel
 from engine.pipeline.delivery import color_weights, slim_down, unmarked_delivery
 from engine.pipeline.profiles import EmbedConfig, config_dict
 from engine.pipeline.progress import Clock, Progress
@@ -136,7 +136,9 @@ def embed(
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
         pixels = 3.0 * key_cameras[0].width * key_cameras[0].height
-        guess = 10 ** (-config.psnr_db / 20.0) * float(np.sqrt(pixels / max(plan.energies.sum(axis=1).max(), 1e-30)))
+        guess = 10 ** (-config.psnr_db / 20.0) * float(
+            np.sqrt(pixels / max(plan.energies.sum(axis=1).max(), 1e-30))
+        )
         strength = solve_strength(views, displacement, config.psnr_db, config.ssim, guess)
         capacity = capacity_bits(plan.energies, strength.factor, layout.chips)
         check_capacity(bits, capacity)
@@ -195,8 +197,10 @@ def _key_cameras(
         return make_rig(model, config.views, config.view_size, config.view_size, jitter=draw, extent=extent)
     count = min(config.views, len(cameras))
     slots = np.linspace(0, len(cameras), count + 1)
-    chosen = [int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)]
-    chosen = [cameras[min(i, len(cameras) - 1)] for i in chosen]
+    slot = [
+        int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)
+    ]
+    chosen = [cameras[min(i, len(cameras) - 1)] for i in slot]
     shrink = [min(1.0, config.view_size / max(c.width, c.height)) for c in chosen]
     return [
         c.resized(max(1, round(c.width * f)), max(1, round(c.height * f)))

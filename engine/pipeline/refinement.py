@@ -53,6 +53,10 @@ class _Pull(torch.autograd.Function):
         return torch.from_numpy(ctx.view.render(np.ascontiguousarray(cotangents[0].numpy()))[0]), None  # type: ignore[attr-defined]
 
 
+_blend: Callable[[Tensor, View], Tensor] = _Blend.apply
+_pull: Callable[[Tensor, View], Tensor] = _Pull.apply
+
+
 def refine(
     model: GaussianModel,
     displacement: Float32,
@@ -109,11 +113,11 @@ def refine(
     for step in range(1, config.steps + 1):
         k = int(rng.integers(len(views)))
         layer = draw(rng)
-        marked = _Blend.apply(torch.relu(colors[k] + SH_C0 * delta), views[k])  # (H, W, 3)
+        marked = _blend(torch.relu(colors[k] + SH_C0 * delta), views[k])  # (H, W, 3)
         with torch.no_grad():
             clean = layer(renders[k].permute(2, 0, 1)[None])
         residual = (layer(marked.permute(2, 0, 1)[None]) - clean)[0].permute(1, 2, 0).contiguous()
-        z = _soft_bits(_Pull.apply(residual, views[k]), pattern, groups, bits)
+        z = _soft_bits(_pull(residual, views[k]), pattern, groups, bits)
         message = torch.nn.functional.softplus(-z / BIT_TEMPERATURE * 3.0).mean()  # BCE of the right bits
         change = marked - renders[k]
         reconstruction = change.abs().mean() / (rms * SH_C0)
@@ -122,7 +126,9 @@ def refine(
             config.lambda_msg * message + config.lambda_rec * reconstruction + config.lambda_wavelet * wavelet
         )
         (gradient,) = torch.autograd.grad(loss, delta)
-        with torch.no_grad():  # Adam, its step scaled by the uncertainty (paper: eta by the tile's uncertainty)
+        with (
+            torch.no_grad()
+        ):  # Adam, its step scaled by the uncertainty (paper: eta by the tile's uncertainty)
             moment.mul_(0.9).add_(gradient, alpha=0.1)
             square.mul_(0.99).addcmul_(gradient, gradient, value=0.01)
             update = (moment / (1 - 0.9**step)) / ((square / (1 - 0.99**step)).sqrt() + 1e-12)

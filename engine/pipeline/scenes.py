@@ -52,11 +52,15 @@ def look(model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[flo
     return ViewSet(model, cameras, views, images)
 
 
-def worst_psnr_against(images: Sequence[Float32], cameras: Sequence[Camera]) -> Callable[[GaussianModel], float]:
+def worst_psnr_against(
+    images: Sequence[Float32], cameras: Sequence[Camera]
+) -> Callable[[GaussianModel], float]:
     """Function from a candidate model to its worst view's PSNR against given renders."""
 
     def measure(candidate: GaussianModel) -> float:
-        return min(psnr(image, render(candidate, camera)) for image, camera in zip(images, cameras, strict=True))
+        return min(
+            psnr(image, render(candidate, camera)) for image, camera in zip(images, cameras, strict=True)
+        )
 
     return measure
 

@@ -112,7 +112,9 @@ def verify_model(
     with clock.stage("register"):
         registration = register(opened.reference, suspect, seed=config.seed)
     best: Verification | None = None
-    for number, route in enumerate(("model", "render") if config.route == "auto" else (config.route,), start=1):
+    for number, route in enumerate(
+        ("model", "render") if config.route == "auto" else (config.route,), start=1
+    ):
         with clock.stage(route):
             if route == "model":
                 evidence = _read_model(suspect, opened, registration)
@@ -183,7 +185,11 @@ def verify_images(
 
 def _read_model(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.matches, registration.match_quality
+        opened.layout,
+        opened.reference.sh[:, 0],
+        suspect.sh[:, 0],
+        registration.matches,
+        registration.match_quality,
     )
     return Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
 
@@ -211,7 +217,9 @@ def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> Evide
     alignment = align_image(reference, image)
     if alignment is None:
         return None
-    return gather_image_evidence(opened.layout, view, reference, alignment.warped, alignment.mask, mark, signs)
+    return gather_image_evidence(
+        opened.layout, view, reference, alignment.warped, alignment.mask, mark, signs
+    )
 
 
 def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float64]:
@@ -254,7 +262,9 @@ def judge(
         derived_fraction=fraction, absence_power=absence, transform=transform, notes=notes,
     )  # fmt: skip
     if config.decoder == "paper":
-        steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
+        steps = opened.layout.amplitudes * (
+            opened.strength if route == "model" else _image_gain(evidence, opened)
+        )
         bits, lead = decode_paper(evidence.y, steps, spreading.chips, spreading.bit_of, len(opened.message))
         matching = int((bits == opened.message).sum())
         claim = replace(

@@ -38,7 +38,7 @@ def luma_table(quality: int) -> Float64:
     return np.clip((STANDARD_LUMA_TABLE * factor + 50) // 100, 1, 255)
 
 
-def blocks_of(luma: Float32) -> Float64:
+def blocks_of(luma: Float32 | Float64) -> Float64:
     """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
     height, width = (size // 8 * 8 for size in luma.shape)
     tiles = luma[:height, :width].astype(np.float64).reshape(height // 8, 8, width // 8, 8).swapaxes(1, 2)
@@ -75,7 +75,9 @@ def find_quality(picture: Float32) -> int | None:
             continue
         off = (multiple - np.round(multiple)) * steps[use]
         # On the right table what is left is rounding noise; on a wrong one it is uniform over the step.
-        fit = float(np.mean(np.square(off[loud])) / np.mean(np.broadcast_to(steps[use] ** 2 / 12.0, off.shape)[loud]))
+        fit = float(
+            np.mean(np.square(off[loud])) / np.mean(np.broadcast_to(steps[use] ** 2 / 12.0, off.shape)[loud])
+        )
         # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
         if fit < 0.7 * least:
             best, least = quality, fit
@@ -85,8 +87,9 @@ def find_quality(picture: Float32) -> int | None:
 def _unclipped(picture: Float32) -> Bool:
     """(by, bx) blocks without black or white values."""
     height, width = (size // 8 * 8 for size in picture.shape[:2])
-    inside = ((picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)).all(axis=2)[:height, :width]
-    return np.asarray(inside.reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
+    inside = (picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)
+    tiles = inside[:height, :width].reshape(height // 8, 8, width // 8, 8 * picture.shape[2])
+    return np.asarray(tiles.all(axis=(1, 3)))
 
 
 def block_spread(pattern: Float32) -> Float64:
@@ -128,7 +131,7 @@ def jpeg_cotangent(
     # A coefficient many deviations from where the reference puts it is something else in the picture.
     score[(np.minimum(np.abs(low), np.abs(high)) > 4.0) & (low * high > 0)] = 0.0
     height, width = (size // 8 * 8 for size in mask.shape)
-    whole = mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3))
+    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
     score *= whole[:, :, None, None]
     image = np.zeros(mask.shape, dtype=np.float32)
     image[:height, :width] = idctn(score, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(height, width)
@@ -141,7 +144,8 @@ def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32
     The fit is robust and on block means: compression takes contrast from single pixels, which is no exposure.
     """
     height, width = (size // 8 * 8 for size in mask.shape)
-    use = _unclipped(picture) & mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3))
+    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
+    use = _unclipped(picture) & whole
     if use.sum() < 50:
         return reference
     out = reference.copy()
@@ -151,7 +155,9 @@ def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32
         for _ in range(6):
             w = 1.0 / (1.0 + np.square((y - gain * x - offset) / 0.03))
             mean_x, mean_y = np.average(x, weights=w), np.average(y, weights=w)
-            gain = float(np.sum(w * (x - mean_x) * (y - mean_y)) / max(np.sum(w * np.square(x - mean_x)), 1e-12))
+            gain = float(
+                np.sum(w * (x - mean_x) * (y - mean_y)) / max(np.sum(w * np.square(x - mean_x)), 1e-12)
+            )
             offset = float(mean_y - gain * mean_x)
         changed = abs(gain - 1.0) > 0.03 or abs(offset) > 0.012
         sane = 0.2 < gain < 5.0 and abs(offset) < 0.3  # too flat a picture fits any line
@@ -181,4 +187,4 @@ def _truncated_mean(low: Float64, high: Float64) -> Float64:
     log_mass = log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-12)))
     density = np.exp(-0.5 * a**2 - log_mass) - np.exp(-0.5 * b**2 - log_mass)
     mean = density / np.sqrt(2 * np.pi)
-    return np.where(flip, -mean, mean)
+    return np.asarray(np.where(flip, -mean, mean))

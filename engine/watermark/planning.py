@@ -10,7 +10,7 @@ import numpy as np
 from engine.compress.hvq import Stage
 from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
-from engine.model import SH_C0, Float64
+from engine.model import SH_C0, Float64, Int32
 from engine.watermark.carriers import make_carriers
 from engine.watermark.layout import MARK_SCALE, Layout
 
@@ -114,8 +114,10 @@ def _visual_mask(stage: Stage, impact: Impact, usage: Float64, count: int, confi
     seen = usage > 0.01 * np.median(usage[usage > 0]) if (usage > 0).any() else usage > 0
     if not seen.any():
         return np.ones(count)
-    texture = np.clip(texture / max(float(np.median(texture[seen])), 1e-12), 1e-3, 1e3) ** config.texture_exponent
-    u = uncertainty(np.bincount(stage.labels, impact.squared, count))
+    texture = (
+        np.clip(texture / max(float(np.median(texture[seen])), 1e-12), 1e-3, 1e3) ** config.texture_exponent
+    )
+    u = uncertainty(np.bincount(stage.labels, impact.squared, count).astype(np.float64))
     doubt = (u / np.median(u[seen])) ** 0.125
     return np.where(seen, np.clip(texture, 0.75, 1.5) * np.clip(doubt, 0.8, 1.25), 1.0)
 
@@ -139,7 +141,7 @@ def _balance_views(energy: Float64, rounds: int) -> Float64:
     return np.sqrt(factor)
 
 
-def predict_z(energies: Float64, strength: float, bit_of: np.ndarray, bits: int) -> Float64:  # type: ignore[type-arg]
+def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> Float64:
     """(V, B) z of each bit, read from one key view through the reference channel.
 
     Parameters

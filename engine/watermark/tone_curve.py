@@ -65,7 +65,7 @@ def robust_regression(design: Float32, target: Float32, rounds: int = 4) -> Floa
         normal = (weighted.T @ design).astype(np.float64)
         # A column without content (an image without edges) gets a zero, not a singular matrix.
         normal[np.diag_indices(k)] += 1e-6 * np.trace(normal) / k + 1e-12
-        solution = np.linalg.solve(normal, (weighted.T @ target).astype(np.float64))
+        solution = np.asarray(np.linalg.solve(normal, weighted.T @ target), dtype=np.float64)
         residual = target - design @ solution.astype(np.float32)
         spread = 1.4826 * float(np.median(np.abs(residual))) + 1e-4
         weight = 1.0 / (1.0 + np.square(residual / (3.0 * spread)))

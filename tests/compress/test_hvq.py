@@ -20,9 +20,7 @@ def patchy_model(n: int = 6000, degree: int = 1, seed: int = 1) -> GaussianModel
 def test_each_stage_lowers_the_error_and_all_codes_live() -> None:
     model = patchy_model()
     stages = quantize(model, np.ones(len(model)), 1.0, HvqConfig(cells=256, residual_codes=(128, 128)))
-    errors = [
-        float(((model.sh - decode_stages(stages[: k + 1])) ** 2).mean()) for k in range(len(stages))
-    ]
+    errors = [float(((model.sh - decode_stages(stages[: k + 1])) ** 2).mean()) for k in range(len(stages))]
     assert errors[0] > 1.4 * errors[1] > 1.4 * 1.2 * errors[2]
     for stage in stages[1:]:
         assert (np.bincount(stage.labels, minlength=len(stage.codebook)) > 0).mean() > 0.9

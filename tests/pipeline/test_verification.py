@@ -90,8 +90,12 @@ def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength:
 
 def test_several_pictures_say_more_than_one(scene: MarkedScene) -> None:
     cameras = scene.opened.cameras[:3]
-    pictures = [image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)]
-    each = [verify_images([p], scene.opened, cameras=[c]).claim.z for p, c in zip(pictures, cameras, strict=True)]
+    pictures = [
+        image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)
+    ]
+    each = [
+        verify_images([p], scene.opened, cameras=[c]).claim.z for p, c in zip(pictures, cameras, strict=True)
+    ]
     together = verify_images(pictures, scene.opened, cameras=cameras).claim.z
     assert together > 1.2 * max(each)
 
