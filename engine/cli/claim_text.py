@@ -82,8 +82,8 @@ def facts(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     if report["copy"]:
         found.append(("copy", f"the one made for {report['copy']!r}"))
     if report.get("record_id"):
-        when = report["registered_at"] or "at a time the record does not state"
-        found.append(("record", f"{report['record_id']}, of key {report['owner']}, registered {when}"))
+        when = f"registered {report['registered_at']}" if report["registered_at"] else "not dated"
+        found.append(("record", f"{report['record_id']} of key {report['owner']}, {when}"))
     return found + [("note", note) for note in report["notes"]]
 
 
@@ -133,7 +133,7 @@ def claim_lines(report: Mapping[str, Any], suspect: str) -> list[str]:
 def _sureness(report: Mapping[str, Any]) -> str:
     if report["verdict"] != "marked":
         return f"where coins would give about {report['bits'] // 2}"
-    return f"the least sure of them {surely(min(report['bit_reliability']))} reliable"
+    return f"the weakest {surely(min(report['bit_reliability']))} sure"
 
 
 def _angle(rotation: Any) -> float:

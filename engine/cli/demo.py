@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +21,7 @@ from engine.cli.verify import claim_report
 from engine.errors import InputError, WrongKeyError
 
 if TYPE_CHECKING:
-    from engine.model import GaussianModel
+    from engine.model import Camera, GaussianModel
     from engine.pipeline.embedding import Embedding
     from engine.pipeline.sealing import OpenedRecord
     from engine.pipeline.verification import Verification
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
 SCREENSHOT_QUALITY = 80
+VIEW, ZOOM = 5, 0.8
+"""View of the rig in the picture, and how much of its focal length: room around the subject."""
+
 STOLEN = "stolen-piece.spz"
 
 
@@ -229,6 +232,12 @@ def _wrong_key(work: _Work) -> dict[str, Any]:
     return {"verdict": "opened", "message": "another key opened the record"}
 
 
+def _wider(camera: Camera) -> Camera:
+    K = camera.K.copy()
+    K[0, 0], K[1, 1] = ZOOM * K[0, 0], ZOOM * K[1, 1]
+    return replace(camera, K=K)
+
+
 def _picture(
     path: Path, name: str, original: GaussianModel, made: Embedding, stolen: Mapping[str, Any]
 ) -> None:
@@ -240,10 +249,10 @@ def _picture(
     from engine.pipeline.rigs import make_rig
     from engine.raster import render
 
-    camera = make_rig(original, 24, SIDE, SIDE)[5]
+    camera = _wider(make_rig(original, 24, SIDE, SIDE)[VIEW])
     before, after = (np.clip(render(each, camera), 0.0, 1.0) for each in (original, made.model))
     found = read_model(path.parent / STOLEN).model
-    piece = np.clip(render(found, make_rig(found, 24, *SUSPECT_SIZE)[5]), 0.0, 1.0)
+    piece = np.clip(render(found, _wider(make_rig(found, 24, *SUSPECT_SIZE)[VIEW])), 0.0, 1.0)
     report = made.report
     fidelity = f"{report['bits']} bits hidden, worst view {report['psnr_worst_view']:.1f} dB"
     with whole_file(path) as part:

@@ -177,8 +177,7 @@ def _say(
     console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path
 ) -> None:
     say_repairs(console, repairs)
-    slowest = sorted(report["seconds_by_stage"].items(), key=lambda entry: -entry[1])[:4]
-    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest)
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report["seconds_by_stage"].items())
     lines = {
         "message": f"{report['message']} ({report['bits']} bits of {report['capacity_bits']} that fit)",
         "fidelity": f"{report['psnr_worst_view']:.2f} dB, SSIM {report['ssim_worst_view']:.4f}"
@@ -187,7 +186,7 @@ def _say(
         "Gaussians": f"{report['gaussians_in']:,} -> {report['gaussians_out']:,}",
         "strength": f"{report['predicted_z_per_bit']:.0f} standard deviations a bit, predicted, on the model",
         "files": f"model {size(report['bytes_out'])}, record {size(report['record_bytes'])}",
-        "time": f"{report['seconds']:.1f} s ({stages})",
+        "time": f"{report['seconds']:.1f} s: {stages}",
     }
     if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
         del lines["in total"]
