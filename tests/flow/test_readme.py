@@ -32,13 +32,12 @@ def blocks() -> Iterator[re.Match[str]]:
     return BLOCK.finditer((ROOT / "README.md").read_text())
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
     """A clone as far as the commands can see."""
-    made = tmp_path_factory.mktemp("readme")
-    (made / "tests").mkdir()
-    (made / "tests" / "data").symlink_to(ROOT / "tests" / "data")
-    return made
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    return tmp_path
 
 
 def test_readme_shows_commands() -> None:
@@ -47,17 +46,17 @@ def test_readme_shows_commands() -> None:
         assert f"mark3dgs {command}" in text
 
 
-@pytest.mark.parametrize("number", range(len(list(blocks()))))
-def test_block(number: int, folder: Path) -> None:
-    """Blocks build on one another: run them all, in order."""
-    block = list(blocks())[number]
+def test_commands_run_as_written(folder: Path) -> None:
+    """All blocks in order: they build on one another."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-e", "-c", block["commands"]], cwd=folder, capture_output=True, text=True,
-        env=os.environ | {"PATH": path, "COLUMNS": "100"}, check=False,
-    )  # fmt: skip
-    expected = EXIT.search(block["commands"])
-    assert done.returncode == (int(expected[1]) if expected else 0), done.stderr
-    said = {masked(line) for line in (done.stdout + done.stderr).splitlines()}
-    for line in (block["output"] or "").splitlines():
-        assert line.strip() in ("", "...") or masked(line) in said, f"{line!r} not in\n{done.stdout}"
+    for block in blocks():
+        done = subprocess.run(
+            ["bash", "-e", "-c", block["commands"]], cwd=folder, capture_output=True, text=True,
+            env=os.environ | {"PATH": path, "COLUMNS": "100"}, check=False,
+        )  # fmt: skip
+        expected = EXIT.search(block["commands"])
+        wanted = int(expected[1]) if expected else 0
+        assert done.returncode == wanted, f"{block['commands']}{done.stdout}{done.stderr}"
+        said = {masked(line) for line in (done.stdout + done.stderr).splitlines()}
+        for line in (block["output"] or "").splitlines():
+            assert line.strip() in ("", "...") or masked(line) in said, f"{line!r} not in\n{done.stdout}"
