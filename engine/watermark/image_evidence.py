@@ -73,8 +73,9 @@ def gather_image_evidence(
     limits = _limits(weights * y, len(layout.directions[0]))
     y = _saturate(y, weights, limits)
     # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
-    # vectors talk into each other cancels in the matched sum as it does in the claim.
-    response = _saturate(pull(reference - mark_image), weights, limits) - y
+    # vectors talk into each other cancels in the matched sum as it does in the claim. It is what y loses when the
+    # reference carries the mark: right for a marked suspect and for an unmarked one.
+    response = y - _saturate(pull(reference + mark_image), weights, limits)
     return Evidence(y, weights, mark_signs * response)
 
 
