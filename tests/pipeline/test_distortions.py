@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from engine.pipeline import distortions
+
+
+def picture(size: int = 96) -> torch.Tensor:
+    rng = np.random.default_rng(0)
+    coarse = (rng.uniform(0.2, 0.8, (8, 8, 3)) * 255).astype(np.uint8)
+    image = np.asarray(Image.fromarray(coarse).resize((size, size), Image.Resampling.BICUBIC)) / 255.0
+    return torch.from_numpy(image.astype(np.float32)).permute(2, 0, 1)[None]
+
+
+def test_jpeg_layer_is_close_to_the_real_encoder() -> None:
+    image = picture()
+    array = (image[0].permute(1, 2, 0).numpy() * 255 + 0.5).astype(np.uint8)
+    for quality in (10, 50):
+        buffer = io.BytesIO()
+        Image.fromarray(array).save(buffer, "JPEG", quality=quality)
+        real = np.asarray(Image.open(buffer)) / 255.0
+        ours = distortions.jpeg(image, quality)[0].permute(1, 2, 0).numpy()
+        damage = np.sqrt(np.mean((real - array / 255.0) ** 2))
+        assert np.sqrt(np.mean((ours - real) ** 2)) < 0.75 * damage + 0.006
+
+
+def test_soft_round_rounds_and_has_a_slope() -> None:
+    x = torch.tensor([0.2, 1.49, -2.6], requires_grad=True)
+    y = distortions.soft_round(x)
+    assert torch.allclose(y, torch.round(x), atol=0.13)
+    y.sum().backward()
+    assert (x.grad > 0).all()  # type: ignore[operator]
+    assert x.grad[1] > x.grad[0]  # type: ignore[index]
+
+
+LAYERS = {
+    "jpeg": lambda x: distortions.jpeg(x, 30),
+    "blur": lambda x: distortions.blur(x, 1.0),
+    "noise": lambda x: distortions.noise(x, 0.05, np.random.default_rng(0)),
+    "rescale": lambda x: distortions.rescale(x, 0.5),
+    "rotate": lambda x: distortions.rotate(x, 20.0),
+    "crop": lambda x: distortions.crop(x, 0.5, np.random.default_rng(0)),
+}
+
+
+@pytest.mark.parametrize("name", sorted(LAYERS))
+def test_each_layer_changes_the_picture_and_passes_a_gradient(name: str) -> None:
+    image = picture().requires_grad_(True)
+    out = LAYERS[name](image)
+    assert out.shape == image.shape
+    assert float((out - image).detach().abs().mean()) > 1e-3
+    out.sum().backward()
+    assert image.grad is not None
+    assert float(image.grad.abs().sum()) > 0
+
+
+def test_a_drawn_layer_treats_both_pictures_alike() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        layer = distortions.draw(rng)
+        assert torch.equal(layer(picture()), layer(picture()))

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.watermark.layout import Layout
+from engine.watermark.model_evidence import gather_model_evidence, remove_affine_color
+from engine.watermark.paper_decoder import decode_paper, paper_steps
+
+
+def marked(
+    n: int = 20_000, codes: int = 1024, seed: int = 0
+) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
+    """Layout, reference DC, marked DC and the signed displacement of each chip."""
+    rng = np.random.default_rng(seed)
+    layout = Layout(
+        (rng.permutation(np.arange(n) % codes).astype(np.int32),), (codes,),
+        (np.linalg.qr(rng.standard_normal((3, 3)))[0],),
+        np.full(3 * codes, 0.02),
+    )  # fmt: skip
+    reference = rng.standard_normal((n, 3)).astype(np.float32)
+    signs = rng.permutation(np.repeat([-1.0, 1.0], codes // 2 * 3)).reshape(codes, 3)
+    signs[:, 1:] = rng.permuted(np.repeat([[-1.0], [1.0]], codes // 2, axis=0).repeat(2, axis=1), axis=0)
+    signed = layout.amplitudes * signs.reshape(-1)
+    return layout, reference, reference + layout.displace(signed), signed
+
+
+def identity(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.arange(n, dtype=np.int32), np.ones(n, dtype=np.float32)
+
+
+def test_displacements_come_back_exactly() -> None:
+    layout, reference, suspect, signed = marked()
+    evidence = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    np.testing.assert_allclose(evidence.y, signed, atol=3e-3)
+    assert (evidence.weights > 0).all()
+
+
+def test_unmatched_code_vectors_weigh_nothing() -> None:
+    layout, reference, suspect, _ = marked()
+    matches, quality = identity(len(reference))
+    matches[layout.labels[0] < 5] = -1
+    evidence = gather_model_evidence(layout, reference, suspect, matches, quality)
+    assert not evidence.weights[:15].any()
+    assert not evidence.y[:15].any()
+    assert (evidence.weights[15:] > 0).all()
+
+
+def test_outliers_and_noisy_code_vectors_weigh_less() -> None:
+    layout, reference, suspect, signed = marked()
+    rng = np.random.default_rng(1)
+    wild = rng.choice(len(reference), 200, replace=False)
+    suspect = suspect.copy()
+    suspect[wild] += 3.0
+    noisy = layout.labels[0] < 512
+    suspect[noisy] += 0.1 * rng.standard_normal((int(noisy.sum()), 3)).astype(np.float32)
+    evidence = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    assert np.sign(evidence.y[1536:]) @ np.sign(signed[1536:]) > 0.97 * 1536
+    assert evidence.weights[1536:].mean() > 3 * evidence.weights[:1536].mean()
+
+
+def test_gain_tint_and_exposure_are_removed() -> None:
+    layout, reference, suspect, signed = marked()
+    tinted = suspect @ np.diag([1.1, 0.95, 1.0]).astype(np.float32) + np.array([0.3, -0.1, 0.05], np.float32)
+    evidence = gather_model_evidence(layout, reference, tinted, *identity(len(reference)))
+    assert np.mean(np.sign(evidence.y) == np.sign(signed)) > 0.99
+
+
+def test_affine_fit_leaves_the_mark() -> None:
+    _, reference, suspect, _ = marked()
+    residual = (suspect - reference).astype(np.float64)
+    left = remove_affine_color(reference.astype(np.float64), residual, np.ones(len(reference)))
+    assert np.abs(left - residual).max() < 5e-3
+
+
+def test_later_stages_see_what_earlier_ones_leave() -> None:
+    """Equation 11: two stages whose codes overlap are told apart."""
+    rng = np.random.default_rng(2)
+    n, codes = 20_000, (64, 32)
+    layout = Layout(
+        tuple(rng.integers(0, c, n).astype(np.int32) for c in codes), codes, (np.eye(3), np.eye(3)),
+        np.full(3 * sum(codes), 0.02),
+    )  # fmt: skip
+    reference = rng.standard_normal((n, 3)).astype(np.float32)
+    signed = layout.amplitudes * rng.choice([-1.0, 1.0], layout.chips)
+    evidence = gather_model_evidence(layout, reference, reference + layout.displace(signed), *identity(n))
+    assert np.mean(np.sign(evidence.y) == np.sign(signed)) == 1.0
+
+
+def test_unmarked_model_shows_no_displacement() -> None:
+    layout, reference, _, _ = marked()
+    evidence = gather_model_evidence(layout, reference, reference.copy(), *identity(len(reference)))
+    assert np.abs(evidence.y).max() < 1e-6
+
+
+def test_paper_rule_counts_steps_and_drops_what_moved_too_far() -> None:
+    amplitudes = np.full(5, 0.02)
+    chips = np.array([1, -1, 1, 1, -1], np.int8)
+    y = np.array([0.02, -0.021, 0.009, 0.2, 0.045])
+    np.testing.assert_array_equal(paper_steps(y, amplitudes, chips), [1, 1, 0, 0, -2])
+    bits, lead = decode_paper(y, amplitudes, chips, np.array([0, 0, 1, 1, 1], np.int32), 2)
+    assert bits.tolist() == [1, -1]
+    assert lead == pytest.approx([1.0, 1.0])

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.compress.hvq import Stage
+from engine.compress.impact import Impact
+from engine.watermark.layout import MARK_SCALE
+from engine.watermark.planning import BIT_Z, capacity_bits, make_plan, predict_z
+
+
+def scene(views: int = 3, n: int = 6000, codes: int = 256, seed: int = 0) -> tuple[tuple[Stage, ...], Impact]:
+    rng = np.random.default_rng(seed)
+    labels = (np.arange(n) % codes).astype(np.int32)
+    book = rng.standard_normal((codes, 3)).astype(np.float32)
+    per_view = rng.gamma(1.0, 2.0, (views, n)).astype(np.float32)
+    per_view[0, labels < codes // 2] *= 0.05  # the first view sees little of one half
+    coverage = per_view.sum(axis=0, dtype=np.float64)
+    busy = coverage * rng.uniform(0.01, 0.1, codes)[labels]
+    return (Stage(book, labels),), Impact(coverage, per_view, busy, busy, 0.3 * coverage)
+
+
+def test_amplitudes_have_the_common_median_and_are_positive() -> None:
+    plan = make_plan(*scene())
+    assert np.median(plan.layout.amplitudes) == pytest.approx(MARK_SCALE, rel=1e-5)
+    assert (plan.layout.amplitudes > 0).all()
+
+
+def test_views_get_about_the_same_energy() -> None:
+    stages, impact = scene()
+    energy = make_plan(stages, impact).energies.sum(axis=1)
+    flat = np.array([np.bincount(stages[0].labels, view).sum() for view in impact.per_view])
+    assert energy.max() / energy.min() < 1.3 < flat.max() / flat.min()
+
+
+def test_texture_gets_more() -> None:
+    stages, impact = scene()
+    texture = np.bincount(stages[0].labels, impact.busy) / np.bincount(stages[0].labels, impact.coverage)
+    luma = make_plan(stages, impact).layout.amplitudes.reshape(-1, 3)[:, 0]
+    busy, smooth = texture > np.quantile(texture, 0.8), texture < np.quantile(texture, 0.2)
+    assert luma[busy].mean() > 1.2 * luma[smooth].mean()
+
+
+def test_predicted_z_grows_with_strength_and_falls_with_bits() -> None:
+    plan = make_plan(*scene())
+    bit_of = (np.arange(plan.layout.chips) // 3 % 32).astype(np.int32)
+    weak, strong = (predict_z(plan.energies, s, bit_of, 32).mean() for s in (0.05, 0.2))
+    assert strong > 1.5 * weak
+    more = predict_z(plan.energies, 0.2, (np.arange(plan.layout.chips) // 3 % 64).astype(np.int32), 64).mean()
+    assert more < 0.8 * strong
+
+
+def test_prediction_agrees_with_simulated_reading() -> None:
+    """The reference channel simulated: y of each chip is its energy times sign plus white noise."""
+    rng = np.random.default_rng(3)
+    chips, bits, sigma = 4096, 32, 0.05
+    energy = rng.gamma(4.0, 0.25, (1, chips)) * 4e-4
+    bit_of = (np.arange(chips) % bits).astype(np.int32)
+    expected = predict_z(energy, 1.0, bit_of, bits)[0].mean()
+    observed = []
+    for _ in range(60):
+        y = energy[0] + np.sqrt(energy[0]) * sigma * rng.standard_normal(chips)
+        total, norm = np.bincount(bit_of, y), np.sqrt(np.bincount(bit_of, y**2))
+        observed.append((total / norm).mean())
+    assert np.mean(observed) == pytest.approx(expected, rel=0.05)
+
+
+def test_capacity_is_where_bits_get_their_least_z() -> None:
+    plan = make_plan(*scene())
+    strength = 3.0
+    capacity = capacity_bits(plan.energies, strength, plan.layout.chips)
+    bit_of = (np.arange(plan.layout.chips) // 3 % capacity).astype(np.int32)
+    if capacity < plan.layout.chips / 16 - 1:
+        z = np.median(predict_z(plan.energies, strength, bit_of, capacity).mean(axis=1))
+        assert z == pytest.approx(BIT_Z, rel=0.15)
+    assert capacity_bits(plan.energies, 1e-6, plan.layout.chips) == 0
