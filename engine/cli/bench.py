@@ -20,7 +20,9 @@ from engine.errors import InputError
 def bench(
     what: Annotated[
         str,
-        typer.Argument(metavar="WHAT", help="raster, embed, verify, attacks, screenshots, finetune, truth."),
+        typer.Argument(
+            metavar="WHAT", help="raster, embed, verify, fidelity, attacks, screenshots, finetune, truth."
+        ),
     ],
     scene: Annotated[
         list[Path] | None,
@@ -50,6 +52,7 @@ def bench(
     raster       milliseconds forward and backward, against a plain loop
     embed        seconds by stage and peak memory
     verify       seconds for a model, a picture, a screenshot of unknown camera
+    fidelity     dB, SSIM and bits for every message length, compact output and pruning budgets
     attacks      bits, z and claim after every attack of the bars
     screenshots  claims from pictures of unknown camera, and from another scene's
     finetune     claims after training on clean pictures at the key views

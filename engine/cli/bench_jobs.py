@@ -79,6 +79,16 @@ def _verify(job: Job) -> dict[str, Any]:
     return bench_verify(job.scenes, job.profile, job.repeats, job.seed, job.advance)
 
 
+def _fidelity(job: Job) -> dict[str, Any]:
+    from engine.evaluate.bars_fidelity import bench_fidelity
+
+    rows: list[dict[str, Any]] = []
+    for number, path in enumerate(job.scenes):
+        rows += bench_fidelity(path, job.profile, job.seed)
+        job.advance((number + 1) / len(job.scenes))
+    return {"profile": job.profile, "rows": rows}
+
+
 def _attacks(job: Job) -> dict[str, Any]:
     from engine.evaluate.bars_images import bench_image_attacks
     from engine.evaluate.bars_models import bench_model_attacks
@@ -139,6 +149,7 @@ BENCHES: dict[str, Callable[[Job], dict[str, Any]]] = {
     "raster": _raster,
     "embed": _embed,
     "verify": _verify,
+    "fidelity": _fidelity,
     "attacks": _attacks,
     "screenshots": _screenshots,
     "finetune": _fine_tuning,
