@@ -151,9 +151,12 @@ def project(
     lens : see `pack_lens`
     chunk : Gaussians per chunk, a multiple of 16
     scratch : (chunks, LANE_SCRATCH)
-    records, extents, rects : flat, RECORD, 2 and 4 (int16: first and last tile column, row) numbers a
-    Gaussian depths, index : (N,) out; each chunk fills its own stretch from the front counts : (chunks,)
-    out, how many it wrote
+    records, extents, rects : flat
+        RECORD, 2 and 4 (int16: first and last tile column, row) numbers a Gaussian
+    depths, index : (N,) out
+        Each chunk fills its own stretch from the front.
+    counts : (chunks,) out
+        How many it wrote.
     """
     n = logits.shape[0]
     R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])

@@ -79,8 +79,8 @@ class View:
     Parameters
     ----------
     geometry : Geometry
-    means_depth : (3,) and float
-        Third row of the camera's rotation and translation, for `depths`.
+    depth_of_all : (N,) float32
+        Camera z of every Gaussian, scene units.
     impact : (N,) float32 or None
         W^freq of Eq 8, if the settings ask for that stop.
     """
