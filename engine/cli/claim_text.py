@@ -43,14 +43,15 @@ def surely(probability: float) -> str:
 
 def headline(report: Mapping[str, Any], suspect: str) -> str:
     """The verdict in one sentence."""
-    verdict = HEADLINES[report["verdict"]]
     if report["verdict"] == "marked":
-        return f"{verdict}: {suspect} carries the mark of this record."
-    if report["verdict"] == "inconclusive":
-        return f"{verdict}: too little evidence in {suspect} for a yes or a no."
-    if report["derived_but_unmarked"]:
-        return f"{verdict}: {suspect} comes from this asset, but does not carry this mark."
-    return f"{verdict}: {suspect} does not carry the mark of this record."
+        text = f"the mark of this record is in {suspect}."
+    elif report["verdict"] == "inconclusive":
+        text = f"too little evidence in {suspect} for a yes or a no."
+    elif report["derived_but_unmarked"]:
+        text = f"this asset is in {suspect}, but not this mark."
+    else:
+        text = f"the mark of this record is not in {suspect}."
+    return f"{HEADLINES[report['verdict']]}: {text}"
 
 
 def facts(report: Mapping[str, Any]) -> list[tuple[str, str]]:

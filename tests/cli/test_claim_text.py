@@ -40,7 +40,8 @@ def test_nothing_measured_is_certain() -> None:
 def test_a_marked_claim_says_all_of_it() -> None:
     text = "\n".join(claim_lines(report("marked"), "suspect.ply"))
     for part in (
-        "MARKED: suspect.ply", "c0ffee42", "32 of 32", "1 in 10^612", "asked for: at most 1 in 10^9",
+        "MARKED: the mark of this record is in suspect.ply", "c0ffee42", "32 of 32", "1 in 10^612",
+        "asked for: at most 1 in 10^9",
         "24.8 %", "'acme'", "ab" * 16, "proven bound", "does not mean", "2^-128",
     ):  # fmt: skip
         assert part in " ".join(text.split()), part
@@ -53,7 +54,7 @@ def test_a_weak_claim_says_that_the_date_matters() -> None:
 
 def test_derived_but_unmarked_is_its_own_finding() -> None:
     text = " ".join(claim_lines(report("not_marked", derived_but_unmarked=True, log10_false_claim=0.0), "s"))
-    assert "comes from this asset, but does not carry this mark" in text
+    assert "this asset is in s, but not this mark" in text
     assert "no better than chance" in text
 
 
