@@ -101,7 +101,7 @@ def _attacks(job: Job) -> dict[str, Any]:
 
 
 def _screenshots(job: Job) -> dict[str, Any]:
-    """Own screenshots of every scene; with several scenes, also those of the next one against its record."""
+    """Own screenshots of every scene; with several scenes, also a fifth as many of the next one."""
     from engine.evaluate.bars_images import bench_screenshots
 
     trials = job.trials or SCREENSHOTS
@@ -111,7 +111,7 @@ def _screenshots(job: Job) -> dict[str, Any]:
         rows += [{"source": "own", **row} for row in own]
         if len(job.scenes) > 1:
             other = job.scenes[(number + 1) % len(job.scenes)]
-            foreign = bench_screenshots(scene, trials, job.seed, foreign=partial(_model_at, other))
+            foreign = bench_screenshots(scene, -(-trials // 5), job.seed, foreign=partial(_model_at, other))
             rows += [{"source": other.name, **row} for row in foreign]
     return {"profile": job.profile, "trials": trials, "rows": rows}
 
