@@ -17,7 +17,7 @@ __all__ = ["Hypothesis", "fit_camera", "hypothesize"]
 
 LADDER = np.geomspace(0.5, 2.0, 9)
 """Focal lengths tried, in widths of the picture; 19 % apart."""
-RANSAC_TRIALS = 400
+RANSAC_TRIALS = 1000
 RANSAC_SEED = 0
 
 

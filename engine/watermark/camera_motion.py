@@ -10,7 +10,7 @@ import numpy as np
 
 from engine.model import Camera, Float64
 
-__all__ = ["PARAMETERS", "moved", "normalized", "point_columns"]
+__all__ = ["PARAMETERS", "moved", "normalized", "point_columns", "project"]
 
 PARAMETERS = 7
 
@@ -45,6 +45,13 @@ def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     depth = local[:, 2]
     return local[:, :2] / np.where(np.abs(depth) > 1e-12, depth, 1e-12)[:, None], depth
+
+
+def project(points: Float64, camera: Camera) -> Float64:
+    """Pixels (P, 2) of world points (P, 3); far outside every picture (-1e9) where they lie behind the camera."""
+    rays, depth = normalized(points, camera)
+    pixels = rays * np.diagonal(camera.K)[:2] + camera.K[:2, 2]
+    return np.where(depth[:, None] > 1e-9, pixels, -1e9)
 
 
 def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:

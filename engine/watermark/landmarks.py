@@ -1,60 +1,52 @@
-"""The landmark bank: keypoints of regular views of the reference, lifted to 3-D (DESIGN 4.8).
+"""Landmarks of a model: keypoints of its renders with their places in the world (DESIGN 4.8).
 
-It is made once, at embedding, and kept in the owner's record, so that finding the camera of a screenshot renders
-nothing but the view it is closing in on.
+They let the camera of a screenshot be found later, and are kept with the record.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Bool, Camera, Float32, GaussianModel, Int32
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
 from engine.raster import render_depth
 from engine.watermark.features import detect_keypoints, luma
 
-__all__ = ["Landmarks", "LandmarksConfig", "make_landmarks"]
+__all__ = ["Landmarks", "make_landmarks"]
 
-
-@dataclass(frozen=True)
-class LandmarksConfig:
-    """Knobs of `make_landmarks`.
-
-    Parameters
-    ----------
-    per_view : int
-        Keypoints kept of a view, the strongest; a landmark takes 144 bytes.
-    least_alpha : float
-        Smallest opacity of the picture around a keypoint: what lies there is solid.
-    depth_range : float
-        Largest relative spread of depth around a keypoint; more is an edge, where depth means nothing.
-    margin : int
-        Radius of "around", pixels.
-    """
-
-    per_view: int = 500
-    least_alpha: float = 0.8
-    depth_range: float = 0.05
-    margin: int = 3
+PER_VIEW = 450
+"""Most landmarks of one view: 48 views of 144 bytes each make 3.1 MB."""
+SURPLUS = 3.0
+"""Keypoints detected for each landmark wanted: those on edges of depth and on haze are thrown away."""
+LEAST_ALPHA = 0.7
+"""A pixel this opaque shows a surface, and its depth is that surface's."""
+DEPTH_EDGE = 0.05
+"""Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
+MARGIN = 8
+"""Pixels kept around what is visible when a render is cut before detection."""
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Points of the reference's surface and what they look like, view by view.
+    """Places of a model that a keypoint detector recognises.
 
     Parameters
     ----------
     points : (L, 3) float32
-        World coordinates.
+        World coordinates, scene units.
     descriptors : (L, 128) uint8
-        RootSIFT in eight bits.
+        See `engine.watermark.features`.
     views : (L,) int32
-        Index of the view in which the landmark was seen, ascending.
+        Number of the view each was seen in.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not fit together.
     """
 
     points: Float32
@@ -63,80 +55,93 @@ class Landmarks:
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        if (
-            self.points.shape != (count, 3)
-            or self.descriptors.shape != (count, 128)
-            or self.views.shape != (count,)
-        ):
-            raise InputError(
-                f"landmarks do not belong together: {self.points.shape}, {self.descriptors.shape}, "
-                f"{self.views.shape}"
-            )
-        if count and np.any(np.diff(self.views) < 0):
-            raise InputError("landmarks must be sorted by view")
+        shapes = (self.points.shape, self.descriptors.shape, self.views.shape)
+        if shapes != ((count, 3), (count, 128), (count,)):
+            raise InputError(f"landmarks have shapes {shapes}, expected (L, 3), (L, 128), (L,)")
+        if self.descriptors.dtype != np.uint8:
+            raise InputError(f"descriptors are {self.descriptors.dtype}, expected uint8")
+        if not np.isfinite(self.points).all():
+            raise InputError("landmarks hold points that are not finite")
 
     def __len__(self) -> int:
         return len(self.points)
 
-    @property
-    def nbytes(self) -> int:
-        """Size in a record, bytes, before compression."""
-        return self.points.nbytes + self.descriptors.nbytes + self.views.nbytes
-
 
 def make_landmarks(
-    model: GaussianModel,
-    cameras: Sequence[Camera],
-    advance: Callable[[float], Any] | None = None,
-    config: LandmarksConfig = LandmarksConfig(),
+    model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None] | None = None
 ) -> Landmarks:
-    """Render the views and lift their keypoints.
+    """Detect landmarks in renders of a model.
 
     Parameters
     ----------
     model : GaussianModel
         The unmarked reference.
     cameras : sequence of Camera
-        About 48 views of roughly 512 to 640 pixels, from all sides a screenshot may come from.
+        Views that cover it; about 48 of 640 x 480 pixels.
     advance : callable, optional
-        Called with the share done, 0..1, after each view.
-    config : LandmarksConfig
+        Called with the fraction done, 0 to 1, after every view.
 
     Returns
     -------
     Landmarks
-        At most `per_view` a camera; none where nothing solid is seen.
+        In the order of the cameras; strongest first within each. Empty where nothing is distinctive.
     """
     points, descriptors, views = [], [], []
     for number, camera in enumerate(cameras):
         image, alpha, depth = render_depth(model, camera)
-        solid = _solid(alpha, depth, config)
-        keypoints = detect_keypoints(luma(image), 4 * config.per_view, mask=solid)
-        column, row = keypoints.points.astype(np.int64).T
-        keep = np.nonzero(solid[np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)])[0][
-            : config.per_view
-        ]
-        pixels = np.concatenate([keypoints.points[keep], np.ones((len(keep), 1))], axis=1)
-        rays = pixels @ np.linalg.inv(camera.K).T  # (M, 3), z = 1
-        in_camera = rays * depth[row[keep], column[keep]].astype(np.float64)[:, None]
-        points.append((in_camera - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3])
-        descriptors.append(keypoints.descriptors[keep])
-        views.append(np.full(len(keep), number, dtype=np.int32))
+        found = _detect(image, alpha, depth, camera)
+        points.append(found[0])
+        descriptors.append(found[1])
+        views.append(np.full(len(found[0]), number, dtype=np.int32))
         if advance is not None:
             advance((number + 1) / len(cameras))
     if not points:
-        return Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
-    return Landmarks(
-        np.concatenate(points).astype(np.float32), np.concatenate(descriptors), np.concatenate(views)
-    )
+        return Landmarks(
+            np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, dtype=np.int32)
+        )
+    return Landmarks(np.concatenate(points), np.concatenate(descriptors), np.concatenate(views))
 
 
-def _solid(alpha: Float32, depth: Float32, config: LandmarksConfig) -> Bool:
-    """Pixels around which the picture is opaque and depth is smooth."""
+def _detect(
+    image: Float32, alpha: Float32, depth: Float32, camera: Camera
+) -> tuple[Float32, npt.NDArray[np.uint8]]:
+    """Points (P, 3) and descriptors (P, 128) of one render."""
+    top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
+    grey = luma(image[top:bottom, left:right])
+    if min(grey.shape) < 16:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
+    keypoints = detect_keypoints(grey, int(SURPLUS * PER_VIEW))
+    pixels = keypoints.points + np.array([left, top])
+    column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
+    row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)
+    kept = np.nonzero(_surface(alpha, depth)[row, column])[0][:PER_VIEW]
+    z = depth[row[kept], column[kept]].astype(np.float64)
+    return lift(pixels[kept], z, camera).astype(np.float32), keypoints.descriptors[kept]
+
+
+def _bounds(visible: Bool) -> tuple[int, int, int, int]:
+    """Top, bottom, left, right of what is visible, with a margin; detection costs by the pixel."""
+    rows, columns = np.nonzero(visible.any(axis=1))[0], np.nonzero(visible.any(axis=0))[0]
+    if not len(rows):
+        return 0, 0, 0, 0
+    return (
+        max(int(rows[0]) - MARGIN, 0), min(int(rows[-1]) + MARGIN + 1, visible.shape[0]),
+        max(int(columns[0]) - MARGIN, 0), min(int(columns[-1]) + MARGIN + 1, visible.shape[1]),
+    )  # fmt: skip
+
+
+def _surface(alpha: Float32, depth: Float32) -> Bool:
+    """(H, W) where an opaque surface is seen, away from its edges."""
     import cv2
 
-    size = 2 * config.margin + 1
-    window = np.ones((size, size), dtype=np.uint8)
-    opaque = cv2.erode(alpha, window, borderType=cv2.BORDER_REPLICATE) > config.least_alpha
-    nearest, farthest = cv2.erode(depth, window), cv2.dilate(depth, window)
-    return np.asarray(opaque & (farthest - nearest < config.depth_range * np.maximum(nearest, 1e-9)))
+    window = np.ones((5, 5), dtype=np.uint8)
+    farthest, nearest = cv2.dilate(depth, window), cv2.erode(depth, window)
+    opaque = cv2.erode(alpha, window) > LEAST_ALPHA
+    return np.asarray(opaque & (farthest - nearest < DEPTH_EDGE * depth))
+
+
+def lift(pixels: Float64, depth: Float64, camera: Camera) -> Float64:
+    """(P, 3) world points at pixel coordinates (P, 2) and camera depths (P,)."""
+    rays = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1).T).T
+    local = rays * depth[:, None]
+    return np.asarray((local - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3])

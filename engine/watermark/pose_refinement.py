@@ -1,8 +1,11 @@
-"""Close in on the camera of a picture by comparing brightness with fresh renders (robust Gauss-Newton).
+"""Refine a camera on brightness: robust Gauss-Newton against fresh renders, coarse to fine (DESIGN 4.8).
 
-One render with depth gives the image and, with the depth, how every pixel moves with pose and focal length: an
-iteration costs one render, not one for each unknown. The motion of half-transparent edges is not quite that of
-their mean depth; this slows convergence a little and does not shift the optimum, where the residual is noise.
+The model of the picture is suspect(x) = gain render(x; camera) + offset. A small motion of the camera moves
+what a pixel shows by a flow that follows from its depth, and so changes its brightness by -gradient . flow:
+one render with depth gives all seven columns of the linearised problem. The residual is always that of an
+exact render, so where the iteration stops, depth edges and haze have not biased it; they only slow it down.
+
+Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
 """
 
 from __future__ import annotations
@@ -10,218 +13,217 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import prange
 
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.jit import parallel_kernel, parallel_section
 from engine.numerics.resampling import smooth
 from engine.raster import render_depth
 from engine.watermark.brightness_fit import robust_scale
+from engine.watermark.camera_motion import PARAMETERS, moved
 from engine.watermark.features import luma
-from engine.watermark.pose import FREE_ALL, FREE_CENTERED, moved, pixel_motion
 
-__all__ = ["PoseFit", "RefinementConfig", "refine_pose"]
+__all__ = ["Refined", "refine_level"]
 
-_CLIPPED = 0.985
-_LEAST_SAMPLES = 200
-
-
-@dataclass(frozen=True)
-class RefinementConfig:
-    """Knobs of `refine_pose`.
-
-    Parameters
-    ----------
-    sides : tuple of int
-        Longest side of the renders, pixels, coarse to fine; the last is a limit.
-    blurs : tuple of float
-        Blur at each of them, pixels.
-    rounds : tuple of int
-        Most iterations at each of them.
-    stop_pixels : tuple of float
-        A step that moves the picture's pixels by less than this (root mean square) ends that resolution.
-    samples : int
-        Most pixels used, the steepest.
-    least_alpha : float
-        Only pixels at least this opaque: what lies behind the model in the picture is not known.
-    crop_gain : float
-        A free principal point must lower the residual to this fraction.
-    """
-
-    sides: tuple[int, ...] = (400, 400, 1000)
-    blurs: tuple[float, ...] = (2.0, 0.8, 0.8)
-    rounds: tuple[int, ...] = (5, 5, 4)
-    stop_pixels: tuple[float, ...] = (0.15, 0.05, 0.01)
-    samples: int = 60_000
-    least_alpha: float = 0.9
-    crop_gain: float = 0.97
+_KERNEL_VERSION = 1
+BLUR = 0.8
+"""Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
+LEAST_ALPHA = 0.5
+"""Pixels more transparent than this show a background nobody knows."""
+CLIPPED = 0.985
+"""Brighter pixels of the picture say nothing about position."""
+LEAST_PIXELS = 400
+"""Fewer usable pixels than this cannot carry nine unknowns."""
+ACCELERATE_BELOW = 0.5
+"""Steps below this are taken for linear, pixels of the level."""
+MEMORY = 2
+"""Steps that the acceleration remembers."""
+MOST_EXTRAPOLATION = 30.0
+"""The acceleration goes at most this many times as far as the last step."""
+_UNKNOWNS = PARAMETERS + 2
 
 
 @dataclass(frozen=True, eq=False)
-class PoseFit:
-    """A camera and how well its view explains the picture.
+class Refined:
+    """A camera and how well its render explains the picture.
 
     Parameters
     ----------
     camera : Camera
-        At the picture's size.
+        Of the level's size.
     rms : float
-        Robust residual of brightness, image units.
+        Robust standard deviation of the brightness residual, 0..1.
     correlation : float
-        Of both images' brightness on the steep pixels, -1..1.
-    renders : int
-        Number of renders it took.
+        Of picture and render on the pixels used, -1..1.
+    step : float
+        Root mean square flow of the last motion, pixels of the level.
+    iterations : int
     """
 
     camera: Camera
     rms: float
     correlation: float
-    renders: int
+    step: float
+    iterations: int
 
 
-def refine_pose(
-    model: GaussianModel, image: Float32, camera: Camera, config: RefinementConfig = RefinementConfig()
-) -> PoseFit | None:
-    """Fit pose, focal length, exposure gain and offset.
+@parallel_kernel
+def _normal_equations(  # type: ignore[no-untyped-def]
+    base, residual, gx, gy, depth, weight, focal, cx, cy, gain, spread, rows, flows
+):
+    height, width = base.shape
+    for j in prange(height):
+        column = np.zeros(9)
+        u = np.zeros(7)
+        v = np.zeros(7)
+        b = (j + 0.5 - cy) / focal
+        for i in range(width):
+            if weight[j, i] <= 0.0:
+                continue
+            a = (i + 0.5 - cx) / focal
+            near = 1.0 / depth[j, i]
+            u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
+            v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
+            for k in range(7):
+                column[k] = -gain * focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
+            column[7] = base[j, i]
+            column[8] = 1.0
+            r = residual[j, i]
+            w = weight[j, i] / (1.0 + (r / spread) ** 2)
+            for k in range(9):
+                for l in range(k, 9):
+                    rows[j, k, l] += w * column[k] * column[l]
+                rows[j, k, 9] += w * column[k] * r
+            for k in range(7):
+                for l in range(k, 7):
+                    flows[j, k, l] += weight[j, i] * focal * focal * (u[k] * u[l] + v[k] * v[l])
+
+
+def refine_level(
+    model: GaussianModel,
+    picture: Float32,
+    camera: Camera,
+    iterations: int,
+    tolerance: float,
+) -> Refined | None:
+    """Refine a camera on one level of resolution.
 
     Parameters
     ----------
     model : GaussianModel
         The unmarked reference.
-    image : (h, w, 3) float32
-        The picture, 0..1.
+    picture : (H, W) float32
+        Brightness of the picture, 0..1, at the camera's size.
     camera : Camera
-        Start, at the picture's size; off by a few pixels at most.
-    config : RefinementConfig
+        Start, within a few pixels.
+    iterations : int
+        Renders at most.
+    tolerance : float
+        Stops when the motion's root mean square flow is below this, pixels.
 
     Returns
     -------
-    PoseFit or None
-        None when nothing opaque lies in view.
+    Refined or None
+        None where too little of the model is in the picture.
     """
-    grey, renders = luma(image), 0
-    fit: PoseFit | None = None
-    stages = list(zip(config.sides, config.blurs, config.rounds, config.stop_pixels, strict=True))
-    for side, blur, rounds, stop in stages:
-        fit = _refine_at(model, grey, camera, side, blur, rounds, stop, FREE_CENTERED, config)
-        if fit is None:
+    seen = smooth(picture, BLUR)
+    gain, offset, step = 1.0, 0.0, np.inf
+    memory = Acceleration()
+    for iteration in range(iterations):
+        image, alpha, depth = render_depth(model, camera)
+        base = smooth(luma(image), BLUR)
+        weight = _weights(alpha, depth, seen)
+        used = weight > 0
+        if used.sum() < LEAST_PIXELS:
             return None
-        camera, renders = fit.camera, renders + fit.renders
-    assert fit is not None
-    side, blur, _, stop = stages[-2]
-    centered = _refine_at(model, grey, camera, side, blur, 1, stop, FREE_CENTERED, config)
-    shifted = _refine_at(model, grey, camera, side, blur, 4, stop, FREE_ALL, config)
-    renders += sum(f.renders for f in (centered, shifted) if f is not None)
-    if shifted and centered and shifted.rms < config.crop_gain * centered.rms:
-        side, blur, rounds, stop = stages[-1]
-        finer = _refine_at(model, grey, shifted.camera, side, blur, rounds, stop, FREE_ALL, config)
-        if finer is not None:
-            renders += finer.renders
-            if finer.rms < config.crop_gain * fit.rms:
-                fit = finer
-    return PoseFit(fit.camera, fit.rms, fit.correlation, renders)
-
-
-def _refine_at(
-    model: GaussianModel,
-    grey: Float32,
-    camera: Camera,
-    side: int,
-    blur: float,
-    rounds: int,
-    stop: float,
-    free: int,
-    config: RefinementConfig,
-) -> PoseFit | None:
-    """Gauss-Newton at one resolution; the fit belongs to the last camera that was rendered."""
-    shrink = min(1.0, side / max(camera.width, camera.height))
-    small = camera.resized(max(8, round(camera.width * shrink)), max(8, round(camera.height * shrink)))
-    seen = smooth(_shrunk(grey, small.width, small.height), blur)
-    best: PoseFit | None = None
-    trial, tone, renders = small, None, 0
-    for _ in range(rounds + 1):
-        image, alpha, depth = render_depth(model, trial)
-        renders += 1
-        step = _measure(smooth(luma(image), blur), alpha, depth, seen, trial, free, tone, config)
-        if step is None:
+        unit = float(np.median(depth[used]))
+        if iteration == 0:
+            gain, offset = _line(base[used], seen[used])
+        residual = seen - np.float32(gain) * base - np.float32(offset)
+        spread = robust_scale(residual[used])
+        correlation = _correlation(base[used], seen[used])
+        gy, gx = np.gradient(base)
+        rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
+        flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
+        with parallel_section():
+            _normal_equations(
+                base, residual, np.ascontiguousarray(gx), np.ascontiguousarray(gy),
+                np.where(used, depth / np.float32(unit), np.float32(1.0)), weight, camera.K[0, 0],
+                camera.K[0, 2], camera.K[1, 2], gain, 2.5 * spread, rows, flows,
+            )  # fmt: skip
+        motion, brightness = _solve(rows.sum(axis=0))
+        flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
+        step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
+        if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
+            return None
+        camera = moved(camera, memory.improve(motion, flow, step), unit)
+        gain, offset = gain + brightness[0], offset + brightness[1]
+        if step < tolerance:
             break
-        if best is not None and step.rms > 1.02 * best.rms:
-            break  # it got worse: the camera before was better
-        best = PoseFit(_at_size(trial, camera), step.rms, step.correlation, renders)
-        if step.motion < stop or renders > rounds:
-            break
-        trial, tone = moved(trial, step.step), step.tone
-    return None if best is None else PoseFit(best.camera, best.rms, best.correlation, renders)
+    return Refined(camera, spread, correlation, step, iteration + 1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    step: Float64
-    tone: tuple[float, float]
-    rms: float
-    correlation: float
-    motion: float
+class Acceleration:
+    """Anderson's acceleration of a fixed-point iteration (Walker and Ni 2011).
+
+    The columns come from flow and gradients and so carry errors, which shrink the steps along directions that
+    hardly show, such as a longer lens further away: there plain Gauss-Newton goes a tenth of the way each time.
+    What the last steps achieved tells how much further to go.
+    """
+
+    def __init__(self) -> None:
+        self._motions: list[Float64] = []
+        self._moves: list[Float64] = []
+
+    def improve(self, motion: Float64, flow: Float64, step: float) -> Float64:
+        """The move to make in place of a motion (7,), whose squared flow is motion' flow motion = step^2."""
+        if step > ACCELERATE_BELOW:  # not linear yet
+            self._motions, self._moves = [], []
+            return motion
+        move = motion
+        if self._moves:
+            changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (7, m)
+            moves = np.stack(self._moves).T
+            normal = changes.T @ flow @ changes
+            normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
+            normal[np.diag_indices_from(normal)] += 1e-16
+            mix = np.linalg.solve(normal, changes.T @ flow @ motion)
+            if np.abs(mix).max() < MOST_EXTRAPOLATION:
+                move = motion - (moves + changes) @ mix
+        self._motions, self._moves = [*self._motions, motion][-MEMORY:], [*self._moves, move][-MEMORY:]
+        return move
 
 
-def _measure(
-    base: Float32,
-    alpha: Float32,
-    depth: Float32,
-    seen: Float32,
-    camera: Camera,
-    free: int,
-    tone: tuple[float, float] | None,
-    config: RefinementConfig,
-) -> _Step | None:
-    """One Gauss-Newton step from a render and the picture."""
-    gy, gx = (np.asarray(g) for g in np.gradient(base))
-    energy = np.where((alpha > config.least_alpha) & (seen < _CLIPPED), gx * gx + gy * gy, 0.0)
-    usable = int(np.count_nonzero(energy))
-    if usable < _LEAST_SAMPLES:
-        return None
-    keep = min(config.samples, max(_LEAST_SAMPLES, usable // 2))
-    chosen = np.sort(np.argpartition(energy.ravel(), energy.size - keep)[-keep:])
-    rows, columns = np.divmod(chosen, camera.width)
-    r, s = base.ravel()[chosen].astype(np.float64), seen.ravel()[chosen].astype(np.float64)
-    gain, offset = tone if tone is not None else _tone(r, s)
-    z = depth.ravel()[chosen].astype(np.float64)
-    x = (columns + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * z
-    y = (rows + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * z
-    motion = pixel_motion(camera, np.stack([x, y, z], axis=1), free)  # (P, 2, free)
-    slope = np.stack([gx.ravel()[chosen], gy.ravel()[chosen]], axis=1).astype(np.float64)
-    residual = s - gain * r - offset
-    spread = robust_scale(residual)
-    weight = 1.0 / (1.0 + np.square(residual / (2.5 * spread)))
-    # A pixel's content moves along: base(x) becomes base(x - motion).
-    design = np.concatenate(
-        [-gain * np.einsum("pi,pik->pk", slope, motion), r[:, None], np.ones((keep, 1))], axis=1
-    )
-    weighted = design * weight[:, None]
-    normal = weighted.T @ design
-    normal[np.diag_indices_from(normal)] *= 1.0 + 1e-7
-    normal[np.diag_indices_from(normal)] += 1e-12
-    delta = np.linalg.solve(normal, weighted.T @ residual)
-    shift = motion @ delta[:-2]  # (P, 2) pixels
-    both = np.std(r) * np.std(s)
-    correlation = float(np.mean((r - r.mean()) * (s - s.mean())) / both) if both > 1e-12 else 0.0
-    return _Step(
-        delta[:-2], (gain + float(delta[-2]), offset + float(delta[-1])), spread, correlation,
-        float(np.sqrt(np.mean(np.square(shift).sum(axis=1)))),
-    )  # fmt: skip
+def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
+    """(H, W) how far a pixel shows the model and nothing else."""
+    usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
+    return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
 
 
-def _tone(r: Float64, s: Float64) -> tuple[float, float]:
-    low_r, high_r = np.quantile(r, [0.2, 0.8])
-    low_s, high_s = np.quantile(s, [0.2, 0.8])
-    gain = float(np.clip((high_s - low_s) / max(high_r - low_r, 1e-3), 0.3, 3.0))
-    return gain, float(np.median(s) - gain * np.median(r))
+def _line(base: Float32, seen: Float32) -> tuple[float, float]:
+    """Gain and offset from quantiles: right even while the images are out of register."""
+    low, high = np.quantile(base, [0.2, 0.8])
+    bottom, top = np.quantile(seen, [0.2, 0.8])
+    gain = float(np.clip((top - bottom) / max(high - low, 1e-3), 0.2, 3.0))
+    return gain, float(np.median(seen) - gain * np.median(base))
 
 
-def _shrunk(grey: Float32, width: int, height: int) -> Float32:
-    import cv2
-
-    if grey.shape == (height, width):
-        return grey
-    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+def _correlation(a: Float32, b: Float32) -> float:
+    a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
+    both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
 
 
-def _at_size(camera: Camera, like: Camera) -> Camera:
-    return camera.resized(like.width, like.height)
+def _symmetric(upper: Float64) -> Float64:
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def _solve(system: Float64) -> tuple[Float64, Float64]:
+    """Motion (7,) and change of gain and offset (2,) from the summed upper triangle and right side."""
+    normal = _symmetric(system[:, :_UNKNOWNS])
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
+    # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
+    # cannot tell where it was.
+    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(_UNKNOWNS)
+    solution = scale * np.linalg.solve(damped, scale * system[:, _UNKNOWNS])
+    return solution[:PARAMETERS], solution[PARAMETERS:]
