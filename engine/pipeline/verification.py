@@ -15,54 +15,23 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
 from engine.watermark.camera_finding import find_camera
-from engine.watermark.claim import Claim, ClaimConfig, Verdict, decide
+from engine.watermark.claim import Claim, Verdict
 from engine.watermark.image_alignment import align_image
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
-from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
-from engine.watermark.paper_decoder import decode_paper
 from engine.watermark.registration import Registration, register
 from engine.watermark.spreading import signed_amplitudes
-from engine.watermark.statistics import log10_binomial_tail
 
-ROUTES = ("auto", "model", "render", "image")
-ABSENCE_POWER = 0.999
-"""Probability that the registration finds a piece of the asset that is there (measured: docs/RESULTS.md)."""
+__all__ = ["Verification", "VerifyConfig", "judge", "verify_images", "verify_model"]
 
-
-@dataclass(frozen=True)
-class VerifyConfig:
-    """What a verification can be told.
-
-    Parameters
-    ----------
-    false_claim_rate : float
-        Largest acceptable probability of a false claim, against chance.
-    route : str
-        "auto", "model", "render" or "image".
-    decoder : str
-        "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours.
-    seed : int
-        Of the registration's and the camera search's trials.
-    """
-
-    false_claim_rate: float = 1e-9
-    route: str = "auto"
-    decoder: str = "ours"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.route not in ROUTES:
-            raise InputError(f"route must be one of {', '.join(ROUTES)}, got {self.route!r}")
-        if self.decoder not in ("ours", "paper"):
-            raise InputError(f"decoder must be 'ours' or 'paper', got {self.decoder!r}")
-        if not 0.0 < self.false_claim_rate < 1.0:
-            raise InputError(f"false-claim rate must lie in (0, 1), got {self.false_claim_rate}")
+RENDER_SIZE = 512
+"""Longest side of a suspect's render at the pose key, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,13 +171,19 @@ def _read_renders(
     if registration.found:
         moved = transform_model(suspect, registration.scale, registration.R, registration.t)
     parts = []
-    for number, camera in enumerate(opened.cameras):
+    for number, camera in enumerate(_no_larger(camera) for camera in opened.cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         view, reference, mark, signs = _reference_view(opened, camera)
         everywhere = np.ones(picture.shape[:2], dtype=bool)
         parts.append(gather_image_evidence(opened.layout, view, reference, picture, everywhere, mark, signs))
         clock.advance((number + 1) / len(opened.cameras))
     return add_evidence(parts)
+
+
+def _no_larger(camera: Camera) -> Camera:
+    """The camera at no more than RENDER_SIZE pixels a side: all key views together see enough, and soon."""
+    shrink = min(1.0, RENDER_SIZE / max(camera.width, camera.height))
+    return camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
 
 
 def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidence | None:
@@ -233,53 +208,6 @@ def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32
         for sh in (opened.reference.sh, marked_sh)
     )
     return view, plain, marked - plain, np.sign(signed)
-
-
-def judge(
-    evidence: Evidence,
-    opened: OpenedRecord,
-    route: str,
-    tries: int,
-    config: VerifyConfig,
-    registration: Registration | None = None,
-    notes: tuple[str, ...] = (),
-) -> Claim:
-    """The claim that this evidence supports."""
-    spreading = opened.spreading
-    transform, fraction, absence = None, None, None
-    if registration is not None:
-        fraction = registration.derived_fraction
-        if registration.found:
-            transform = {
-                "scale": registration.scale, "rotation": registration.R.tolist(), "translation": registration.t.tolist()
-            }  # fmt: skip
-        elif route == "model":
-            absence = ABSENCE_POWER
-            notes = (*notes, "no piece of the asset was found in the suspect model")
-    claim = decide(
-        evidence.y, evidence.weights, evidence.signal, spreading.bit_of, spreading.chips, opened.message,
-        tries=tries, config=ClaimConfig(false_claim_rate=config.false_claim_rate), route=route, copy=opened.copy,
-        derived_fraction=fraction, absence_power=absence, transform=transform, notes=notes,
-    )  # fmt: skip
-    if config.decoder == "paper":
-        steps = opened.layout.amplitudes * (
-            opened.strength if route == "model" else _image_gain(evidence, opened)
-        )
-        bits, lead = decode_paper(evidence.y, steps, spreading.chips, spreading.bit_of, len(opened.message))
-        matching = int((bits == opened.message).sum())
-        claim = replace(
-            claim, message=message_hex(bits), matching_bits=matching, bit_accuracy=matching / len(bits),
-            bit_reliability=tuple(0.5 + 0.5 * lead),
-            log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
-            notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
-        )  # fmt: skip
-    return claim
-
-
-def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:
-    """Pictures give y in units of precision: the paper's step is scaled to the response that was expected."""
-    amplitudes = opened.layout.amplitudes
-    return float(amplitudes @ evidence.signal / max(float(amplitudes @ amplitudes), 1e-300))
 
 
 def _find(image: Float32, opened: OpenedRecord, config: VerifyConfig) -> Camera | None:
