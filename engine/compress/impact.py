@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import high_frequency_energy
 from engine.raster import View
@@ -96,8 +96,3 @@ def sh_curvature(model: GaussianModel, views: Sequence[View], cameras: Sequence[
 def uncertainty(curvature: Float32 | Float64, prior: float = PRIOR) -> Float64:
     """U = 1 / (H + prior), the Laplace posterior variance (DESIGN 4.3)."""
     return np.asarray(1.0 / (curvature.astype(np.float64) + prior))
-
-
-def uncertain(u: Float64, spread: float = 1.0) -> Bool:
-    """Mask of coefficients above tau_unc = mean(U) + spread * std(U) (paper: 1 in the text, 1.1 in its appendix)."""
-    return np.asarray(u > u.mean() + spread * u.std())

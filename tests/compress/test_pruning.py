@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.impact import spatial_coherence, uncertain, uncertainty
+from engine.compress.impact import spatial_coherence, uncertainty
 from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, prune
 from engine.model import GaussianModel
 
@@ -76,4 +76,3 @@ def test_coherence_and_uncertainty() -> None:
     assert coherence[-1] < 1e-6 < 0.3 < np.median(coherence[:-1])
     u = uncertainty(np.array([0.0, 1.0, 100.0]))
     assert (np.diff(u) < 0).all()
-    assert uncertain(np.array([1.0] * 99 + [50.0])).sum() == 1
