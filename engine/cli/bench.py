@@ -72,7 +72,7 @@ def bench(
     from engine.numerics.machine import machine_info
 
     with console.progress() as progress:
-        prepare_kernels(console, progress)
+        prepare_kernels(console, progress, "everything")
         job = Job(scenes, profile, repeats, trials, size, seed, lambda fraction: progress(what, fraction))
         found = BENCHES[what](job)
     report = {"bench": what, "machine": machine_info(), **found}

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import TYPE_CHECKING
 
 from engine.cli.console import Console, Progress
+
+if TYPE_CHECKING:
+    from engine.pipeline.warming import Work
 
 LOADING_SECONDS = 4.0
 """Loading compiled kernels from the cache takes less; whoever waits longer is being compiled for."""
 
-COMPILE_SECONDS = 20
+COMPILE_SECONDS = 30
 """About how long that takes on two cores."""
 
 
-def prepare_kernels(console: Console, progress: Progress) -> float:
-    """Load the compiled kernels; where they are not there yet, tell the user what the wait is for.
+def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") -> float:
+    """Load the compiled kernels of some work; where they are not there yet, say what the wait is for.
 
     Returns
     -------
     float
         Seconds it took.
     """
-    from engine.raster import warm_up
+    from engine.pipeline.warming import warm_up
 
     began = time.perf_counter()
     notice = threading.Timer(
@@ -31,7 +35,7 @@ def prepare_kernels(console: Console, progress: Progress) -> float:
     notice.daemon = True
     notice.start()
     try:
-        warm_up(lambda fraction: progress("compile", fraction))
+        warm_up(work, lambda fraction: progress("compile", fraction))
     finally:
         notice.cancel()
     return time.perf_counter() - began

@@ -87,7 +87,7 @@ def verify(
         progress("open record", 0.0)
         opened = open_record(read_bytes(record, "record"), owner)
         open_seconds = time.perf_counter() - started
-        compile_seconds = prepare_kernels(console, progress)
+        compile_seconds = prepare_kernels(console, progress, "pictures" if any(pictures) else "model")
         started = time.perf_counter()
         if any(pictures):
             read_seconds, found = _look_at_pictures(suspects, opened, config, cameras, progress)

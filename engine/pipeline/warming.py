@@ -1,0 +1,84 @@
+"""Compile, or load from numba's disk cache, the kernels a job will need: on a scene too small to take time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+
+from engine import raster
+from engine.compress.cells import split_cells
+from engine.model import GaussianModel
+from engine.numerics.similarity import transform_model
+from engine.watermark.image_alignment import align_image
+from engine.watermark.registration import register
+
+__all__ = ["Work", "warm_up"]
+
+Work = Literal["embed", "model", "pictures", "everything"]
+"""Embedding; verifying a model; verifying pictures; all of it."""
+
+_Step = Callable[[Callable[[float], None]], None]
+
+
+def warm_up(work: Work, progress: Callable[[float], None] | None = None) -> None:
+    """Make the kernels of some work ready.
+
+    Parameters
+    ----------
+    work : {"embed", "model", "pictures", "everything"}
+    progress : callable, optional
+        Told the fraction done, 0 to 1.
+    """
+    steps: list[_Step] = []
+    if work in ("embed", "pictures", "everything"):
+        steps.append(raster.warm_up)
+    if work in ("embed", "everything"):
+        steps.append(_cells)
+    if work in ("model", "everything"):
+        steps.append(_registration)
+    if work in ("pictures", "everything"):
+        steps.append(_alignment)
+    for number, step in enumerate(steps):
+        step(_part(progress, number, len(steps)))
+    if progress is not None:
+        progress(1.0)
+
+
+def _part(progress: Callable[[float], None] | None, number: int, count: int) -> Callable[[float], None]:
+    return lambda fraction: progress((number + fraction) / count) if progress is not None else None
+
+
+def _cells(advance: Callable[[float], None]) -> None:
+    split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
+    advance(1.0)
+
+
+def _registration(advance: Callable[[float], None]) -> None:
+    rng = np.random.default_rng(0)
+    n = 600
+    quats = rng.standard_normal((n, 4))
+    model = GaussianModel(
+        rng.standard_normal((n, 3)),
+        rng.uniform(-5, -3, (n, 3)),
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        rng.standard_normal(n),
+        rng.standard_normal((n, 1, 3)),
+    )
+    turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+    moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
+    for share, suspect in (
+        (0.3, model.take(rng.permutation(n))),
+        (0.7, moved),
+        (1.0, moved.take(np.arange(n // 2))),
+    ):
+        register(model, suspect)
+        advance(share)
+
+
+def _alignment(advance: Callable[[float], None]) -> None:
+    rng = np.random.default_rng(0)
+    picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
+    align_image(picture, picture[3:, 5:])
+    advance(1.0)
