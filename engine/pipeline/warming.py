@@ -60,11 +60,11 @@ def _registration(advance: Callable[[float], None]) -> None:
     n = 600
     quats = rng.standard_normal((n, 4))
     model = GaussianModel(
-        rng.standard_normal((n, 3)),
-        rng.uniform(-5, -3, (n, 3)),
-        quats / np.linalg.norm(quats, axis=1, keepdims=True),
-        rng.standard_normal(n),
-        rng.standard_normal((n, 1, 3)),
+        rng.standard_normal((n, 3), np.float32),
+        rng.uniform(-5, -3, (n, 3)).astype(np.float32),
+        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        rng.standard_normal(n, np.float32),
+        rng.standard_normal((n, 1, 3), np.float32),
     )
     turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
