@@ -125,7 +125,7 @@ def jpeg_cotangent(
     steps = luma_table(quality)
     known = blocks_of(255.0 * reference @ LUMA)
     total = np.sqrt(spread**2 + ROUNDING**2 + _mismatch(observed, known, steps) ** 2)
-    k = np.round(observed / steps)
+    k = _multiples(observed, known, steps)
     low, high = ((k - 0.5) * steps - known) / total, ((k + 0.5) * steps - known) / total
     score = _truncated_mean(low, high) / total
     # A coefficient many deviations from where the reference puts it is something else in the picture.
@@ -136,6 +136,17 @@ def jpeg_cotangent(
     image = np.zeros(mask.shape, dtype=np.float32)
     image[:height, :width] = idctn(score, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(height, width)
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
+
+
+def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
+    """Multiples of the steps that the coder stored, also in blocks whose decoded pixels were clipped.
+
+    Clipping to black or white moves every coefficient of a block off its multiple. The reference, coded and clipped
+    alike, is moved alike, so multiples are counted from there.
+    """
+    start = np.round(known / steps)
+    decoded = np.clip(idctn(start * steps, axes=(2, 3), norm="ortho"), -128.0, 127.0)
+    return np.asarray(start + np.round((observed - dctn(decoded, axes=(2, 3), norm="ortho")) / steps))
 
 
 def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
