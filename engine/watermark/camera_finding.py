@@ -11,18 +11,18 @@ Nothing here sees a key or a chip.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel, Int64
-from engine.watermark.camera_hypotheses import Hypothesis, fit_camera, hypothesize
+from engine.watermark.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.watermark.features import Keypoints, detect_keypoints, luma
 from engine.watermark.landmark_matching import match_landmarks, match_projected
 from engine.watermark.landmarks import Landmarks
-from engine.watermark.pose_refinement import Refined, refine_level
+from engine.watermark.pose_refinement import refine_level
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
@@ -42,7 +42,7 @@ class CameraConfig:
         Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced.
     ratios : tuple of float
         Lowe's ratio of distances over the whole bank, and within each of its views, 0..1. The first gives few
-        matches, mostly right; the second many, mostly wrong, tried where the first did not lead to a camera.
+        matches, mostly right; the second many, mostly wrong.
     views : int
         Views of the bank in which the second kind is sought: those with most matches.
     same_place : float
@@ -51,10 +51,13 @@ class CameraConfig:
         Reprojection error of an inlier, in longer sides of the picture.
     least_start : int
         Matches that must agree before the camera is roughly known.
-    least_inliers, sure_inliers : int
-        Keypoints that must agree with the camera then; with so many no more matches are tried.
-    least_correlation : float
-        Correlation of brightness with the render below which the picture shows something else.
+    least_inliers : int
+        Keypoints that must agree with the camera then.
+    other_focals : tuple of float
+        Focal lengths to start from where the refinement from the keypoints' own fails, in those.
+    least_correlation, sure_correlation : float
+        Correlation of brightness with the render below which the picture shows something else, and above which a
+        refinement that converged has not failed.
     coarse_size, fine_size : int
         Largest longer side of the first and of the last level of the refinement, pixels. Renders at another size
         than the picture's are not quite the reduced picture, so there is no level coarser than needed.
@@ -72,11 +75,12 @@ class CameraConfig:
     tolerance: float = 0.005
     least_start: int = 6
     least_inliers: int = 20
-    sure_inliers: int = 50
-    least_correlation: float = 0.6
+    other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
+    least_correlation: float = 0.75
+    sure_correlation: float = 0.98
     coarse_size: int = 1000
     fine_size: int = 2000
-    iterations: int = 8
+    iterations: int = 12
     step: float = 0.005
 
 
@@ -160,40 +164,51 @@ def find_camera(
         keypoints, landmarks, config.ratios, config.same_place * _radius(landmarks), config.views
     )
     lap("match")
-    hypothesis = _hypothesis(keypoints, landmarks, matches, (width, height), config)
+    starts = _hypotheses(keypoints, landmarks, matches, (width, height), config)
     lap("pose")
-    if hypothesis is None:
-        return None
-    refined = _refine(reference_model, grey, hypothesis, config)
+    best: FoundCamera | None = None
+    for start in starts:
+        best = _better(best, _refine(reference_model, grey, start, config))
+        if best is not None and _is_sure(best, config):
+            break
+    if best is not None and not _is_sure(best, config):
+        for start in _at_other_focals(keypoints, landmarks, max(starts, key=lambda h: h.support), config):
+            best = _better(best, _refine(reference_model, grey, start, config))
+            if best is not None and _is_sure(best, config):
+                break
     lap("refine")
-    if refined is None:
-        return None
-    return FoundCamera(
-        refined.camera, hypothesis.support, refined.rms, refined.correlation, refined.step, seconds
-    )
+    return replace(best, seconds_by_stage=seconds) if best is not None else None
 
 
-def _hypothesis(
+def _better(first: FoundCamera | None, second: FoundCamera | None) -> FoundCamera | None:
+    if first is None or second is None:
+        return first or second
+    return second if second.correlation > first.correlation else first
+
+
+def _is_sure(found: FoundCamera, config: CameraConfig) -> bool:
+    return found.step < config.step and found.correlation > config.sure_correlation
+
+
+def _hypotheses(
     keypoints: Keypoints,
     landmarks: Landmarks,
     matches: Sequence[tuple[Int64, Int64]],
     size: tuple[int, int],
     config: CameraConfig,
-) -> Hypothesis | None:
-    """The camera that most keypoints agree with, from the strictest matches that give one."""
+) -> list[Hypothesis]:
+    """The camera that most keypoints agree with, from each set of matches; by falling support."""
     tolerance = config.tolerance * max(size)
-    best: Hypothesis | None = None
+    found = []
     for keypoint, landmark in matches:
         start = hypothesize(
             landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint], *size, tolerance,
             config.least_start,
         )  # fmt: skip
         guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
-        if guided is not None and (best is None or guided.support > best.support):
-            best = guided
-        if best is not None and best.support >= config.sure_inliers:
-            break
-    return best if best is not None and best.support >= config.least_inliers else None
+        if guided is not None and guided.support >= config.least_inliers:
+            found.append(guided)
+    return sorted(found, key=lambda hypothesis: -hypothesis.support)
 
 
 def _guided(
@@ -214,10 +229,23 @@ def _guided(
     return hypothesis
 
 
+def _at_other_focals(
+    keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, config: CameraConfig
+) -> Iterator[Hypothesis]:
+    """Cameras of other focal lengths with which the keypoints agree about as well."""
+    tolerance = config.tolerance * max(hypothesis.camera.width, hypothesis.camera.height)
+    keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, tolerance)
+    points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+    for factor in config.other_focals:
+        other = at_other_focal(points, pixels, hypothesis, factor, 0.5 * tolerance)
+        if other is not None:
+            yield other
+
+
 def _refine(
     model: GaussianModel, grey: Float32, hypothesis: Hypothesis, config: CameraConfig
-) -> Refined | None:
-    """Refine coarse to fine; None when a level does not look like the picture."""
+) -> FoundCamera | None:
+    """Refine on brightness, coarse to fine; None when a level does not look like the picture."""
     camera = hypothesis.camera
     height, width = grey.shape
     largest = min(max(width, height), config.fine_size)
@@ -225,16 +253,14 @@ def _refine(
     while True:
         shrink = size / max(width, height)
         shape = max(16, round(width * shrink)), max(16, round(height * shrink))
-        last = size == largest
         refined = refine_level(
-            model, _resized(grey, *shape), camera.resized(*shape), config.iterations,
-            config.step if last else 10.0 * config.step,
-        )  # fmt: skip
+            model, _resized(grey, *shape), camera.resized(*shape), config.iterations, config.step
+        )
         if refined is None or refined.correlation < config.least_correlation:
             return None
         camera = _square(refined.camera.resized(width, height))
-        if last:
-            return Refined(camera, refined.rms, refined.correlation, refined.step, refined.iterations)
+        if size == largest:
+            return FoundCamera(camera, hypothesis.support, refined.rms, refined.correlation, refined.step, {})
         size = min(2 * size, largest)
 
 

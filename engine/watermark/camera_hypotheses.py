@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Camera, Float64
-from engine.watermark.camera_motion import moved, normalized, point_columns
+from engine.watermark.camera_motion import PARAMETERS, moved, normalized, point_columns
 
-__all__ = ["Hypothesis", "fit_camera", "hypothesize"]
+__all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
 
 LADDER = np.geomspace(0.5, 2.0, 9)
 """Focal lengths tried, in widths of the picture; 19 % apart."""
@@ -96,7 +96,9 @@ def hypothesize(
     return best if best is not None and best.support >= least else None
 
 
-def fit_camera(points: Float64, pixels: Float64, camera: Camera, tolerance: float) -> Hypothesis | None:
+def fit_camera(
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, zoom: bool = True
+) -> Hypothesis | None:
     """Refine a camera by robust Levenberg-Marquardt over pose and focal length.
 
     Parameters
@@ -107,15 +109,18 @@ def fit_camera(points: Float64, pixels: Float64, camera: Camera, tolerance: floa
         Start.
     tolerance : float
         Reprojection error of an inlier, pixels; errors far above it lose their weight.
+    zoom : bool
+        Fit the focal length too.
 
     Returns
     -------
     Hypothesis or None
         None when every point ends up behind the camera.
     """
-    damping = 1e-3
+    damping, free = 1e-3, PARAMETERS if zoom else PARAMETERS - 1
     cost, error, columns, weight = _linearize(points, pixels, camera, tolerance)
     for _ in range(30):
+        columns = columns[..., :free]
         weighted = columns * weight[:, None, None]
         normal = np.einsum("mik,mil->kl", weighted, columns)
         right = np.einsum("mik,mi->k", weighted, error)
@@ -127,6 +132,7 @@ def fit_camera(points: Float64, pixels: Float64, camera: Camera, tolerance: floa
             if damping > 1e6:
                 break
             continue
+        step = np.append(step, np.zeros(PARAMETERS - free))
         trial = moved(camera, step, _median_depth(points, camera))
         tried = _linearize(points, pixels, trial, tolerance)
         if tried[0] < cost:
@@ -144,6 +150,19 @@ def fit_camera(points: Float64, pixels: Float64, camera: Camera, tolerance: floa
     if not inliers.any():
         return None
     return Hypothesis(camera, inliers, float(np.sqrt(np.mean(distance[inliers] ** 2))))
+
+
+def at_other_focal(
+    points: Float64, pixels: Float64, start: Hypothesis, factor: float, tolerance: float
+) -> Hypothesis | None:
+    """The camera further away behind a longer lens (or nearer, shorter) that agrees with the same matches.
+
+    From afar, or before something flat, the two look alike to within the error of the matches.
+    """
+    depth = _median_depth(points, start.camera)
+    motion = np.zeros(PARAMETERS)
+    motion[5], motion[6] = factor - 1.0, np.log(factor)
+    return fit_camera(points, pixels, moved(start.camera, motion, depth), tolerance, zoom=False)
 
 
 def _median_depth(points: Float64, camera: Camera) -> float:

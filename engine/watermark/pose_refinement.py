@@ -28,6 +28,11 @@ __all__ = ["Refined", "refine_level"]
 _KERNEL_VERSION = 1
 BLUR = 0.8
 """Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
+WIDEST_BLUR = 3.0
+"""Blur of the first iterations, pixels; it falls to half each time, but not below the last step, so that an edge
+overlaps with itself."""
+TRUSTED = 0.1
+"""Residuals below this are no outliers before the blur is down: a part that does not fit yet is not given up."""
 LEAST_ALPHA = 0.5
 """Pixels more transparent than this show a background nobody knows."""
 CLIPPED = 0.985
@@ -126,12 +131,12 @@ def refine_level(
     Refined or None
         None where too little of the model is in the picture.
     """
-    seen = smooth(picture, BLUR)
-    gain, offset, step = 1.0, 0.0, np.inf
+    gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
     memory = Acceleration()
     for iteration in range(iterations):
         image, alpha, depth = render_depth(model, camera)
-        base = smooth(luma(image), BLUR)
+        blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
+        seen, base = smooth(picture, blur), smooth(luma(image), blur)
         weight = _weights(alpha, depth, seen)
         used = weight > 0
         if used.sum() < LEAST_PIXELS:
@@ -141,6 +146,7 @@ def refine_level(
             gain, offset = _line(base[used], seen[used])
         residual = seen - np.float32(gain) * base - np.float32(offset)
         spread = robust_scale(residual[used])
+        outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
         correlation = _correlation(base[used], seen[used])
         gy, gx = np.gradient(base)
         rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
@@ -149,16 +155,16 @@ def refine_level(
             _normal_equations(
                 base, residual, np.ascontiguousarray(gx), np.ascontiguousarray(gy),
                 np.where(used, depth / np.float32(unit), np.float32(1.0)), weight, camera.K[0, 0],
-                camera.K[0, 2], camera.K[1, 2], gain, 2.5 * spread, rows, flows,
+                camera.K[0, 2], camera.K[1, 2], gain, outlying, rows, flows,
             )  # fmt: skip
         motion, brightness = _solve(rows.sum(axis=0))
         flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
-        camera = moved(camera, memory.improve(motion, flow, step), unit)
+        camera = moved(camera, memory.improve(motion, flow, step) if blur == BLUR else motion, unit)
         gain, offset = gain + brightness[0], offset + brightness[1]
-        if step < tolerance:
+        if step < tolerance and blur == BLUR:
             break
     return Refined(camera, spread, correlation, step, iteration + 1)
 
