@@ -17,8 +17,9 @@ from engine.watermark.layout import MARK_SCALE, Layout
 REFERENCE_NOISE = 0.05
 """Per-channel noise (std, range 1) of the channel for which z is predicted: one key view, badly compressed."""
 
-BIT_Z = 3.3
-"""Least predicted z of a bit that the planner accepts: a bit error below 1 in 2,000 on that one bad image."""
+BIT_Z = 2.3
+"""Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
+several pictures, a better one, or the model itself read all of them."""
 
 CHIPS_PER_BIT = 16
 """Fewest chips a bit may rest on, so that losing most of the model still leaves each bit some."""
