@@ -74,7 +74,7 @@ class CameraConfig:
     same_place: float = 0.05
     tolerance: float = 0.005
     least_start: int = 6
-    least_inliers: int = 20
+    least_inliers: int = 12
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
     least_correlation: float = 0.75
     sure_correlation: float = 0.98
