@@ -31,7 +31,7 @@ class VerifyConfig:
     decoder : str
         "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours.
     seed : int
-        Of the registration's and the camera search's trials.
+        Of the registration's trials.
     """
 
     false_claim_rate: float = 1e-9
