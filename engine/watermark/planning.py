@@ -37,14 +37,14 @@ class PlanConfig:
     residual_share : float
         With more stages: share of the mark's image energy in the residual ones, 0 to 1.
     texture_exponent : float
-        How strongly texture masks (0: not at all).
+        Displacement grows with this power of a patch's texture (0: not at all). SSIM forgives texture.
     balance_rounds : int
         Rounds that even out the mark's energy over the key views.
     """
 
     stages: int = 1
     residual_share: float = 0.08
-    texture_exponent: float = 0.25
+    texture_exponent: float = 0.5
     balance_rounds: int = 12
 
 
