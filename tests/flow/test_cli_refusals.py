@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -74,13 +73,22 @@ def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
         "--profile",
         "strong",
     ]
-    program = "import sys; from engine.cli.app import main; sys.stderr.write('started\\n'); main()"
+    program = """
+import sys
+from engine.cli.app import main
+from engine.pipeline import embedding
+quantize = embedding.quantize
+def told(*given, **named):
+    sys.stderr.write("in the middle\\n")
+    return quantize(*given, **named)
+embedding.quantize = told
+main()
+"""
     with subprocess.Popen(
         [sys.executable, "-c", program, *map(str, arguments)], stderr=subprocess.PIPE, text=True
     ) as running:
         assert running.stderr is not None
-        assert running.stderr.readline() == "started\n"
-        time.sleep(2.0)
+        assert any(line == "in the middle\n" for line in running.stderr)
         running.send_signal(signal.SIGINT)
         said = running.stderr.read()
     assert running.returncode == 130
