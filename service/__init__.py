@@ -1,1 +1,1 @@
-"""The ownership-verification service (arrives with its own issue)."""
+"""The ownership-verification service: REST, jobs, registry, signed claims, a page. The engine does the work."""

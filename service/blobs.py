@@ -1,0 +1,145 @@
+"""Content-addressed files: a blob's name is the SHA-256 of its bytes. A local folder by default, S3 by URL."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from service.problems import Problem
+
+if TYPE_CHECKING:
+    from obstore.store import ObjectStore
+
+_CHUNK = 4 << 20
+
+
+class Blobs:
+    """Files by digest, and parts of uploads by name.
+
+    Parameters
+    ----------
+    url : str
+        s3://..., or empty for the folder.
+    folder : Path
+        Of the local blobs.
+    scratch : Path
+        For files in the making; on the file system of the folder, so that putting a file is a rename.
+    """
+
+    def __init__(self, url: str, folder: Path, scratch: Path) -> None:
+        from obstore.store import LocalStore, from_url
+
+        scratch.mkdir(parents=True, exist_ok=True)
+        self.scratch = scratch
+        self.folder = None if url else folder.absolute()
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self.store: ObjectStore = LocalStore(self.folder, mkdir=True)
+        else:
+            self.store = from_url(url)
+
+    @contextmanager
+    def new_file(self, ending: str = "") -> Iterator[Path]:
+        """A fresh path in the scratch folder; whatever is left there at the end is removed."""
+        path = self.scratch / f"{secrets.token_hex(16)}{ending}"
+        try:
+            yield path
+        finally:
+            with suppress(FileNotFoundError):
+                path.unlink()
+
+    def put(self, path: Path, sha256: str | None = None) -> str:
+        """Keep a file for good, and return its digest; the path is used up. Twice the same is once.
+
+        Durable when it returns: the bytes and the folder's entry are on the disk (or in the store).
+        """
+        digest = sha256 or digest_of(path)
+        self._place(path, blob_name(digest))
+        return digest
+
+    def put_part(self, path: Path, name: str) -> None:
+        """Keep a part of an upload under a name of ours; the path is used up."""
+        self._place(path, name)
+
+    def local(self, sha256: str, into: Path) -> Path:
+        """A path where the blob can be read: its own where blobs are local, else a copy in the folder `into`."""
+        return self.local_part(blob_name(sha256), into)
+
+    def local_part(self, name: str, into: Path) -> Path:
+        """As `local`, for a part of an upload."""
+        if self.folder is not None:
+            path = self.folder / name
+            if not path.is_file():
+                raise Problem("not-found", f"the blob {name} is gone")
+            return path
+        into.mkdir(parents=True, exist_ok=True)
+        target = into / name.replace("/", "-")
+        if not target.exists():
+            import obstore
+
+            part = target.with_suffix(".part")
+            with part.open("wb") as file:
+                for chunk in obstore.get(self.store, name).stream(min_chunk_size=_CHUNK):
+                    file.write(chunk)
+            part.replace(target)
+        return target
+
+    def read(self, sha256: str) -> bytes:
+        """The bytes of a small blob."""
+        import obstore
+
+        try:
+            return bytes(obstore.get(self.store, blob_name(sha256)).bytes())
+        except FileNotFoundError:
+            raise Problem("not-found", f"the blob {sha256} is gone") from None
+
+    def remove_part(self, name: str) -> None:
+        """Forget a part of an upload."""
+        import obstore
+
+        with suppress(FileNotFoundError):
+            obstore.delete(self.store, name)
+
+    def free_bytes(self) -> int:
+        """Space left for files in the making."""
+        return shutil.disk_usage(self.scratch).free
+
+    def _place(self, path: Path, name: str) -> None:
+        if self.folder is None:
+            import obstore
+
+            obstore.put(self.store, name, path)
+            path.unlink()
+            return
+        target = self.folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sync(path)
+        os.replace(path, target)
+        _sync(target.parent)
+
+
+def blob_name(sha256: str) -> str:
+    """Name in the store; the digest is checked, so that no name from outside becomes a path."""
+    if len(sha256) != 64 or not set(sha256) <= set("0123456789abcdef"):
+        raise ValueError(f"no SHA-256 digest: {sha256!r}")
+    return f"blob/{sha256[:2]}/{sha256}"
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

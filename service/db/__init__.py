@@ -1,0 +1,6 @@
+"""Our tables: SQLite by default, PostgreSQL by URL, the same code."""
+
+from service.db.database import Database
+from service.db.schema import metadata
+
+__all__ = ["Database", "metadata"]

@@ -1,0 +1,104 @@
+"""One database: short reads, and writes that are durable when they return."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import DBAPIError
+
+from service.problems import Problem
+
+BUSY_MILLISECONDS = 15_000
+CONNECT_SECONDS = 3
+
+
+class Database:
+    """Connections to our tables.
+
+    Parameters
+    ----------
+    url : str
+        SQLAlchemy URL.
+
+    On SQLite: WAL, synchronous FULL, and every write begins IMMEDIATE, so that there is one writer at a time and
+    no deadlock between readers that want to write.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self.is_sqlite = url.startswith("sqlite")
+        if self.is_sqlite:
+            self.engine = sa.create_engine(url, connect_args={"check_same_thread": False})
+            event.listen(self.engine, "connect", _set_up_sqlite)
+            event.listen(self.engine, "begin", _begin_immediate)
+        else:
+            self.engine = sa.create_engine(
+                url, pool_pre_ping=True, pool_timeout=5, connect_args={"connect_timeout": CONNECT_SECONDS}
+            )
+
+    @contextmanager
+    def read(self) -> Iterator[sa.Connection]:
+        """A connection for reading; sees what was committed."""
+        with _as_problems(), self.engine.connect() as connection:
+            yield connection.execution_options(isolation_level="AUTOCOMMIT")
+
+    @contextmanager
+    def write(self) -> Iterator[sa.Connection]:
+        """A transaction; committed when the block ends, rolled back when it raises."""
+        with _as_problems(), self.engine.begin() as connection:
+            yield connection
+
+    def migrate(self) -> None:
+        """Bring the tables up to this version of the program."""
+        from alembic import command
+        from alembic.config import Config
+
+        config = Config()
+        config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+        config.attributes["engine"] = self.engine
+        command.upgrade(config, "head")
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self.engine.dispose()
+
+
+@contextmanager
+def _as_problems() -> Iterator[None]:
+    """A database that does not answer is a 503, a full disk a 507; a broken statement stays a bug of ours."""
+    try:
+        yield
+    except DBAPIError as error:
+        text = str(error.orig).lower()
+        if "disk is full" in text or "no space" in text:
+            raise Problem("storage-full", "the database's disk is full") from error
+        if isinstance(error, (sa.exc.OperationalError, sa.exc.InterfaceError)):
+            raise Problem(
+                "unavailable", "the database does not answer", headers={"Retry-After": "5"}
+            ) from error
+        raise
+    except sa.exc.TimeoutError as error:
+        raise Problem("unavailable", "the database is busy", headers={"Retry-After": "5"}) from error
+
+
+def _set_up_sqlite(connection: Any, _: Any) -> None:
+    connection.isolation_level = None  # SQLAlchemy's own BEGIN, below, instead of the driver's
+    cursor = connection.cursor()
+    for pragma in (
+        "journal_mode=WAL",
+        "synchronous=FULL",
+        "foreign_keys=ON",
+        f"busy_timeout={BUSY_MILLISECONDS}",
+    ):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin_immediate(connection: sa.Connection) -> None:
+    if connection.get_execution_options().get("isolation_level") != "AUTOCOMMIT":
+        connection.exec_driver_sql("BEGIN IMMEDIATE")

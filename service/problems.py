@@ -1,0 +1,77 @@
+"""Errors as the API says them: problem+json (RFC 9457) with a stable `type`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+TYPE_PREFIX = "urn:mark3dgs:problem:"
+MEDIA_TYPE = "application/problem+json"
+
+KINDS: dict[str, tuple[int, str]] = {
+    "malformed-request": (400, "The request cannot be read"),
+    "unauthorized": (401, "An API key is needed"),
+    "forbidden": (403, "This API key may not do that"),
+    "not-found": (404, "There is no such thing here"),
+    "method-not-allowed": (405, "This address does not take that method"),
+    "conflict": (409, "This does not fit the present state"),
+    "request-in-flight": (409, "A request with this Idempotency-Key is being answered"),
+    "length-required": (411, "The length must be known"),
+    "too-large": (413, "Too large"),
+    "unsupported-media-type": (415, "This content type is not taken here"),
+    "range-not-satisfiable": (416, "There is no such range"),
+    "invalid-request": (422, "A value is not acceptable"),
+    "unreadable-model": (422, "The model cannot be read"),
+    "unreadable-image": (422, "The picture cannot be read"),
+    "unreadable-cameras": (422, "The cameras cannot be read"),
+    "capacity": (422, "The scene cannot carry this message"),
+    "idempotency-mismatch": (422, "This Idempotency-Key was used with another body"),
+    "digest-mismatch": (422, "The bytes are not those that were announced"),
+    "budget-exceeded": (429, "Too many requests"),
+    "internal": (500, "A fault of this service"),
+    "engine-limit": (500, "The work exceeded its limits"),
+    "storage-full": (507, "No space left"),
+    "unavailable": (503, "A part of the service does not answer"),
+}
+"""Kind -> (HTTP status, title). The kind is the last part of `type` and never changes its meaning."""
+
+
+class Problem(Exception):
+    """An error that the client is told.
+
+    Parameters
+    ----------
+    kind : str
+        A key of KINDS.
+    detail : str
+        What is wrong, with the offending value.
+    headers : mapping, optional
+        Response headers, such as Retry-After.
+    extra
+        Further members of the problem object.
+    """
+
+    def __init__(
+        self, kind: str, detail: str, *, headers: Mapping[str, str] | None = None, **extra: Any
+    ) -> None:
+        self.status, self.title = KINDS[kind]
+        self.kind, self.detail, self.headers, self.extra = kind, detail, dict(headers or {}), extra
+        super().__init__(detail)
+
+    def to_json(self, request_id: str = "") -> dict[str, Any]:
+        """The problem object."""
+        plain = {
+            "type": TYPE_PREFIX + self.kind,
+            "title": self.title,
+            "status": self.status,
+            "detail": self.detail,
+            **self.extra,
+        }
+        return plain | {"request_id": request_id} if request_id else plain
+
+
+def from_json(plain: Mapping[str, Any]) -> Problem:
+    """A problem that was stored with `to_json`."""
+    known = {"type", "title", "status", "detail", "request_id"}
+    kind = str(plain["type"]).removeprefix(TYPE_PREFIX)
+    return Problem(kind, str(plain["detail"]), **{k: v for k, v in plain.items() if k not in known})

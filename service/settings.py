@@ -1,0 +1,64 @@
+"""What an operator can set: environment variables `MARK3DGS_...`, each with a default that works on one machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+GIB = 1 << 30
+MIB = 1 << 20
+
+
+class Settings(BaseSettings):
+    """Settings of one process of the service; API processes and workers share them."""
+
+    model_config = SettingsConfigDict(env_prefix="MARK3DGS_", extra="ignore")
+
+    data_dir: Path = Field(Path("mark3dgs-data"), description="Folder of database, blobs and scratch files.")
+    database_url: str = Field("", description="postgresql://...; empty: a SQLite file in the data folder.")
+    blob_url: str = Field("", description="s3://bucket/prefix; empty: a folder in the data folder.")
+    master_key: SecretStr | None = Field(
+        None,
+        description="64 hex digits that seal all secrets; empty: the file master.key in the data folder.",
+    )
+    workers: int = Field(1, ge=0, le=64, description="Worker processes that `serve` starts.")
+    worker_silence_seconds: float = Field(
+        15.0, gt=0, description="A worker not heard of for this long is given up; others take over its jobs."
+    )
+
+    max_upload_bytes: int = Field(2 * GIB, gt=0, description="Largest upload.")
+    max_form_bytes: int = Field(
+        64 * MIB, gt=0, description="Largest multipart form; larger files go by upload."
+    )
+    max_body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON body.")
+    upload_hours: float = Field(24.0, gt=0, description="An upload not finished by then is dropped.")
+
+    child_memory_bytes: int = Field(10 * GIB, gt=0, description="Address space of one step's process.")
+    child_cpu_seconds: int = Field(1800, gt=0, description="CPU time of one step's process.")
+    child_file_bytes: int = Field(4 * GIB, gt=0, description="Largest file one step's process may write.")
+
+    embeds_per_hour: int = Field(120, gt=0, description="Embed jobs an API key may start in an hour.")
+    verifies_per_hour: int = Field(600, gt=0, description="Verify jobs an API key may start in an hour.")
+    subject_verifies_per_day: int = Field(
+        200, gt=0, description="Verifications a day of suspects that derive from one asset (near duplicates)."
+    )
+    tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
+
+    def database(self) -> str:
+        """SQLAlchemy URL of our tables."""
+        if not self.database_url:
+            return f"sqlite:///{(self.data_dir / 'mark3dgs.sqlite').absolute()}"
+        return self.database_url.replace("postgresql://", "postgresql+psycopg://", 1)
+
+    def jobs_database(self) -> str:
+        """SQLAlchemy URL of the job engine's tables: a file of its own on SQLite, the same server otherwise."""
+        if not self.database_url:
+            return f"sqlite:///{(self.data_dir / 'jobs.sqlite').absolute()}"
+        return self.database()
+
+    @property
+    def scratch(self) -> Path:
+        """Folder of files in the making, on the file system of the local blobs."""
+        return self.data_dir / "scratch"
