@@ -1,0 +1,26 @@
+#!/bin/sh
+# What `mark3dgs` needs in a container, then `mark3dgs` itself.
+set -eu
+
+# Secrets that come as files.
+for name in MARK3DGS_MASTER_KEY MARK3DGS_DATABASE_URL AWS_ACCESS_KEY_ID AWS_SECRET_ACCESS_KEY; do
+  eval "file=\${${name}_FILE:-}"
+  if [ -n "$file" ]; then
+    value=$(cat "$file")
+    export "$name=$value"
+  fi
+done
+
+# The image holds the compiled kernels, but numba takes only a cache that it can write to (another processor than the
+# builder's needs its own): a copy in the volume, once an image.
+kernels=$MARK3DGS_DATA_DIR/numba
+NUMBA_CACHE_DIR=$kernels/$(cat /opt/mark3dgs/numba.id)
+export NUMBA_CACHE_DIR
+if [ ! -d "$NUMBA_CACHE_DIR" ]; then
+  mkdir -p "$kernels"
+  fresh=$(mktemp -d "$kernels/XXXXXX")
+  cp -R --preserve=timestamps /opt/mark3dgs/numba/. "$fresh"
+  mv -T "$fresh" "$NUMBA_CACHE_DIR" 2>/dev/null || rm -rf "$fresh"  # another container was first
+fi
+
+exec mark3dgs "$@"
