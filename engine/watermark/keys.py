@@ -142,7 +142,24 @@ class OwnerKey:
             raise KeyFileError(f"cannot read owner key {name!r}: {error.strerror}") from error
         if len(data) > _MAX_FILE_BYTES or not data.isascii():
             raise KeyFileError(f"{name!r} is no owner key file")
-        lines = [line.strip() for line in data.decode("ascii").splitlines()]
+        return cls.from_text(data.decode("ascii"), name)
+
+    @classmethod
+    def from_text(cls, text: str, name: str = "the key") -> OwnerKey:
+        """The key that the text of a key file holds.
+
+        Parameters
+        ----------
+        text : str
+        name : str
+            What errors call it.
+
+        Raises
+        ------
+        KeyFileError
+            As `read`.
+        """
+        lines = [line.strip() for line in text.splitlines()]
         head = lines[0].split() if lines else []
         if head[:1] != _FILE_HEADER.split()[:1] or len(head) != 3:
             raise KeyFileError(f"{name!r} is no owner key file: its first line is not {_FILE_HEADER!r} ...")

@@ -21,6 +21,12 @@ def _number(name: str, *, default: int | None = None) -> sa.Column[int]:
     return Column(name, sa.BigInteger, nullable=default is None, default=default)
 
 
+facts = Table(
+    "facts", metadata,            # what holds for this database as a whole
+    _key("name"),
+    _text("value"),
+)  # fmt: skip
+
 api_keys = Table(
     "api_keys", metadata,
     _key(),                       # public part of the key
@@ -134,7 +140,8 @@ audit = Table(
     Column("index", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False),
     _text("at"),
     _text("tenant"),
-    _text("event"),
+    _text("event", index=True),
+    _text("subject", index=True), # id of what it is about
     _text("payload"),             # canonical JSON; digests, never secrets
     _text("hash"),                # of the previous hash and this row, hex
 )  # fmt: skip

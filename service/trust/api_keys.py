@@ -1,0 +1,137 @@
+"""API keys: `mk_<id>_<secret>`, bound to a tenant and scopes; of the secret only a keyed hash is kept."""
+
+from __future__ import annotations
+
+import hmac
+import re
+import secrets
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from service.clock import now
+from service.db import Database
+from service.db.alone import alone
+from service.db.schema import api_keys
+from service.problems import Problem
+from service.trust import audit
+from service.trust.master import MasterKey
+
+SCOPES = ("embed", "verify", "read", "admin")
+"""`admin` implies the others."""
+
+_TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
+_PURPOSE = "api key"
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who asks: tenant, public id of the key, and what it may do (all of it, where `admin` is among it)."""
+
+    tenant: str
+    key_id: str
+    scopes: frozenset[str]
+
+
+@dataclass(frozen=True)
+class ApiKey:
+    """What is known of a key; never the secret. `revoked_at` is empty while it works."""
+
+    id: str
+    label: str
+    scopes: tuple[str, ...]
+    created_at: str
+    revoked_at: str
+
+
+def issue(db: Database, master: MasterKey, tenant: str, scopes: Iterable[str], label: str = "") -> str:
+    """A new key's token. It is nowhere kept: whoever loses it needs another.
+
+    Raises
+    ------
+    Problem
+        "invalid-request", if a scope is unknown, or none is given.
+    """
+    with db.write() as connection:
+        return _issue(connection, master, tenant, scopes, label)
+
+
+def issue_first(db: Database, master: MasterKey, tenant: str, label: str = "") -> str | None:
+    """The token of an admin key where there was no key at all; None otherwise, also for the second of two."""
+    with db.write() as connection:
+        alone(connection)
+        if connection.execute(sa.select(api_keys.c.id).limit(1)).first() is not None:
+            return None
+        return _issue(connection, master, tenant, ("admin",), label)
+
+
+def check(db: Database, master: MasterKey, token: str) -> Caller:
+    """Whose token this is.
+
+    Raises
+    ------
+    Problem
+        "unauthorized", the same for a malformed, unknown, wrong and revoked token, and after the same work.
+    """
+    match = _TOKEN.fullmatch(token)
+    key_id, secret = match.groups() if match else ("", "")
+    with db.read() as connection:
+        row = connection.execute(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
+    expected = row.digest if row is not None else ""
+    right = hmac.compare_digest(master.mac(_PURPOSE, key_id, secret), expected)
+    if row is None or not right or row.revoked_at is not None:
+        raise Problem(
+            "unauthorized", "this API key is not known here", headers={"WWW-Authenticate": "Bearer"}
+        )
+    return Caller(row.tenant, row.id, frozenset(row.scopes.split()))
+
+
+def revoke(db: Database, tenant: str, key_id: str) -> None:
+    """End a key for good. Twice is once.
+
+    Raises
+    ------
+    Problem
+        "not-found", if this tenant has no such key.
+    """
+    with db.write() as connection:
+        alone(connection)
+        this = sa.and_(api_keys.c.id == key_id, api_keys.c.tenant == tenant)
+        row = connection.execute(api_keys.select().where(this)).one_or_none()
+        if row is None:
+            raise Problem("not-found", f"there is no API key {key_id!r}")
+        if row.revoked_at is None:
+            connection.execute(api_keys.update().where(this).values(revoked_at=now()))
+            audit.append(connection, tenant, "api_key.revoked", {}, key_id)
+
+
+def list_keys(db: Database, tenant: str) -> list[ApiKey]:
+    """Keys of a tenant, revoked ones too, oldest first."""
+    query = api_keys.select().where(api_keys.c.tenant == tenant)
+    with db.read() as connection:
+        rows = connection.execute(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
+    return [
+        ApiKey(row.id, row.label, tuple(row.scopes.split()), row.created_at, row.revoked_at or "")
+        for row in rows
+    ]
+
+
+def _issue(
+    connection: sa.Connection, master: MasterKey, tenant: str, scopes: Iterable[str], label: str
+) -> str:
+    wanted = set(scopes)
+    if not wanted or not wanted <= set(SCOPES):
+        raise Problem(
+            "invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}"
+        )
+    ordered = [scope for scope in SCOPES if scope in wanted]
+    key_id, secret = secrets.token_hex(8), secrets.token_hex(32)
+    connection.execute(
+        api_keys.insert().values(
+            id=key_id, tenant=tenant, digest=master.mac(_PURPOSE, key_id, secret), scopes=" ".join(ordered),
+            label=label, created_at=now(),
+        )
+    )  # fmt: skip
+    audit.append(connection, tenant, "api_key.issued", {"scopes": ordered}, key_id)
+    return f"mk_{key_id}_{secret}"

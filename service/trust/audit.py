@@ -1,0 +1,148 @@
+"""The audit log: append-only, each entry bound to all before it, under one Merkle root (RFC 6962).
+
+An entry's leaf is the canonical JSON of its row with the hash of the entry before it; its hash is the leaf's
+hash in the tree. So a chain of hashes and a tree stand on the same numbers: the chain makes order and
+completeness plain, the tree proves a single entry to a reader who sees no other.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.clock import now
+from service.db.alone import alone
+from service.db.schema import audit, audit_nodes
+from service.trust import merkle
+from service.trust.canonical import canonical
+from service.trust.merkle import Node
+
+NO_PREVIOUS = bytes(32).hex()
+"""What stands for the hash before the first entry."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the log.
+
+    Parameters
+    ----------
+    index : int
+    at : str
+        UTC, ISO 8601.
+    tenant, event, subject : str
+        Whose it is, what happened, and the id of what it happened to.
+    payload : mapping
+        Digests and public facts, never secrets.
+    previous : str
+        Hash of the entry before, hex.
+    """
+
+    index: int
+    at: str
+    tenant: str
+    event: str
+    subject: str
+    payload: Mapping[str, Any]
+    previous: str
+
+    def to_json(self) -> dict[str, Any]:
+        """What the leaf says."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    @property
+    def hash(self) -> str:
+        """Hash of the leaf, hex."""
+        return merkle.leaf_hash(canonical(self.to_json())).hex()
+
+
+def append(
+    connection: sa.Connection, tenant: str, event: str, payload: Mapping[str, Any], subject: str = ""
+) -> Entry:
+    """Add an entry; it stands once the caller's transaction is committed.
+
+    Appenders wait for one another until they commit, so append last, where there is a choice. O(log n).
+
+    Parameters
+    ----------
+    connection : Connection
+        Of `Database.write`.
+    tenant, event : str
+    payload : mapping
+        JSON values; digests and public facts, never secrets.
+    subject : str
+        Id of what this is about, for `find`.
+    """
+    alone(connection)
+    query = sa.select(audit.c.index, audit.c.hash).order_by(audit.c.index.desc()).limit(1)
+    last = connection.execute(query).one_or_none()
+    index, previous = (last.index + 1, last.hash) if last is not None else (0, NO_PREVIOUS)
+    entry = Entry(index, now(), tenant, event, subject, dict(payload), previous)
+    found = entry.hash
+    connection.execute(
+        audit.insert().values(
+            index=index, at=entry.at, tenant=tenant, event=event, subject=subject,
+            payload=canonical(entry.payload).decode(), hash=found,
+        )
+    )  # fmt: skip
+    grown = list(merkle.completed_by(index))
+    siblings = _fetch(connection, [(level - 1, 2 * position) for level, position in grown[1:]])
+    node, rows = bytes.fromhex(found), []
+    for level, position in grown:
+        if level:
+            node = merkle.node_hash(siblings[level - 1, 2 * position], node)
+        rows.append({"level": level, "position": position, "hash": node.hex()})
+    connection.execute(audit_nodes.insert(), rows)
+    return entry
+
+
+def size(connection: sa.Connection) -> int:
+    """Number of entries."""
+    last: int | None = connection.execute(sa.select(sa.func.max(audit.c.index))).scalar_one()
+    return 0 if last is None else last + 1
+
+
+def root(connection: sa.Connection, size: int) -> str:
+    """Merkle root of the first `size` entries, hex."""
+    return merkle.root(size, lambda nodes: _fetch(connection, nodes)).hex()
+
+
+def inclusion_proof(connection: sa.Connection, index: int, size: int) -> list[str]:
+    """Proof that entry `index` is under the root of the first `size` entries; hex, lowest first."""
+    proof = merkle.inclusion_proof(index, size, lambda nodes: _fetch(connection, nodes))
+    return [step.hex() for step in proof]
+
+
+def find(connection: sa.Connection, event: str, subject: str) -> Entry | None:
+    """The first entry of this event about this subject."""
+    query = audit.select().where(audit.c.event == event, audit.c.subject == subject)
+    row = connection.execute(query.order_by(audit.c.index).limit(1)).mappings().one_or_none()
+    if row is None:
+        return None
+    before = sa.select(audit.c.hash).where(audit.c.index == row["index"] - 1)
+    previous: str | None = connection.execute(before).scalar_one_or_none()
+    return entry_of(row, previous or NO_PREVIOUS)
+
+
+def entry_of(row: Mapping[str, Any], previous: str) -> Entry:
+    """The entry of a row of the table `audit`."""
+    names = ("index", "at", "tenant", "event", "subject")
+    return Entry(**{name: row[name] for name in names}, payload=json.loads(row["payload"]), previous=previous)
+
+
+def _fetch(connection: sa.Connection, nodes: list[Node]) -> dict[Node, bytes]:
+    """Hashes of perfect subtrees, all in one query."""
+    if not nodes:
+        return {}
+    wanted = sa.or_(
+        *(sa.and_(audit_nodes.c.level == level, audit_nodes.c.position == place) for level, place in nodes)
+    )
+    rows = connection.execute(audit_nodes.select().where(wanted)).all()
+    found = {(row.level, row.position): bytes.fromhex(row.hash) for row in rows}
+    if missing := set(nodes) - set(found):
+        raise LookupError(f"the audit log lacks the subtrees {sorted(missing)}")
+    return found

@@ -1,0 +1,138 @@
+"""Owner keys: what a tenant's marks are made with. Kept sealed, never listed, erased when deleted."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from engine.errors import KeyFileError
+from engine.watermark.keys import OwnerKey
+from service.clock import now
+from service.db import Database
+from service.db.alone import alone
+from service.db.schema import owner_keys
+from service.problems import Problem
+from service.trust import audit
+from service.trust.master import VERSION, MasterKey, bind
+
+MOST_TEXT = 4096
+"""Characters of an imported key, comments included."""
+
+_HEX = re.compile(r"[0-9a-fA-F\s]+", re.ASCII)
+
+
+@dataclass(frozen=True)
+class KeyInfo:
+    """What may be said of an owner key. The fingerprint is the one that records name."""
+
+    id: str
+    fingerprint: str
+    label: str
+    created_at: str
+
+
+def parse_key(text: str) -> OwnerKey:
+    """An owner key from hexadecimal digits (64 or more), or from the text of a key file.
+
+    Raises
+    ------
+    Problem
+        "invalid-request"; it never repeats the text.
+    """
+    try:
+        if len(text) > MOST_TEXT or not text.isascii():
+            raise KeyFileError(f"an owner key is at most {MOST_TEXT} ASCII characters")
+        if _HEX.fullmatch(text):
+            return OwnerKey(bytes.fromhex(text))
+        return OwnerKey.from_text(text)
+    except KeyFileError as error:
+        raise Problem("invalid-request", str(error)) from None
+    except ValueError:
+        raise Problem("invalid-request", "the key has an odd number of hexadecimal digits") from None
+
+
+def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: str = "") -> KeyInfo:
+    """Keep a key. One that was deleted comes back under its old id, so that its marks can be verified again.
+
+    Raises
+    ------
+    Problem
+        "conflict", if the tenant has this key already.
+    """
+    with db.write() as connection:
+        alone(connection)
+        same = sa.and_(owner_keys.c.tenant == tenant, owner_keys.c.fingerprint == key.fingerprint)
+        row = connection.execute(owner_keys.select().where(same)).one_or_none()
+        if row is not None and row.deleted_at is None:
+            raise Problem("conflict", f"this owner key is here already, as {row.id!r}")
+        key_id = row.id if row is not None else secrets.token_hex(16)
+        info = KeyInfo(key_id, key.fingerprint, label, now())
+        values: dict[str, Any] = {
+            "version": VERSION,
+            "sealed": master.seal(key.secret, _bound(tenant, key_id, VERSION)),
+            "label": label,
+            "created_at": info.created_at,
+            "deleted_at": None,
+        }
+        if row is not None:
+            connection.execute(owner_keys.update().where(owner_keys.c.id == key_id).values(values))
+        else:
+            values |= {"id": key_id, "tenant": tenant, "fingerprint": key.fingerprint}
+            connection.execute(owner_keys.insert().values(values))
+        audit.append(connection, tenant, "owner_key.stored", {"fingerprint": key.fingerprint}, key_id)
+    return info
+
+
+def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> OwnerKey:
+    """The key itself.
+
+    Raises
+    ------
+    Problem
+        "not-found", if this tenant has no such key (any more).
+    """
+    with db.read() as connection:
+        row = connection.execute(owner_keys.select().where(_this(tenant, key_id))).one_or_none()
+    if row is None or row.sealed is None:
+        raise _missing(key_id)
+    return OwnerKey(master.unseal(row.sealed, _bound(tenant, key_id, row.version)))
+
+
+def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
+    """What may be said of a tenant's keys, oldest first; no secrets."""
+    query = owner_keys.select().where(owner_keys.c.tenant == tenant, owner_keys.c.deleted_at.is_(None))
+    with db.read() as connection:
+        rows = connection.execute(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
+    return [KeyInfo(row.id, row.fingerprint, row.label, row.created_at) for row in rows]
+
+
+def delete(db: Database, tenant: str, key_id: str) -> None:
+    """Erase a key. What was marked with it can be verified again only once its owner imports it again.
+
+    Raises
+    ------
+    Problem
+        "not-found", if this tenant has no such key.
+    """
+    with db.write() as connection:
+        alone(connection)
+        gone = owner_keys.update().where(_this(tenant, key_id), owner_keys.c.deleted_at.is_(None))
+        if connection.execute(gone.values(sealed=None, deleted_at=now())).rowcount == 0:
+            raise _missing(key_id)
+        audit.append(connection, tenant, "owner_key.deleted", {}, key_id)
+
+
+def _this(tenant: str, key_id: str) -> sa.ColumnElement[bool]:
+    return sa.and_(owner_keys.c.id == key_id, owner_keys.c.tenant == tenant)
+
+
+def _bound(tenant: str, key_id: str, version: int) -> bytes:
+    return bind("owner key", tenant, key_id, version)
+
+
+def _missing(key_id: str) -> Problem:
+    return Problem("not-found", f"there is no owner key {key_id!r}")

@@ -1,0 +1,130 @@
+"""Signatures: Ed25519 keys that sign claims (JWS), and their public halves (JWKS)."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import sqlalchemy as sa
+from joserfc import jws
+from joserfc.errors import JoseError
+from joserfc.jwk import KeySet, OKPKey
+
+from service.clock import now
+from service.db import Database
+from service.db.alone import alone
+from service.db.schema import signing_keys
+from service.problems import Problem
+from service.trust import audit
+from service.trust.canonical import canonical
+from service.trust.master import MasterKey, bind
+
+ALGORITHM = "Ed25519"
+TYPE = "mark3dgs-claim+jws"
+TENANT = ""
+"""Signing keys belong to the service, not to a tenant."""
+
+_COMPACT = re.compile(r"[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\.([A-Za-z0-9_-]+)", re.ASCII)
+
+
+class SignatureFault(Exception):
+    """A signature that does not hold; the text says why."""
+
+
+def ensure_key(db: Database, master: MasterKey) -> str:
+    """Id of the key that signs; the first call makes it."""
+    with db.write() as connection:
+        alone(connection)
+        row = _active(connection)
+        return str(row.kid) if row is not None else _make(connection, master)
+
+
+def rotate(db: Database, master: MasterKey) -> str:
+    """Retire the key that signs and make another; returns its id. What the old one signed stays valid."""
+    with db.write() as connection:
+        alone(connection)
+        active = signing_keys.c.retired_at.is_(None)
+        connection.execute(signing_keys.update().where(active).values(retired_at=now()))
+        return _make(connection, master)
+
+
+def jwks(db: Database) -> dict[str, Any]:
+    """The public keys, retired ones too, newest first (RFC 7517)."""
+    with db.read() as connection:
+        rows = connection.execute(signing_keys.select().order_by(signing_keys.c.created_at.desc())).all()
+    return {"keys": [json.loads(row.public) for row in rows]}
+
+
+def sign(connection: sa.Connection, master: MasterKey, payload: bytes) -> str:
+    """Compact JWS of a payload, by the key that signs at present.
+
+    Raises
+    ------
+    Problem
+        "internal", if there is no key or it cannot be opened.
+    """
+    row = _active(connection)
+    if row is None:
+        raise Problem("internal", "there is no signing key")
+    private = master.unseal(row.sealed, bind("signing key", row.kid))
+    header = {"alg": ALGORITHM, "kid": row.kid, "typ": TYPE}
+    return jws.serialize_compact(header, payload, OKPKey.import_key(json.loads(private)), [ALGORITHM])
+
+
+def verify(token: str, jwks: Mapping[str, Any]) -> tuple[bytes, str]:
+    """Payload of a compact JWS, and the id of the key that signed it.
+
+    Parameters
+    ----------
+    token : str
+    jwks : mapping
+        The keys that are trusted.
+
+    Raises
+    ------
+    SignatureFault
+    """
+    match = _COMPACT.fullmatch(token)
+    if match is None or not _one_spelling(match[1]):
+        raise SignatureFault("this is no compact JWS")
+    try:
+        keys = KeySet.import_key_set({"keys": list(jwks["keys"])})
+        found = jws.deserialize_compact(token, keys, [ALGORITHM])
+    except (JoseError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SignatureFault(f"the signature does not hold: {error or type(error).__name__}") from None
+    header = found.headers()
+    if header.get("typ") != TYPE or set(header) != {"alg", "kid", "typ"}:
+        raise SignatureFault("signed, but not as a claim of this program")
+    return bytes(found.payload or b""), str(header["kid"])
+
+
+def _one_spelling(text: str) -> bool:
+    """Base64 leaves bits of a last character unused: only one spelling of a signature is taken."""
+    try:
+        plain = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+    except ValueError:
+        return False
+    return base64.urlsafe_b64encode(plain).rstrip(b"=").decode() == text
+
+
+def _active(connection: sa.Connection) -> sa.Row[Any] | None:
+    query = signing_keys.select().where(signing_keys.c.retired_at.is_(None))
+    return connection.execute(query.order_by(signing_keys.c.created_at.desc()).limit(1)).one_or_none()
+
+
+def _make(connection: sa.Connection, master: MasterKey) -> str:
+    key = OKPKey.generate_key("Ed25519", private=True)
+    kid = key.thumbprint()  # RFC 7638: the id says which key it is, to anyone
+    public = {**key.as_dict(private=False), "kid": kid, "alg": ALGORITHM, "use": "sig"}
+    private = canonical(key.as_dict(private=True))
+    connection.execute(
+        signing_keys.insert().values(
+            kid=kid, public=canonical(public).decode(), sealed=master.seal(private, bind("signing key", kid)),
+            created_at=now(),
+        )
+    )  # fmt: skip
+    audit.append(connection, TENANT, "signing_key.made", {"public": public}, kid)
+    return kid
