@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -76,7 +76,7 @@ class Jobs(Protocol):
     def get(self, tenant: str, job_id: str) -> Job | None:
         """The job, if it is this tenant's."""
 
-    def list(self, tenant: str, limit: int = 20, after: str = "") -> list[Job]:
+    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
         """Jobs of a tenant, newest first, after the job with this id."""
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
@@ -88,7 +88,7 @@ class Jobs(Protocol):
     def result(self, job_id: str, state: State, value: Mapping[str, Any]) -> None:
         """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
 
-    def recover(self, silent_seconds: float) -> list[str]:
+    def recover(self, silent_seconds: float) -> Sequence[str]:
         """Take over the jobs of workers not heard of for that long; ids of those workers."""
 
 

@@ -1,0 +1,259 @@
+"""Tasks of `service.work` in processes of their own, with limits; one such process stands ready."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from service.jobs.port import Cancelled
+from service.problems import KINDS, Problem
+
+COMMAND = (sys.executable, "-m", "service.work")
+
+SECONDS_BETWEEN_LOOKS = 0.35
+"""How often the job's row is looked at and written while a task runs: a cancelled task dies within this time."""
+
+MAX_LINE_BYTES = 64 << 20
+_GOODBYE_SECONDS = 5.0
+
+# A process that reads hostile files is handed no master key, no database and no cloud credentials.
+_ENVIRONMENT = {"HOME", "LANG", "LD_LIBRARY_PATH", "MPLCONFIGDIR", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV"}
+_PREFIXES = ("CUDA_", "KMP_", "LC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TORCH", "XDG_")
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one task may use.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Address space.
+    cpu_seconds : int
+        CPU time of all its threads.
+    file_bytes : int
+        Largest file.
+    """
+
+    memory_bytes: int
+    cpu_seconds: int
+    file_bytes: int
+
+    @property
+    def seconds(self) -> int:
+        """By the clock: a task that neither works nor answers for that long hangs."""
+        return 2 * self.cpu_seconds + 60
+
+
+class Stopped(Exception):
+    """This worker is being shut down; the task was killed and is to be done again elsewhere."""
+
+
+class Children:
+    """Runs tasks one after another, each in a fresh process, and keeps one process warm for the next.
+
+    Parameters
+    ----------
+    limits : Limits
+    command : sequence of str
+        Starts the process.
+    """
+
+    def __init__(self, limits: Limits, command: Sequence[str] = COMMAND) -> None:
+        self._limits, self._command = limits, tuple(command)
+        self._lock = threading.Lock()
+        self._spare: subprocess.Popen[bytes] | None = None
+        self._running: subprocess.Popen[bytes] | None = None
+        self._stopped = False
+
+    def prepare(self) -> None:
+        """Have a process ready for the next task; imports and kernels are loaded while nobody waits."""
+        with self._lock:
+            if not self._stopped and (self._spare is None or self._spare.poll() is not None):
+                self._spare = self._start()
+
+    def run(
+        self,
+        task: str,
+        request: Mapping[str, Any],
+        folder: Path,
+        go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
+    ) -> dict[str, Any]:
+        """Do a task and return its reply.
+
+        Parameters
+        ----------
+        task : str
+        request : mapping
+            JSON values; secrets are allowed, they go through a pipe.
+        folder : Path
+            For the files that the task makes.
+        go_on : callable
+            Told stage and fraction about three times a second, changed or not; False ends the task.
+
+        Raises
+        ------
+        Cancelled
+            `go_on` said so.
+        Stopped
+            By `stop`.
+        Problem
+            The one that the task replied, or engine-limit where the process died.
+        """
+        limits = asdict(self._limits)
+        envelope = {"task": task, "request": request, "folder": str(folder), "limits": limits}
+        line = json.dumps(envelope).encode() + b"\n"
+        try:
+            process = self._take(line)
+            return self._follow(process, go_on)
+        finally:
+            self._end_running()
+            self.prepare()
+
+    def stop(self) -> None:
+        """Kill what runs and what stands ready, for good."""
+        with self._lock:
+            self._stopped = True
+            for process in (self._running, self._spare):
+                if process is not None:
+                    _kill(process)
+
+    def _take(self, line: bytes) -> subprocess.Popen[bytes]:
+        """The spare process or a new one, with the request sent."""
+        while True:
+            with self._lock:
+                if self._stopped:
+                    raise Stopped
+                fresh = self._spare is None
+                process = self._running = self._start() if self._spare is None else self._spare
+                self._spare = None
+            try:
+                stdin = _pipe(process.stdin)
+                stdin.write(line)
+                stdin.flush()
+                return process
+            except BrokenPipeError:
+                _kill(process)
+                if fresh:
+                    return process  # it died of itself; `_follow` says of what
+                # The spare had died while it waited, which is nobody's fault; take a new one.
+
+    def _follow(
+        self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]
+    ) -> dict[str, Any]:
+        lines: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=_read, args=(process, lines), daemon=True).start()
+        started = looked = time.monotonic()
+        stage, fraction = "", 0.0
+        while True:
+            with suppress(queue.Empty):
+                line = lines.get(timeout=max(0.0, looked + SECONDS_BETWEEN_LOOKS - time.monotonic()))
+                if not line:
+                    raise self._death(process)
+                said = _parse(line)
+                if "reply" in said:
+                    return dict(said["reply"])
+                if "error" in said:
+                    raise _problem(said["error"])
+                stage, fraction = str(said["stage"]), float(said["fraction"])
+            now = time.monotonic()
+            if now - looked >= SECONDS_BETWEEN_LOOKS:
+                looked = now
+                if not go_on(stage, fraction):
+                    raise Cancelled
+                if now - started > self._limits.seconds:
+                    raise Problem("engine-limit", f"the work gave no result within {self._limits.seconds} s")
+
+    def _death(self, process: subprocess.Popen[bytes]) -> Exception:
+        """Why a process ended without an answer."""
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_GOODBYE_SECONDS)
+        if self._stopped:
+            return Stopped()
+        code = process.returncode
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name
+            if name == "SIGXCPU":
+                seconds = self._limits.cpu_seconds
+                return Problem("engine-limit", f"the work used up its {seconds} s of CPU time")
+            hint = "; the machine may be out of memory" if name == "SIGKILL" else ""
+            return Problem("engine-limit", f"the work was ended by {name}{hint}", signal=name)
+        _log.error("a task's process ended with status %s and without an answer", code)
+        return Problem("internal", "the work ended without an answer")
+
+    def _end_running(self) -> None:
+        with self._lock:
+            process, self._running = self._running, None
+        if process is not None:
+            _kill(process)
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    _pipe(pipe).close()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        environment = {
+            name: value
+            for name, value in os.environ.items()
+            if name in _ENVIRONMENT or name.startswith(_PREFIXES)
+        }
+        return subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            start_new_session=True,  # a group of its own, killed as one
+        )
+
+
+def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
+    """Lines of a process; an empty one is the end."""
+    with suppress(OSError, ValueError):  # closed under our hands once the process is done with
+        while line := _pipe(process.stdout).readline(MAX_LINE_BYTES):
+            lines.put(line)
+    lines.put(b"")
+
+
+def _parse(line: bytes) -> dict[str, Any]:
+    try:
+        said = json.loads(line)
+        if isinstance(said, dict) and (
+            said.keys() & {"reply", "error"} or said.keys() >= {"stage", "fraction"}
+        ):
+            return said
+    except ValueError:
+        pass
+    _log.error("a task's process said something that is no answer: %r", line[:200])
+    raise Problem("internal", "the work gave an answer that cannot be read")
+
+
+def _problem(plain: Mapping[str, Any]) -> Problem:
+    kind = str(plain.get("kind"))
+    extra = {name: value for name, value in plain.items() if name not in ("kind", "detail")}
+    return Problem(kind if kind in KINDS else "internal", str(plain.get("detail", "")), **extra)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    if process.returncode is not None:  # reaped: its number may be another's by now
+        return
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
+    assert pipe is not None  # all are opened as pipes
+    return pipe

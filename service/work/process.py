@@ -1,0 +1,124 @@
+"""The process side of one task: a request on standard input, JSON lines on standard output, then the end.
+
+Standard input stays open as long as the parent lives; when it ends, so does this process, whatever it is doing.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import queue
+import resource
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from service.work.failures import describe
+
+Progress = Callable[[str, float], None]
+Task = Callable[[Mapping[str, Any], Path, Progress], dict[str, Any]]
+
+NICENESS = 5
+"""Below the API and the database: they must answer while every core works on a model."""
+
+SECONDS_BETWEEN_LINES = 0.1
+"""Progress of one stage is said no more often than this."""
+
+_log = logging.getLogger(__name__)
+
+
+def serve(load: Callable[[], Mapping[str, Task]], warm_up: Callable[[], None]) -> None:
+    """Do one task, and end the process.
+
+    Parameters
+    ----------
+    load : callable
+        Imports and returns the tasks.
+    warm_up : callable
+        What can be made ready before there is a request; left out where the request is there first.
+    """
+    out = _take_standard_output()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a core would hold the owner's key
+    os.nice(NICENESS)
+    requests: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    tasks = load()
+    if requests.empty():
+        try:
+            warm_up()
+        except Exception:
+            _log.exception("the warm-up failed; the task starts cold")
+    answer = _do(json.loads(requests.get()), tasks, _Lines(out))
+    out.write(json.dumps(answer) + "\n")
+    out.flush()
+    os._exit(0)  # nothing is left to tidy up, and tearing down the libraries takes half a second
+
+
+class _Lines:
+    """Progress, as lines of JSON."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out, self._stage, self._at = out, "", 0.0
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        now = time.monotonic()
+        if stage == self._stage and fraction < 1 and now - self._at < SECONDS_BETWEEN_LINES:
+            return
+        self._stage, self._at = stage, now
+        self._out.write(json.dumps({"stage": stage, "fraction": min(max(float(fraction), 0.0), 1.0)}) + "\n")
+        self._out.flush()
+
+
+def _do(envelope: dict[str, Any], tasks: Mapping[str, Task], progress: Progress) -> dict[str, Any]:
+    request, folder = envelope["request"], Path(envelope["folder"])
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)  # what libraries put aside goes with the folder
+    try:
+        _limit(envelope["limits"])
+        return {"reply": tasks[envelope["task"]](request, folder, progress)}
+    except Exception as error:
+        failure = describe(error, request)
+        if failure["kind"] == "internal":
+            _log.exception("task %s failed", envelope["task"])
+        return {"error": failure}
+
+
+def _limit(limits: Mapping[str, int]) -> None:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    cpu = limits["cpu_seconds"] + int(used.ru_utime + used.ru_stime) + 1
+    for kind, soft, hard in (
+        (resource.RLIMIT_AS, limits["memory_bytes"], limits["memory_bytes"]),
+        (resource.RLIMIT_FSIZE, limits["file_bytes"], limits["file_bytes"]),
+        (resource.RLIMIT_CPU, cpu, cpu + 1),
+    ):
+        ceiling = resource.getrlimit(kind)[1]
+        if ceiling != resource.RLIM_INFINITY:  # the machine's own limit may be lower, and cannot be raised
+            soft, hard = min(soft, ceiling), min(hard, ceiling)
+        resource.setrlimit(kind, (soft, hard))
+
+
+def _take_standard_output() -> TextIO:
+    """The pipe to the parent, for us alone: what libraries print goes to standard error."""
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return out
+
+
+def _listen(requests: queue.Queue[bytes]) -> None:
+    # Read by system calls: a buffered reader would hold its lock while the interpreter shuts down.
+    pending = b""
+    while chunk := os.read(0, 1 << 16):
+        pending += chunk
+        line, newline, rest = pending.partition(b"\n")
+        if newline:
+            requests.put(line)
+            pending = rest
+    os._exit(1)
