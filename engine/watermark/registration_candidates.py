@@ -159,7 +159,7 @@ class FeatureIndex:
         if len(rare) < min(queries // 8, len(pool)):
             tree, rows, rare = self.full_tree, np.arange(len(self.all_points)), np.arange(len(pool))
         priority = rng.random(len(rare)) if deep else rarity[rare]
-        query = rare[_by_region(suspect.means[pool[rare]], priority, queries)]
+        query = rare[by_region(suspect.means[pool[rare]], priority, queries)]
         k = min(2, len(rows))
         distance, near = tree.query(white[query], k=k, workers=2)
         distance, near = distance.reshape(-1, k), near.reshape(-1, k)
@@ -178,16 +178,16 @@ class FeatureIndex:
         )
 
 
-def _by_region(means: npt.NDArray[np.float32], priority: Float64, count: int) -> Int64:
-    """`count` indices, those of highest priority of each of 64 regions in turn."""
+def by_region(means: npt.NDArray[np.float32], priority: Float64, count: int, parts: int = 4) -> Int64:
+    """`count` indices, those of highest priority of each of `parts`^3 regions in turn."""
     if len(means) <= count:
         return np.arange(len(means))
     cell = np.zeros(len(means), np.int64)
     for a in range(3):
-        edges = np.quantile(means[:, a], [0.25, 0.5, 0.75])
-        cell = cell * 4 + np.searchsorted(edges, means[:, a])
+        edges = np.quantile(means[:, a], np.arange(1, parts) / parts)
+        cell = cell * parts + np.searchsorted(edges, means[:, a])
     order = np.lexsort((-priority, cell))
-    sizes = np.bincount(cell, minlength=64)
+    sizes = np.bincount(cell, minlength=parts**3)
     rank = np.empty(len(means), np.int64)
     rank[order] = np.arange(len(means)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return np.lexsort((-priority, rank))[:count]
