@@ -174,6 +174,10 @@ class OwnerKey:
             raise KeyFileError(f"{name!r} was altered: fingerprint {head[2]} stands on another key")
         return key
 
+    def to_text(self) -> str:
+        """The text of a key file."""
+        return f"{_FILE_HEADER} {self.fingerprint}\n{_FILE_COMMENT}\n{self.secret.hex()}\n"
+
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the key to a new file that only its owner can read (mode 0600).
 
@@ -185,7 +189,7 @@ class OwnerKey:
             If the file exists already (a key is never overwritten) or cannot be written.
         """
         target = Path(path)
-        text = f"{_FILE_HEADER} {self.fingerprint}\n{_FILE_COMMENT}\n{self.secret.hex()}\n"
+        text = self.to_text()
         part = target.with_name(f".{target.name}.{secrets.token_hex(8)}.part")
         try:
             try:

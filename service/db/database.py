@@ -14,7 +14,15 @@ from sqlalchemy.exc import DBAPIError
 from service.problems import Problem
 
 BUSY_MILLISECONDS = 15_000
-CONNECT_SECONDS = 3
+POSTGRES_CONNECT = {
+    "connect_timeout": 3,
+    # A server that vanished without a word is noticed within seconds, not after the kernel's quarter of an hour.
+    "keepalives_idle": 5,
+    "keepalives_interval": 2,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 10_000,
+}
+"""libpq's parameters of every connection."""
 
 
 class Database:
@@ -38,7 +46,7 @@ class Database:
             event.listen(self.engine, "begin", _begin_immediate)
         else:
             self.engine = sa.create_engine(
-                url, pool_pre_ping=True, pool_timeout=5, connect_args={"connect_timeout": CONNECT_SECONDS}
+                url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT)
             )
 
     @contextmanager

@@ -78,6 +78,8 @@ jobs = Table(
     _number("revision", default=0),
     Column("cancelling", sa.Boolean, nullable=False, default=False),
     _text("worker", null=True),
+    _number("attempts", default=0),  # begun so often; who holds an older number has lost the job
+    _number("tries", default=0),  # of these, since its last step was done
     _text("created_at", index=True),
     _text("started_at", null=True),
     _text("finished_at", null=True),

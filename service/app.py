@@ -1,0 +1,109 @@
+"""The application: routes, middleware, static files. Made by a factory; nothing happens on import."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.openapi.utils import get_openapi
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+
+from service.assets.endpoints import router as assets
+from service.claims.endpoints import router as claims
+from service.core import Service
+from service.embeds.endpoints import router as embeds
+from service.health.endpoints import router as health
+from service.http.failures import RequestIds, install
+from service.http.limits import BodyLimit
+from service.keys.endpoints import router as keys
+from service.tracking.endpoints import router as jobs
+from service.uploads.endpoints import router as uploads
+from service.verifications.endpoints import router as verifications
+
+WEB = Path(__file__).parent / "web"
+DESCRIPTION = """Ownership watermarks for 3D Gaussian Splatting models: mark a model under a key, and later prove,
+with a bound on a false claim, whose mark a found model or screenshot carries. Extraction is informed: it uses the
+record that was made at embedding."""
+
+POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' blob: data:; worker-src 'self' blob:;"
+    " style-src 'self' 'unsafe-inline'; script-src 'self' 'wasm-unsafe-eval'; frame-ancestors 'self';"
+    " base-uri 'none'; form-action 'self'; object-src 'none'"
+)
+REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
+
+PROBLEM = {
+    "type": "object",
+    "title": "Problem",
+    "description": "RFC 9457. `type` never changes its meaning.",
+    "required": ["type", "title", "status", "detail", "request_id"],
+    "properties": {
+        "type": {"type": "string", "pattern": "^urn:mark3dgs:problem:[a-z-]+$"},
+        "title": {"type": "string"},
+        "status": {"type": "integer", "minimum": 400, "maximum": 599},
+        "detail": {"type": "string"},
+        "request_id": {"type": "string"},
+    },
+}
+
+
+def make_app(service: Service) -> FastAPI:
+    """The application that serves a service."""
+
+    @asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        service.close()
+
+    app = FastAPI(
+        title="Mark3DGS", version=version("mark3dgs"), description=DESCRIPTION, docs_url=None, redoc_url=None,
+        lifespan=life, redirect_slashes=False,
+    )  # fmt: skip
+    app.state.service = service
+    for router in (keys, uploads, embeds, verifications, jobs, assets, claims, health):
+        app.include_router(router)
+    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    install(app)
+    app.middleware("http")(_headers)
+    app.add_middleware(BodyLimit, settings=service.settings)
+    app.add_middleware(RequestIds)
+
+    @app.get("/", include_in_schema=False)
+    def page() -> FileResponse:
+        return FileResponse(WEB / "index.html")
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> FileResponse:
+        return FileResponse(WEB / "docs" / "index.html")
+
+    app.mount("/static", StaticFiles(directory=WEB, check_dir=False), name="static")
+    return app
+
+
+async def _headers(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
+    response = await call_next(request)
+    report = request.url.path.endswith("/report")
+    response.headers.setdefault("Content-Security-Policy", REPORT_POLICY if report else POLICY)
+    response.headers.setdefault("X-Content-Type-Options", "nosniff")
+    response.headers.setdefault("Referrer-Policy", "no-referrer")
+    return response
+
+
+def _openapi(app: FastAPI) -> dict[str, Any]:
+    """The document, with our own error body in place of the framework's."""
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes,
+            openapi_version=app.openapi_version,
+        )  # fmt: skip
+        schemas = document.setdefault("components", {}).setdefault("schemas", {})
+        for name in ("HTTPValidationError", "ValidationError"):
+            schemas.pop(name, None)
+        schemas["Problem"] = PROBLEM
+        app.openapi_schema = document
+    return app.openapi_schema

@@ -1,0 +1,1 @@
+"""The registry: what was marked, for whom, and its files."""

@@ -1,0 +1,118 @@
+"""/v1/claims, and the public keys that they are checked with."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, Field
+
+from service.claims.report import report_html
+from service.core import Service
+from service.db.schema import claims
+from service.http.access import Core, Reader
+from service.http.failures import responses
+from service.http.lists import After, Limit, page
+from service.problems import Problem
+from service.trust.signing import jwks
+
+router = APIRouter(tags=["claims"])
+JWS_TYPE = "application/jose"
+
+
+class SignedClaim(BaseModel):
+    """A claim: the document, and the signature over it."""
+
+    document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
+    jws: str = Field(description="Compact JWS over the document, Ed25519.")
+    timestamp: str | None = Field(description="RFC 3161 token of the JWS, base64; null where none was made.")
+
+
+class ClaimSummary(BaseModel):
+    """A claim in a list."""
+
+    id: str
+    asset_id: str | None
+    verdict: str
+    log10_false_claim: float
+    created_at: str
+
+
+class ClaimList(BaseModel):
+    """A page of claims, newest first."""
+
+    items: list[ClaimSummary]
+    next: str | None
+
+
+class KeySet(BaseModel):
+    """Public keys (RFC 7517)."""
+
+    keys: list[dict[str, Any]]
+
+
+@router.get("/v1/claims", operation_id="listClaims", responses=responses(
+    "unauthorized", "forbidden", "invalid-request"))  # fmt: skip
+def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> ClaimList:
+    """Claims of this tenant, newest first."""
+    with core.db.read() as connection:
+        rows, following = page(connection, claims, caller.tenant, limit, after)
+    return ClaimList(items=[_summary(row) for row in rows], next=following)
+
+
+@router.get("/v1/claims/{claim_id}.jws", operation_id="getClaimJws", response_class=Response, responses={
+    200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"},
+    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
+    """The signed claim alone: hand it to whoever must be convinced."""
+    row = own(core, caller.tenant, claim_id)
+    return Response(
+        row.jws, media_type=JWS_TYPE, headers={"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
+    )
+
+
+@router.get("/v1/claims/{claim_id}", operation_id="getClaim", responses=responses(
+    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
+    """A claim."""
+    row = own(core, caller.tenant, claim_id)
+    stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
+    return SignedClaim(document=json.loads(row.document), jws=row.jws, timestamp=stamp)
+
+
+@router.get("/v1/claims/{claim_id}/report", operation_id="getReport", response_class=Response, responses={
+    200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
+    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
+    """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
+    row = own(core, caller.tenant, claim_id)
+    pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
+    return Response(report_html(json.loads(row.document), row.jws, pictures), media_type="text/html")
+
+
+@router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())
+def key_set(core: Core, response: Response) -> KeySet:
+    """Public keys of claims, those of the past too."""
+    response.headers["Cache-Control"] = "public, max-age=300"
+    return KeySet(keys=jwks(core.db)["keys"])
+
+
+def own(core: Service, tenant: str, claim_id: str) -> Any:
+    """The row of a claim; not-found for other tenants' too."""
+    mine = (claims.c.id == claim_id) & (claims.c.tenant == tenant)
+    with core.db.read() as connection:
+        row = connection.execute(sa.select(claims).where(mine)).first()
+    if row is None:
+        raise Problem("not-found", f"there is no claim {claim_id!r}")
+    return row
+
+
+def _summary(row: Any) -> ClaimSummary:
+    document = json.loads(row.document)
+    return ClaimSummary(
+        id=row.id, asset_id=row.asset, verdict=document["verdict"],
+        log10_false_claim=document["log10_false_claim"], created_at=row.created_at,
+    )  # fmt: skip

@@ -1,0 +1,107 @@
+"""`mark3dgs apikey`, `audit` and `rotate-signing-key`: for whoever runs the service, on its own data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.options import Json
+
+apikey = typer.Typer(no_args_is_help=True, help="Make, list and revoke API keys of the service.")
+audit = typer.Typer(no_args_is_help=True, help="The append-only log of the service.")
+Tenant = Annotated[str, typer.Option("--tenant", help="Whose key; tenants never see one another.")]
+
+
+@apikey.command("create")
+def create(
+    tenant: Tenant = "default",
+    scopes: Annotated[
+        str, typer.Option("--scopes", help="Of embed, verify, read, admin; with commas.")
+    ] = "embed,verify,read",
+    label: Annotated[str, typer.Option("--label", help="For people.")] = "",
+    json: Json = False,
+) -> int:
+    """Make an API key. It is printed once and kept nowhere.
+
+    Examples:
+
+      mark3dgs apikey create --tenant acme --scopes embed,verify,read
+    """
+    from service.cli.serve import start
+    from service.trust.api_keys import issue
+
+    console = Console(json)
+    _, service = start(console)
+    token = issue(
+        service.db, service.master, tenant, [s.strip() for s in scopes.split(",") if s.strip()], label
+    )
+    console.say(token)
+    console.emit({"api_key": token, "tenant": tenant})
+    return 0
+
+
+@apikey.command("list")
+def list_(tenant: Tenant = "default", json: Json = False) -> int:
+    """API keys of a tenant, without their secrets."""
+    from service.cli.serve import start
+    from service.trust.api_keys import list_keys
+
+    console = Console(json)
+    _, service = start(console)
+    keys = list_keys(service.db, tenant)
+    for key in keys:
+        state = f"revoked {key.revoked_at[:19]}" if key.revoked_at else "active"
+        console.say(f"{key.id}  {','.join(key.scopes):<24} {state:<28} {key.label}")
+    console.emit({"tenant": tenant, "api_keys": [asdict(key) for key in keys]})
+    return 0
+
+
+@apikey.command("revoke")
+def revoke(
+    key_id: Annotated[str, typer.Argument(metavar="ID", help="The middle part of the key.")],
+    tenant: Tenant = "default",
+    json: Json = False,
+) -> int:
+    """End an API key for good."""
+    from service.cli.serve import start
+    from service.trust.api_keys import revoke as end
+
+    console = Console(json)
+    _, service = start(console)
+    end(service.db, tenant, key_id)
+    console.say(f"revoked {key_id}")
+    console.emit({"revoked": key_id})
+    return 0
+
+
+@audit.command("verify")
+def verify(json: Json = False) -> int:
+    """Recompute the whole log: its chain, its tree, and every asset and claim it commits to.
+
+    Exit codes: 0 all holds, 3 something was altered.
+    """
+    from service.cli.serve import start
+    from service.trust.audit_check import verify_log
+
+    console = Console(json)
+    _, service = start(console)
+    found = verify_log(service.db)
+    console.say(found.text())
+    console.emit(found.to_json())
+    return 0 if found.ok else 3
+
+
+def rotate_signing_key(json: Json = False) -> int:
+    """Sign claims with a new key from now on. Old claims stay valid: the old public key stays published."""
+    from service.cli.serve import start
+    from service.trust.signing import rotate
+
+    console = Console(json)
+    _, service = start(console)
+    kid = rotate(service.db, service.master)
+    console.say(f"claims are now signed by key {kid}")
+    console.emit({"kid": kid})
+    return 0

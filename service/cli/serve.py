@@ -1,0 +1,160 @@
+"""`mark3dgs serve` and `mark3dgs worker`: the API and the processes that do the work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from engine.cli.console import Console
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from service.core import Service
+    from service.settings import Settings
+
+RESTART_SECONDS = 1.0
+
+
+def serve(
+    host: Annotated[str, typer.Option("--host", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen on.")] = 8000,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", min=0, help="Worker processes (default 1, or MARK3DGS_WORKERS); 0: API only."
+        ),
+    ] = None,
+) -> int:
+    """Run the ownership service: API, page and workers, in one data folder.
+
+    Needs no other server. The first start makes the master key, the signing
+    key and one admin API key, which it prints once. Settings are environment
+    variables: MARK3DGS_DATA_DIR (default ./mark3dgs-data), MARK3DGS_DATABASE_URL
+    and MARK3DGS_BLOB_URL for several machines, and more (see docs/SERVICE.md).
+
+    Examples:
+
+      mark3dgs serve
+      MARK3DGS_DATA_DIR=/srv/mark3dgs mark3dgs serve --host 0.0.0.0 --port 80
+    """
+    import uvicorn
+
+    from service.app import make_app
+
+    console = Console(machine=False)
+    settings, service = start(console)
+    count = settings.workers if workers is None else workers
+    crew = Crew([f"local-{number}" for number in range(1, count + 1)])
+    console.note(
+        f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops."
+    )
+    try:
+        crew.start()
+        uvicorn.run(
+            make_app(service), host=host, port=port, log_level="warning", access_log=False, server_header=False,
+            timeout_graceful_shutdown=5,
+        )  # fmt: skip
+    finally:
+        crew.stop()
+    return 0
+
+
+def worker(
+    name: Annotated[
+        str,
+        typer.Option("--name", help="Stable name: a worker that comes back under it goes on with its jobs."),
+    ] = "",
+    die_with_parent: Annotated[
+        bool, typer.Option("--die-with-parent", help="Stop when standard input ends.", hidden=True)
+    ] = False,
+) -> int:
+    """Do jobs of a service that shares its database and blobs.
+
+    Start as many as wanted, on as many machines as wanted, with the same
+    MARK3DGS_DATABASE_URL, MARK3DGS_BLOB_URL and MARK3DGS_MASTER_KEY as the API.
+    """
+    from service.worker import run_worker
+
+    _, service = start(Console(machine=False))
+    return run_worker(service, name or None, die_with_parent=die_with_parent)
+
+
+def start(console: Console) -> tuple[Settings, Service]:
+    """Open the service; the very first start makes its keys, and says so."""
+    from pydantic import ValidationError
+
+    from service.core import Service
+    from service.settings import Settings
+    from service.trust.api_keys import issue_first
+    from service.trust.signing import ensure_key
+
+    try:
+        settings = Settings()
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"MARK3DGS_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
+    service = Service.open(settings)
+    ensure_key(service.db, service.master)
+    token = issue_first(service.db, service.master, "default", "first admin key")
+    if token is not None:
+        console.note("First start: the master key, the signing key and one admin API key were made.")
+        if settings.master_key is None:
+            console.note(
+                f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
+            )
+        console.note(f"  API key      {token}")
+        console.note(
+            "This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others."
+        )
+    return settings, service
+
+
+class Crew:
+    """Worker processes of this machine; one that dies is started again under its name."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._names = names
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._stopping = threading.Event()
+
+    def start(self) -> None:
+        """Start all, and watch over them."""
+        for name in self._names:
+            self._launch(name)
+        if self._names:
+            threading.Thread(target=self._watch, daemon=True).start()
+
+    def stop(self) -> None:
+        """End all; a running job goes on with the next start."""
+        self._stopping.set()
+        for process in self._running.values():
+            process.send_signal(signal.SIGTERM)
+        for process in self._running.values():
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+    def _launch(self, name: str) -> None:
+        command = [sys.executable, "-m", "service.cli", "worker", "--name", name, "--die-with-parent"]
+        # Its standard input is our pipe: it ends when this process does, however that dies.
+        self._running[name] = subprocess.Popen(
+            command, stdin=subprocess.PIPE, start_new_session=True, env=os.environ
+        )
+
+    def _watch(self) -> None:
+        while not self._stopping.wait(RESTART_SECONDS):
+            for name, process in list(self._running.items()):
+                if process.poll() is not None and not self._stopping.is_set():
+                    sys.stderr.write(
+                        f"worker {name} ended with status {process.returncode}; starting it again\n"
+                    )
+                    time.sleep(RESTART_SECONDS)
+                    self._launch(name)

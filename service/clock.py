@@ -1,0 +1,15 @@
+"""Times as this service writes them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+
+def now() -> str:
+    """UTC, ISO 8601 with microseconds: sorts as text."""
+    return datetime.now(UTC).isoformat(timespec="microseconds")
+
+
+def ago(hours: float) -> str:
+    """The time that many hours before now."""
+    return (datetime.now(UTC) - timedelta(hours=hours)).isoformat(timespec="microseconds")

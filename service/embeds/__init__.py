@@ -1,0 +1,1 @@
+"""Marking a model: the request, and the flow that a worker runs."""

@@ -1,0 +1,90 @@
+"""/healthz, /readyz and /metrics."""
+
+from __future__ import annotations
+
+import time
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response
+from fastapi.responses import JSONResponse
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
+from pydantic import BaseModel
+
+from service.core import Service
+from service.db.schema import assets, claims, jobs, workers
+from service.http.access import Core
+from service.http.failures import responses
+from service.problems import Problem
+
+router = APIRouter(tags=["health"])
+LEAST_FREE_BYTES = 1 << 30
+
+
+class Alive(BaseModel):
+    """The process answers."""
+
+    status: str
+
+
+class Ready(BaseModel):
+    """What a job needs, part by part."""
+
+    status: str
+    database: bool
+    disk: bool
+    workers: int
+
+
+@router.get("/healthz", operation_id="healthz", responses=responses())
+async def healthz() -> Alive:
+    """The process is alive. Looks at nothing else, so it answers at once."""
+    return Alive(status="ok")
+
+
+@router.get("/readyz", operation_id="readyz", response_model=Ready, responses={
+    503: {"model": Ready, "description": "Not ready"},
+    **{status: text for status, text in responses().items() if status != 503}})  # fmt: skip
+def readyz(core: Core) -> Response:
+    """Whether database, disk and at least one worker are there."""
+    disk = core.blobs.free_bytes() >= LEAST_FREE_BYTES
+    try:
+        alive, database = _workers(core), True
+    except Problem:
+        alive, database = 0, False
+    good = database and disk and alive > 0
+    found = Ready(status="ready" if good else "not ready", database=database, disk=disk, workers=alive)
+    return JSONResponse(found.model_dump(), 200 if good else 503)
+
+
+@router.get("/metrics", operation_id="metrics", response_class=Response, responses={
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Prometheus text format"},
+    **responses()})  # fmt: skip
+def metrics(core: Core) -> Response:
+    """Counts of jobs by kind and state, assets, claims, workers; sizes of queue and disk."""
+    registry = CollectorRegistry()
+    with core.db.read() as connection:
+        by_state = connection.execute(
+            sa.select(jobs.c.kind, jobs.c.state, sa.func.count()).group_by(jobs.c.kind, jobs.c.state)
+        ).all()
+        counts = {
+            table.name: connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
+            for table in (assets, claims)
+        }
+    gauge = Gauge("mark3dgs_jobs", "Jobs by kind and state", ["kind", "state"], registry=registry)
+    for kind, state, count in by_state:
+        gauge.labels(kind, state).set(count)
+    for name, count in counts.items():
+        Gauge(f"mark3dgs_{name}", f"Rows in {name}", registry=registry).set(count)
+    Gauge("mark3dgs_workers", "Workers heard of lately", registry=registry).set(_workers(core))
+    Gauge("mark3dgs_disk_free_bytes", "Free bytes for scratch files", registry=registry).set(
+        core.blobs.free_bytes()
+    )
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
+
+
+def _workers(core: Service) -> int:
+    lately = workers.c.seen_at >= time.time() - core.settings.worker_silence_seconds
+    with core.db.read() as connection:
+        return int(
+            connection.execute(sa.select(sa.func.count()).select_from(workers).where(lately)).scalar_one()
+        )

@@ -1,0 +1,112 @@
+"""Every error leaves as problem+json with the request's id."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import secrets
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.problems import KINDS, MEDIA_TYPE, Problem
+
+REQUEST_ID = "x-request-id"
+log = logging.getLogger("mark3dgs.http")
+
+_BY_STATUS = {
+    400: "malformed-request", 401: "unauthorized", 403: "forbidden", 404: "not-found", 405: "method-not-allowed",
+    411: "length-required", 413: "too-large", 415: "unsupported-media-type", 416: "range-not-satisfiable",
+    422: "invalid-request", 429: "budget-exceeded", 503: "unavailable",
+}  # fmt: skip
+
+
+class RequestIds:
+    """Middleware: every request has an id, said in the response, in problems and in the log."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request_id = secrets.token_hex(8)
+        scope["request_id"] = request_id
+
+        async def tell(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], (REQUEST_ID.encode(), request_id.encode())]
+            await send(message)
+
+        await self.app(scope, receive, tell)
+
+
+def answer(problem: Problem, request: Request) -> Response:
+    """The response of a problem."""
+    body = problem.to_json(request.scope.get("request_id", ""))
+    headers = dict(problem.headers)
+    if problem.status == 401:
+        headers["WWW-Authenticate"] = 'Bearer realm="mark3dgs"'
+    return Response(json.dumps(body), problem.status, headers, MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Hand every kind of error to `answer`."""
+
+    def on_problem(request: Request, error: Exception) -> Response:
+        assert isinstance(error, Problem)
+        return answer(error, request)
+
+    def on_http(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        kind = _BY_STATUS.get(
+            error.status_code, "internal" if error.status_code >= 500 else "malformed-request"
+        )
+        return answer(Problem(kind, str(error.detail), headers=dict(error.headers or {})), request)
+
+    def on_invalid(request: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        return answer(invalid(list(error.errors())), request)
+
+    def on_bug(request: Request, error: Exception) -> Response:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return answer(
+                Problem("storage-full", "the disk is full; nothing was kept of this request"), request
+            )
+        log.exception("request %s failed", request.scope.get("request_id"), exc_info=error)
+        return answer(Problem("internal", "the fault is ours; the request id names it in our log"), request)
+
+    app.add_exception_handler(Problem, on_problem)
+    app.add_exception_handler(HTTPException, on_http)
+    app.add_exception_handler(RequestValidationError, on_invalid)
+    app.add_exception_handler(OSError, on_bug)
+    app.add_exception_handler(Exception, on_bug)
+
+
+def invalid(errors: list[Any]) -> Problem:
+    """A problem of what a validation found; each entry names the place and what is wrong there."""
+    broken = any(entry["type"] in ("json_invalid", "model_attributes_type") for entry in errors)
+    places = [
+        {"place": ".".join(str(part) for part in entry["loc"]), "text": str(entry["msg"])}
+        for entry in errors[:20]
+    ]
+    detail = "; ".join(f"{entry['place']}: {entry['text']}" for entry in places[:3])
+    return Problem("malformed-request" if broken else "invalid-request", detail, errors=places)
+
+
+def responses(*kinds: str) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI of the problems that a route may answer with; those that any route can are added."""
+    found: dict[int, list[str]] = {}
+    for kind in (*kinds, "internal", "unavailable", "storage-full"):
+        found.setdefault(KINDS[kind][0], []).append(KINDS[kind][1])
+    schema = {"$ref": "#/components/schemas/Problem"}
+    return {
+        status: {"description": "; ".join(titles), "content": {MEDIA_TYPE: {"schema": schema}}}
+        for status, titles in sorted(found.items())
+    }

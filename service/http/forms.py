@@ -1,0 +1,97 @@
+"""Requests as JSON, or as a multipart form with the files in it, so that one `curl` does it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from fastapi import Request
+from pydantic import BaseModel, ValidationError
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException
+
+from service.http.failures import invalid
+from service.problems import Problem
+
+T = TypeVar("T", bound=BaseModel)
+MAX_FILES, MAX_FIELDS = 66, 32
+
+
+async def read_form(
+    request: Request, kind: type[T], files: Sequence[str]
+) -> tuple[T, dict[str, list[UploadFile]]]:
+    """The request as a model, and the files that came with it by field name.
+
+    Parameters
+    ----------
+    request : Request
+    kind : type of BaseModel
+    files : sequence of str
+        Fields that may hold files.
+
+    Raises
+    ------
+    Problem
+        unsupported-media-type, malformed-request or invalid-request.
+    """
+    media = request.headers.get("content-type", "").split(";")[0].strip().lower()
+    found: dict[str, list[UploadFile]] = {}
+    if media == "application/json":
+        try:
+            values = json.loads(await request.body())
+        except ValueError as error:
+            raise Problem("malformed-request", f"the body is no JSON: {error}") from None
+        if not isinstance(values, dict):
+            raise Problem("invalid-request", f"the body must be a JSON object, got {type(values).__name__}")
+    elif media == "multipart/form-data":
+        try:
+            form = await request.form(max_files=MAX_FILES, max_fields=MAX_FIELDS)
+        except MultiPartException as error:
+            raise Problem("malformed-request", f"the form cannot be read: {error.message}") from None
+        values = {}
+        for name, value in form.multi_items():
+            if isinstance(value, UploadFile):
+                if name not in files:
+                    raise Problem("invalid-request", f"{name}: no file is taken under this name")
+                found.setdefault(name, []).append(value)
+            elif name in files:
+                raise Problem("invalid-request", f"{name}: must be a file")
+            elif value != "":  # an empty field of a form is one left out
+                values[name] = value
+    else:
+        raise Problem(
+            "unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}"
+        )
+    try:
+        return kind.model_validate(values, strict=False), found
+    except ValidationError as error:
+        raise invalid([{**entry, "loc": ("body", *entry["loc"])} for entry in error.errors()]) from None
+
+
+def form_schema(
+    kind: type[BaseModel], files: dict[str, tuple[str, bool]], without: Sequence[str]
+) -> dict[str, Any]:
+    """OpenAPI `requestBody` for `read_form`.
+
+    Parameters
+    ----------
+    kind : type of BaseModel
+        Flat: its schema needs no references.
+    files : dict
+        Field -> (description, several files?).
+    without : sequence of str
+        Properties that a form does not need, since the files stand for them.
+    """
+    schema = kind.model_json_schema()
+    binary = {"type": "string", "format": "binary"}
+    form = {**schema, "properties": {k: v for k, v in schema["properties"].items() if k not in without}}
+    form["required"] = [name for name in schema.get("required", []) if name not in without]
+    for name, (text, several) in files.items():
+        form["properties"][name] = (
+            {"type": "array", "items": binary, "maxItems": 64, "description": text}
+            if several
+            else {**binary, "description": text}
+        )
+    content = {"application/json": {"schema": schema}, "multipart/form-data": {"schema": form}}
+    return {"requestBody": {"required": True, "content": content}}

@@ -1,0 +1,65 @@
+"""`Idempotency-Key`: a request that is sent again is answered again, and done once (an expired IETF draft)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.clock import ago, now
+from service.db import Database
+from service.db.schema import idempotency
+from service.problems import Problem
+
+IN_FLIGHT_HOURS = 1 / 60
+"""A first request not finished by then died; the next with its key takes its place."""
+
+KEPT_HOURS = 24.0
+
+
+def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str | None:
+    """Job of the first request with this key, or None for the first itself.
+
+    Raises
+    ------
+    Problem
+        idempotency-mismatch for another body, request-in-flight while the first is still being answered.
+    """
+    digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
+    with db.write() as connection:
+        connection.execute(sa.delete(idempotency).where(idempotency.c.created_at < ago(KEPT_HOURS)))
+        row = connection.execute(sa.select(idempotency).where(mine)).first()
+        if row is None:
+            connection.execute(
+                idempotency.insert().values(tenant=tenant, key=key, body_hash=digest, created_at=now())
+            )
+            return None
+        if row.body_hash != digest:
+            raise Problem("idempotency-mismatch", f"Idempotency-Key {key!r} came with another body before")
+        if row.job is not None:
+            return str(row.job)
+        if row.created_at > ago(IN_FLIGHT_HOURS):
+            raise Problem(
+                "request-in-flight", f"the first request with Idempotency-Key {key!r} is not answered yet",
+                headers={"Retry-After": "1"},
+            )  # fmt: skip
+        connection.execute(sa.update(idempotency).where(mine).values(created_at=now()))
+        return None
+
+
+def settle(db: Database, tenant: str, key: str, job: str) -> None:
+    """The first request has its job."""
+    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
+    with db.write() as connection:
+        connection.execute(sa.update(idempotency).where(mine).values(job=job))
+
+
+def release(db: Database, tenant: str, key: str) -> None:
+    """The first request failed before it had a job: the key is free again."""
+    mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key) & idempotency.c.job.is_(None)
+    with db.write() as connection:
+        connection.execute(sa.delete(idempotency).where(mine))

@@ -1,0 +1,1 @@
+"""Owner keys held for their tenants, sealed under the master key."""

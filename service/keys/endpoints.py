@@ -1,0 +1,104 @@
+"""/v1/keys: owner keys, sealed; shown once, when asked for at the making."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from engine.watermark.keys import OwnerKey
+from service.core import Service
+from service.db import schema
+from service.db.schema import assets
+from service.http.access import Admin, Core, Reader
+from service.http.failures import responses
+from service.http.lists import After, Limit, page
+from service.problems import Problem
+from service.trust import owner_keys
+
+router = APIRouter(prefix="/v1/keys", tags=["keys"])
+
+
+class NewKey(BaseModel):
+    """An owner key to make, or to import."""
+
+    model_config = ConfigDict(extra="forbid")
+    label: str = Field("", max_length=200, description="For people.")
+    key: str | None = Field(
+        None, min_length=64, max_length=4096,
+        description="To import: 64 or more hex digits, or the text of a key file; left out: a new key is made.",
+    )  # fmt: skip
+    reveal: bool = Field(False, description="Show the key in this answer, once, so that you can keep a copy.")
+
+
+class KeyView(BaseModel):
+    """An owner key; never its secret."""
+
+    id: str
+    fingerprint: str = Field(description="Public short name of the key; records name it.")
+    label: str
+    created_at: str
+
+
+class MadeKey(KeyView):
+    """A key just made or imported."""
+
+    key: str | None = Field(description="Text of the key file, if it was asked for. It is never shown again.")
+
+
+class KeyList(BaseModel):
+    """A page of keys, newest first."""
+
+    items: list[KeyView]
+    next: str | None
+
+
+@router.post("", status_code=201, operation_id="createKey", responses=responses(
+    "malformed-request", "unauthorized", "forbidden", "invalid-request", "too-large"))  # fmt: skip
+def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> MadeKey:
+    """Make or import an owner key. It is sealed under the service's master key."""
+    key = OwnerKey.generate() if body.key is None else owner_keys.parse_key(body.key)
+    made = owner_keys.store(core.db, core.master, caller.tenant, key, body.label)
+    response.headers["Cache-Control"] = "no-store"
+    return MadeKey(**shape(made).model_dump(), key=key.to_text() if body.reveal else None)
+
+
+@router.get("", operation_id="listKeys", responses=responses("unauthorized", "forbidden", "invalid-request"))
+def list_keys(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> KeyList:
+    """Owner keys of this tenant, newest first."""
+    with core.db.read() as connection:
+        present = schema.owner_keys.c.deleted_at.is_(None)
+        rows, following = page(connection, schema.owner_keys, caller.tenant, limit, after, where=present)
+    return KeyList(items=[shape(row) for row in rows], next=following)
+
+
+@router.delete("/{key_id}", status_code=204, operation_id="deleteKey", responses=responses(
+    "unauthorized", "forbidden", "not-found", "conflict", "invalid-request"))  # fmt: skip
+def delete_key(
+    key_id: str,
+    core: Core,
+    caller: Admin,
+    force: Annotated[bool, Query(description="Erase it even though assets are registered under it.")] = False,
+) -> None:
+    """Erase an owner key. What was marked with it can be checked again only once the key is imported again."""
+    count = _assets(core, caller.tenant, key_id)
+    if count and not force:
+        raise Problem(
+            "conflict", f"{count} assets are registered under this key; without it they cannot be checked"
+        )
+    owner_keys.delete(core.db, caller.tenant, key_id)
+
+
+def _assets(core: Service, tenant: str, key_id: str) -> int:
+    mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
+    with core.db.read() as connection:
+        return int(
+            connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one()
+        )
+
+
+def shape(row: Any) -> KeyView:
+    """The row for the client."""
+    return KeyView(id=row.id, fingerprint=row.fingerprint, label=row.label, created_at=row.created_at)

@@ -1,0 +1,98 @@
+"""/v1/jobs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterable
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel
+
+from service.http.access import Core, Reader
+from service.http.answers import JobView, view
+from service.http.failures import responses
+from service.http.lists import After, Limit
+from service.jobs.port import FINAL, Job
+from service.problems import Problem
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+POLL_SECONDS = 0.2
+KEEP_ALIVE_SECONDS = 10.0
+
+
+class JobList(BaseModel):
+    """A page of jobs, newest first."""
+
+    items: list[JobView]
+    next: str | None
+
+
+@router.get("", operation_id="listJobs", responses=responses("unauthorized", "forbidden", "invalid-request"))
+def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> JobList:
+    """Jobs of this tenant, newest first."""
+    jobs = core.jobs.list(caller.tenant, limit + 1, after)
+    following = jobs[limit - 1].id if len(jobs) > limit else None
+    return JobList(items=[view(job) for job in jobs[:limit]], next=following)
+
+
+@router.get("/{job_id}", operation_id="getJob", response_model=JobView, responses={
+    304: {"description": "As it was (If-None-Match)"}, **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+def get_job(
+    job_id: str,
+    core: Core,
+    caller: Reader,
+    if_none_match: Annotated[str | None, Header(description="ETag of the answer at hand.")] = None,
+) -> Response:
+    """Where a job stands."""
+    job = _own(core.jobs.get(caller.tenant, job_id), job_id)
+    etag = f'"{job.revision}"'
+    headers = {"ETag": etag, "Cache-Control": "no-cache"}
+    if if_none_match is not None and etag in [
+        tag.strip().removeprefix("W/") for tag in if_none_match.split(",")
+    ]:
+        return Response(status_code=304, headers=headers)
+    return Response(view(job).model_dump_json(), headers=headers, media_type="application/json")
+
+
+def _found(job_id: str, core: Core, caller: Reader) -> Job:
+    return _own(core.jobs.get(caller.tenant, job_id), job_id)
+
+
+@router.get("/{job_id}/events", operation_id="jobEvents", response_class=EventSourceResponse,
+    responses=responses("unauthorized", "forbidden", "not-found"))  # fmt: skip
+async def job_events(
+    job_id: str, core: Core, caller: Reader, _: Annotated[Job, Depends(_found)]
+) -> AsyncIterable[ServerSentEvent]:
+    """Server-sent events: the job at every change, until it has ended."""
+    told, waited = -1, 0.0
+    while True:
+        job = await asyncio.to_thread(core.jobs.get, caller.tenant, job_id)
+        if job is None:
+            return
+        if job.revision != told:
+            told, waited = job.revision, 0.0
+            yield ServerSentEvent(data=view(job).model_dump(), event="progress", id=str(job.revision))
+            if job.state in FINAL:
+                return
+        await asyncio.sleep(POLL_SECONDS)
+        waited += POLL_SECONDS
+        if waited >= KEEP_ALIVE_SECONDS:
+            waited = 0.0
+            yield ServerSentEvent(comment="still here")
+
+
+@router.delete("/{job_id}", status_code=202, operation_id="cancelJob", responses=responses(
+    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+def cancel_job(job_id: str, core: Core, caller: Reader) -> JobView:
+    """Stop a job: its process is killed, nothing half-written stays. A job that has ended stays as it is."""
+    if not {"embed", "verify", "admin"} & set(caller.scopes):
+        raise Problem("forbidden", "this API key may read jobs, not cancel them")
+    return view(_own(core.jobs.cancel(caller.tenant, job_id), job_id))
+
+
+def _own(job: Job | None, job_id: str) -> Job:
+    if job is None:
+        raise Problem("not-found", f"there is no job {job_id!r}")
+    return job

@@ -1,0 +1,1 @@
+"""Files from clients: streamed to disk, hashed on the way, resumable by offset, inspected when whole."""

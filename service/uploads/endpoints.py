@@ -1,0 +1,115 @@
+"""/v1/uploads: slots, and their bytes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.http.access import Core, Uploader
+from service.http.failures import responses
+from service.problems import Problem
+from service.uploads import store
+from service.uploads.inspection import inspect
+from service.uploads.receiving import receive
+
+router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+OCTETS = {"requestBody": {"required": True, "content": {"application/octet-stream": BINARY}}}
+
+
+class NewUpload(BaseModel):
+    """A slot for one file."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field("", max_length=200, description="For people; it never becomes a path.")
+    size: int | None = Field(None, ge=1, le=1 << 50, description="Bytes to come; needed to resume.")
+    sha256: str | None = Field(
+        None, pattern="^[0-9a-f]{64}$", description="Digest to hold the bytes against."
+    )
+
+
+class Upload(BaseModel):
+    """An upload as it stands."""
+
+    id: str
+    name: str
+    size: int | None
+    offset: int = Field(description="Bytes received: the next request continues here.")
+    state: Literal["open", "complete"]
+    sha256: str | None
+    info: dict[str, Any] | None = Field(description="What the file is, once it was inspected.")
+    created_at: str
+
+
+@router.post("", status_code=201, operation_id="createUpload", responses=responses(
+    "malformed-request", "unauthorized", "forbidden", "too-large", "invalid-request"))  # fmt: skip
+def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Response) -> Upload:
+    """Open a slot; send the bytes with PUT."""
+    row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
+    response.headers["Location"] = f"/v1/uploads/{row.id}"
+    return shape(row)
+
+
+@router.get(
+    "/{upload_id}", operation_id="getUpload", responses=responses("unauthorized", "forbidden", "not-found")
+)
+def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
+    """How far an upload is: `offset` says where to continue."""
+    return shape(store.get(core, caller.tenant, upload_id))
+
+
+@router.put("/{upload_id}", operation_id="putUpload", openapi_extra=OCTETS, responses=responses(
+    "unauthorized", "forbidden", "not-found", "conflict", "too-large", "invalid-request",
+    "malformed-request"))  # fmt: skip
+async def put_upload(
+    upload_id: str,
+    request: Request,
+    core: Core,
+    caller: Uploader,
+    upload_offset: Annotated[int, Header(ge=0, description="Where these bytes begin.")] = 0,
+) -> Upload:
+    """Send bytes, streamed to disk. After a broken connection, ask for `offset` and continue there.
+
+    The upload is complete when `size` bytes have come, or, where no size was announced, with the end of the request.
+    A model that cannot be read is refused then.
+    """
+    row = await asyncio.to_thread(store.get, core, caller.tenant, upload_id)
+    if row.state != "open":
+        raise Problem("conflict", f"upload {upload_id!r} is complete")
+    if upload_offset != row.received:
+        raise Problem(
+            "conflict",
+            f"bytes from {upload_offset} on were sent, {row.received} are here",
+            offset=row.received,
+        )
+    room = (row.size or core.settings.max_upload_bytes) - row.received
+    with core.blobs.new_file() as path:
+        got = await receive(request.stream(), path, room)
+        missing = row.size is not None and got.length < room
+        if missing or not got.whole:
+            if got.length:
+                await asyncio.to_thread(store.add_part, core, row, path, got.length)
+            return shape(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
+        if row.received + got.length == 0:
+            raise Problem("invalid-request", "no bytes were sent")
+        row = await asyncio.to_thread(store.complete, core, row, path, got.length, got.sha256)
+    return shape(await asyncio.to_thread(inspect, core, row))
+
+
+@router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=responses(
+    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
+    """Forget an upload; what was made of it stays."""
+    store.drop(core, store.get(core, caller.tenant, upload_id))
+
+
+def shape(row: Any) -> Upload:
+    """The row for the client."""
+    return Upload(
+        id=row.id, name=row.name, size=row.size, offset=row.received, state=row.state, sha256=row.sha256,
+        info=json.loads(row.info) if row.info else None, created_at=row.created_at,
+    )  # fmt: skip

@@ -1,0 +1,142 @@
+"""Upload slots: their rows, their parts, and the blob they become."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.clock import ago, now
+from service.core import Service
+from service.db.schema import uploads
+from service.problems import Problem
+
+_CHUNK = 4 << 20
+_PICTURE_MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
+
+
+def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
+    """A new slot."""
+    limit = service.settings.max_upload_bytes
+    if size is not None and size > limit:
+        raise Problem("too-large", f"an upload of {size} bytes exceeds the limit of {limit}")
+    if size is not None and size > service.blobs.free_bytes():
+        raise Problem("storage-full", f"there is no room for an upload of {size} bytes")
+    upload_id = f"up_{secrets.token_hex(12)}"
+    values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
+    with service.db.write() as connection:
+        connection.execute(uploads.insert().values(**values, received=0, state="open", created_at=now()))
+    return get(service, tenant, upload_id)
+
+
+def get(service: Service, tenant: str, upload_id: str) -> Any:
+    """The row of a slot; not-found for other tenants' too."""
+    with service.db.read() as connection:
+        row = connection.execute(
+            sa.select(uploads).where((uploads.c.id == upload_id) & (uploads.c.tenant == tenant))
+        ).first()
+    if row is None:
+        raise Problem("not-found", f"there is no upload {upload_id!r}")
+    return row
+
+
+def add_part(service: Service, row: Any, path: Path, length: int) -> None:
+    """Keep bytes that came from `row.received` on; fails if another request was faster."""
+    name = part_name(row.id, row.received)
+    service.blobs.put_part(path, name)
+    parts = json.dumps([*json.loads(row.parts), [row.received, length]])
+    _advance(service, row, received=row.received + length, parts=parts)
+
+
+def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -> Any:
+    """The last bytes have come: make the blob. `sha256` is of these bytes, the whole if nothing came before."""
+    parts = [*json.loads(row.parts), [row.received, length]]
+    if len(parts) > 1:
+        service.blobs.put_part(path, part_name(row.id, row.received))
+        with service.blobs.new_file() as whole:
+            sha256 = _join(service, row.id, parts, whole)
+            _check(service, row._replace(parts=json.dumps(parts)), sha256)
+            service.blobs.put(whole, sha256)
+    else:
+        _check(service, row, sha256)
+        service.blobs.put(path, sha256)
+    total = row.received + length
+    _advance(service, row, received=total, size=total, sha256=sha256, state="complete")
+    for offset, _ in parts if len(parts) > 1 else ():
+        service.blobs.remove_part(part_name(row.id, offset))
+    return get(service, row.tenant, row.id)
+
+
+def note(service: Service, row: Any, info: dict[str, Any], sketch_sha256: str | None) -> Any:
+    """What the inspection found."""
+    with service.db.write() as connection:
+        connection.execute(
+            sa.update(uploads).where(uploads.c.id == row.id).values(
+                info=json.dumps(info), sketch_sha256=sketch_sha256
+            )
+        )  # fmt: skip
+    return get(service, row.tenant, row.id)
+
+
+def drop(service: Service, row: Any) -> None:
+    """Forget a slot and its parts. Its blob, if nothing else uses it, goes with the next sweep."""
+    for offset, _ in json.loads(row.parts):
+        service.blobs.remove_part(part_name(row.id, offset))
+    with service.db.write() as connection:
+        connection.execute(sa.delete(uploads).where(uploads.c.id == row.id))
+
+
+def sweep(service: Service) -> int:
+    """Drop slots that were never filled in time; how many."""
+    old = (uploads.c.created_at < ago(service.settings.upload_hours)) & (uploads.c.state == "open")
+    with service.db.read() as connection:
+        rows = connection.execute(sa.select(uploads).where(old)).all()
+    for row in rows:
+        drop(service, row)
+    return len(rows)
+
+
+def kind_of(head: bytes) -> str:
+    """model, picture or cameras, by the first bytes."""
+    if head.startswith(_PICTURE_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP"):
+        return "picture"
+    return "cameras" if head.lstrip()[:1] in (b"{", b"[") else "model"
+
+
+def part_name(upload_id: str, offset: int) -> str:
+    """Name of a part in the store."""
+    return f"upload/{upload_id}/{offset:016d}"
+
+
+def _advance(service: Service, row: Any, **values: Any) -> None:
+    unchanged = (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
+    with service.db.write() as connection:
+        if connection.execute(sa.update(uploads).where(unchanged).values(**values)).rowcount == 0:
+            raise Problem(
+                "conflict", f"another request has continued upload {row.id!r} at byte {row.received}"
+            )
+
+
+def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path) -> str:
+    digest = hashlib.sha256()
+    with whole.open("wb") as file:
+        for offset, _ in parts:
+            path = service.blobs.local_part(part_name(upload_id, offset), service.blobs.scratch)
+            with path.open("rb") as part:
+                while chunk := part.read(_CHUNK):
+                    digest.update(chunk)
+                    file.write(chunk)
+    return digest.hexdigest()
+
+
+def _check(service: Service, row: Any, sha256: str) -> None:
+    if row.sha256 is not None and row.sha256 != sha256:
+        drop(service, row)
+        raise Problem(
+            "digest-mismatch",
+            f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped",
+        )

@@ -1,0 +1,1 @@
+"""Checking a suspect: the request, and the flow that a worker runs."""

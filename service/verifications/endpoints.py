@@ -1,0 +1,132 @@
+"""POST /v1/verify: does this suspect carry a mark of ours?"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.core import Service
+from service.http.access import Core, Verifier
+from service.http.answers import JobView, respond, submit
+from service.http.budgets import spend
+from service.http.failures import responses
+from service.http.forms import form_schema, read_form
+from service.jobs.port import Job, State
+from service.problems import Problem
+from service.trust.api_keys import Caller
+from service.uploads.taking import take, whole
+from service.verifications.candidates import asset_exists, spend_subject
+
+router = APIRouter(prefix="/v1", tags=["verify"])
+Id = Annotated[str, Field(max_length=64)]
+
+
+class VerifyRequest(BaseModel):
+    """What to check, and against what."""
+
+    model_config = ConfigDict(extra="forbid")
+    upload_id: str | None = Field(None, max_length=64, description="A complete upload: the suspect model.")
+    image_upload_ids: list[Id] = Field(
+        [], max_length=64, description="Complete uploads: pictures of one suspect, read together."
+    )
+    cameras_upload_id: str | None = Field(
+        None,
+        max_length=64,
+        description="Cameras of the pictures, in their order; found by search if left out.",
+    )
+    asset_id: str | None = Field(
+        None,
+        max_length=64,
+        description="Asset to check against; left out: all of this tenant, likely ones first.",
+    )
+    false_claim_rate: float = Field(
+        1e-9, gt=0, lt=1, description="Largest acceptable chance of a false claim."
+    )
+    route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
+    spz_frame: Literal["auto", "rub", "rdf"] = Field("auto", description="Axes of an .spz that does not say.")
+
+
+FILES = {
+    "model": ("The suspect model.", False),
+    "images": ("1 to 64 pictures.", True),
+    "cameras": ("Cameras of the pictures, in their order.", False),
+}
+BODY = form_schema(VerifyRequest, FILES, ("upload_id", "image_upload_ids", "cameras_upload_id"))
+
+
+@router.post("/verify", status_code=202, operation_id="verify", openapi_extra=BODY, response_model=JobView,
+    responses={200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"}, **responses(
+        "malformed-request", "unauthorized", "forbidden", "not-found", "conflict", "too-large",
+        "unsupported-media-type", "invalid-request", "budget-exceeded")})  # fmt: skip
+async def verify(
+    request: Request,
+    core: Core,
+    caller: Verifier,
+    prefer: Annotated[
+        str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")
+    ] = None,
+    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=128)] = None,
+) -> Response:
+    """Check a suspect model, or pictures of one. The job's result names the claim; a negative answer is a claim too."""
+    body, files = await read_form(request, VerifyRequest, tuple(FILES))
+    job = await asyncio.to_thread(_submit, core, caller, body, files, idempotency_key)
+    return await respond(core, job, prefer)
+
+
+def _submit(
+    core: Service, caller: Caller, body: VerifyRequest, files: dict[str, Any], retry_key: str | None
+) -> Job:
+    tenant = caller.tenant
+    model_files, image_files, camera_files = (files.get(name, []) for name in FILES)
+    if bool(body.upload_id or model_files) == bool(body.image_upload_ids or image_files):
+        raise Problem("invalid-request", "give one suspect: a model, or pictures of one")
+    if len(model_files) + bool(body.upload_id) > 1 or len(camera_files) + bool(body.cameras_upload_id) > 1:
+        raise Problem("invalid-request", "give one model, and cameras once")
+    if len(body.image_upload_ids) + len(image_files) > 64:
+        raise Problem("invalid-request", "at most 64 pictures are read together")
+    if (body.cameras_upload_id or camera_files) and (body.upload_id or model_files):
+        raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
+
+    model = (
+        [whole(core, tenant, body.upload_id)]
+        if body.upload_id
+        else [take(core, tenant, f) for f in model_files]
+    )
+    images = [whole(core, tenant, name) for name in body.image_upload_ids]
+    images += [take(core, tenant, file) for file in image_files]
+    cameras = (
+        [whole(core, tenant, body.cameras_upload_id)]
+        if body.cameras_upload_id
+        else [take(core, tenant, file) for file in camera_files]
+    )
+    asked: dict[str, Any] = {
+        "model": model[0].sha256 if model else None,
+        "upload_id": model[0].id if model else None,
+        "images": [row.sha256 for row in images],
+        "cameras": cameras[0].sha256 if cameras else None,
+        "asset_id": body.asset_id,
+        "false_claim_rate": body.false_claim_rate,
+        "route": body.route,
+        "spz_frame": body.spz_frame,
+    }
+
+    def make() -> Job:
+        spend(
+            core.db,
+            f"verify:{caller.key_id}",
+            core.settings.verifies_per_hour,
+            1,
+            "verify jobs of this API key",
+        )
+        if body.asset_id is not None:
+            if not asset_exists(core, tenant, body.asset_id):
+                raise Problem("not-found", f"there is no asset {body.asset_id!r}")
+            spend_subject(core, body.asset_id)
+        return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "verify", State.QUEUED, asked)
+
+    digests = {name: value for name, value in asked.items() if name != "upload_id"}
+    return submit(core, tenant, retry_key, {"verify": digests}, make)

@@ -1,0 +1,59 @@
+"""The steps of a verify job: hold the suspect against the records, then sign the claim."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.claims.issuing import issue_claim, stamp_claim
+from service.core import Service
+from service.jobs.port import Flow, Run, State, Step
+from service.problems import Problem
+from service.verifications.candidates import candidate, rows_to_try, spend_subject
+
+
+def verify_flow(service: Service) -> Flow:
+    """Steps of a verify job."""
+    return (
+        Step("verify", lambda run: _verify(service, run)),
+        Step("commit", lambda run: _commit(service, run)),
+    )
+
+
+def _verify(service: Service, run: Run) -> dict[str, Any]:
+    asked, folder = run.job.request, run.folder
+    rows = rows_to_try(service, run.job.tenant, asked["asset_id"])
+    if not rows:
+        raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
+    found = run.work("verify", {
+        "model": str(service.blobs.local(asked["model"], folder)) if asked["model"] else None,
+        "images": [str(service.blobs.local(digest, folder)) for digest in asked["images"]],
+        "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
+        "candidates": [candidate(service, row, folder) for row in rows],
+        "stop_at_first": True,
+        **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
+    })  # fmt: skip
+    kept = {name: service.blobs.put(folder / file) for name, file in found["files"].items()}
+    return {**{name: value for name, value in found.items() if name != "files"}, "kept": kept}
+
+
+def _commit(service: Service, run: Run) -> dict[str, Any]:
+    """Sign and keep the claim; a second time finds it."""
+    found, job = run.results["verify"], run.job
+    claim = found["claim"]
+    derived = claim is not None and (claim["verdict"] == "marked" or (claim["derived_fraction"] or 0.0) > 0.0)
+    if job.request["asset_id"] is None and found["asset"] is not None and derived:
+        spend_subject(service, found["asset"])
+    sha256 = [job.request["model"]] if job.request["model"] else job.request["images"]
+    with service.db.write() as connection:
+        issued = issue_claim(
+            connection, service.master, tenant=job.tenant, job=job.id, reply=found, sha256=sha256,
+            pictures=found["kept"],
+        )  # fmt: skip
+    result = {
+        "claim_id": issued.id,
+        "asset_id": found["asset"],
+        **{name: issued.document[name] for name in ("verdict", "confidence", "log10_false_claim")},
+    }
+    if service.settings.tsa_url:
+        result["timestamp"] = stamp_claim(service.db, service.settings.tsa_url, issued) or "stamped"
+    return {"state": State.SUCCEEDED.value, "result": result}
