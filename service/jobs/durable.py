@@ -1,0 +1,152 @@
+"""The job engine: our table says where a job stands, DBOS sees to it that it is done whatever dies."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from service.clock import ago
+from service.db import Database
+from service.jobs import dbos_setup
+from service.jobs.port import Job, State
+from service.jobs.presence import Presence, Watch
+from service.jobs.rows import Rows
+from service.problems import Problem
+
+if TYPE_CHECKING:
+    from dbos import DBOSClient
+
+_SETTLED_HOURS = 5 / 3600
+"""A submit that has not enqueued its job by then has died, or found the engine's tables out of reach."""
+
+_PAGE = 500
+
+_log = logging.getLogger(__name__)
+
+
+class DurableJobs:
+    """Implements `port.Jobs`.
+
+    Parameters
+    ----------
+    db : Database
+        Of our tables.
+    jobs_url : str
+        SQLAlchemy URL of the job engine's own tables.
+    """
+
+    def __init__(self, db: Database, jobs_url: str) -> None:
+        self.url = jobs_url
+        self.rows = Rows(db)
+        self.presence = Presence(db)
+        self._watch = Watch()
+        self._lock = threading.Lock()
+        self._opened: DBOSClient | None = None
+
+    def submit(self, job: Job) -> Job:
+        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job."""
+        known = self.rows.add(job)
+        if known is None:
+            raise Problem("conflict", f"the job id {job.id!r} is taken")
+        if known.state == State.QUEUED:
+            try:
+                self._enqueue(known.id)
+            except (
+                Exception
+            ) as error:  # the row is what counts; whatever this was, `reconcile` makes up for it
+                _log.warning("job %s is enqueued later: %s", known.id, error)
+        return known
+
+    def get(self, tenant: str, job_id: str) -> Job | None:
+        """The job, if it is this tenant's."""
+        return self.rows.get(tenant, job_id)
+
+    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
+        """Jobs of a tenant, newest first, after the job with this id."""
+        return self.rows.page(tenant, limit, after)
+
+    def cancel(self, tenant: str, job_id: str) -> Job | None:
+        """Ask for a job to stop. A final job stays as it is."""
+        return self.rows.cancel(tenant, job_id)
+
+    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
+        """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
+        return self.rows.progress(job_id, stage, fraction, attempt)
+
+    def result(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None = None) -> None:
+        """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
+        self.rows.finish(job_id, state, value, attempt)
+
+    def recover(self, silent_seconds: float, but: str = "") -> Sequence[str]:
+        """Take over the jobs of workers not heard of for that long; ids of those workers.
+
+        Silence is measured from the first call that saw it, so a single call finds only workers that left. A worker
+        does not judge itself: that is `but`.
+        """
+        try:
+            seen = self.presence.seen()
+            silent = self._watch.silent(seen, self._owners(), silent_seconds)
+        except Exception:
+            self._watch.start_over()
+            raise
+        silent = [worker for worker in silent if worker != but]
+        for worker in silent:
+            # First the jobs, then the row: dying in between, we leave the worker to be found again. Any number of
+            # others may do the same, for only jobs that are still that worker's go back to the queue.
+            self._requeue(worker)
+            if worker in seen:
+                self.presence.forget(worker, seen[worker])
+        return silent
+
+    def reconcile(self) -> None:
+        """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
+        waiting = self.rows.open_before(ago(_SETTLED_HOURS))
+        for start in range(0, len(waiting), _PAGE):
+            page = waiting[start : start + _PAGE]
+            found = self._client().list_workflows(workflow_ids=page, load_input=False, load_output=False)
+            status = {workflow.workflow_id: workflow.status for workflow in found}
+            for job_id in page:
+                if job_id not in status:
+                    self._enqueue(job_id)
+                elif status[job_id] not in ("ENQUEUED", "PENDING", "DELAYED"):
+                    _log.error("job %s ended as %s and said nothing", job_id, status[job_id])
+                    problem = Problem("internal", "the work ended without a result")
+                    self.rows.finish(job_id, State.FAILED, problem.to_json(), None)
+
+    def close(self) -> None:
+        """Give connections back."""
+        with self._lock:
+            if self._opened is not None:
+                self._opened.destroy()
+                self._opened = None
+
+    def _client(self) -> DBOSClient:
+        with self._lock:  # opened on first use: the engine's library takes most of a second to import
+            if self._opened is None:
+                dbos_setup.migrate(self.url)
+                self._opened = dbos_setup.client(self.url)
+            return self._opened
+
+    def _enqueue(self, job_id: str) -> None:
+        options: Any = {
+            "workflow_name": dbos_setup.WORKFLOW,
+            "queue_name": dbos_setup.QUEUE,
+            "workflow_id": job_id,
+        }
+        self._client().enqueue(options, job_id)
+
+    def _owners(self) -> set[str]:
+        pending = self._client().list_workflows(status="PENDING", load_input=False, load_output=False)
+        return {workflow.executor_id for workflow in pending if workflow.executor_id}
+
+    def _requeue(self, worker: str) -> None:
+        """DBOS's own recovery, but for workers other than this process."""
+        client = self._client()
+        pending = client.list_workflows(
+            status="PENDING", executor_id=worker, load_input=False, load_output=False
+        )
+        for workflow in pending:
+            if client._sys_db.reenqueue_for_recovery(workflow.workflow_id, [worker], dbos_setup.QUEUE):
+                _log.warning("job %s is taken over from worker %s", workflow.workflow_id, worker)

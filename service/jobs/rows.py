@@ -1,0 +1,186 @@
+"""The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError
+
+from service.clock import now
+from service.db import Database
+from service.db.schema import jobs
+from service.jobs.port import FINAL, Job, State
+
+_OPEN = jobs.c.state.not_in([state.value for state in FINAL])
+_CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A job that a worker has begun.
+
+    Parameters
+    ----------
+    job : Job
+    number : int
+        Of this attempt, from 1. Once another worker has begun the job, this one can change it no more.
+    tries : int
+        Attempts at the present step, this one included; those that a shut-down ended do not count.
+    """
+
+    job: Job
+    number: int
+    tries: int
+
+
+class Rows:
+    """Reads and changes of the table.
+
+    Parameters
+    ----------
+    db : Database
+    """
+
+    def __init__(self, db: Database) -> None:
+        self._db = db
+
+    def add(self, job: Job) -> Job | None:
+        """A new queued job, or the one that has this id; None where another tenant's has."""
+        values = {
+            "id": job.id, "tenant": job.tenant, "api_key": job.api_key, "kind": job.kind,
+            "state": State.QUEUED.value, "request": dumps(job.request), "stage": "",
+            "created_at": job.created_at or now(),
+        }  # fmt: skip
+        try:
+            with self._db.write() as connection:
+                connection.execute(jobs.insert().values(values))
+        except IntegrityError:
+            pass  # the id is taken: the same job sent again
+        return self.get(job.tenant, job.id)
+
+    def get(self, tenant: str, job_id: str) -> Job | None:
+        """A tenant's job."""
+        with self._db.read() as connection:
+            row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
+        return None if row is None else _job(row)
+
+    def page(self, tenant: str, limit: int, after: str) -> list[Job]:
+        """A tenant's jobs, newest first."""
+        query = sa.select(jobs).where(jobs.c.tenant == tenant)
+        if after:
+            known = sa.select(jobs.c.created_at).where(_mine(tenant, after)).scalar_subquery()
+            same_moment = (jobs.c.created_at == known) & (jobs.c.id < after)
+            query = query.where((jobs.c.created_at < known) | same_moment)
+        query = query.order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
+        with self._db.read() as connection:
+            return [_job(row) for row in connection.execute(query)]
+
+    def cancel(self, tenant: str, job_id: str) -> Job | None:
+        """A queued job is cancelled at once; a running one is asked to stop."""
+        mine = _mine(tenant, job_id)
+        queued = mine & (jobs.c.state == State.QUEUED.value)
+        running = mine & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
+        ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
+        with self._db.write() as connection:
+            connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED))
+            connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
+        return self.get(tenant, job_id)
+
+    def begin(self, job_id: str, worker: str) -> Attempt | None:
+        """A worker starts on a job, for the first time or again; None where there is nothing left to do."""
+        begun = {
+            "state": State.RUNNING.value,
+            "worker": worker,
+            "attempts": jobs.c.attempts + 1,
+            "tries": jobs.c.tries + 1,
+            "started_at": sa.func.coalesce(jobs.c.started_at, now()),
+        }
+        this = jobs.c.id == job_id
+        with self._db.write() as connection:
+            if not connection.execute(sa.update(jobs).where(this & _OPEN).values(begun | _CHANGED)).rowcount:
+                return None
+            row = connection.execute(sa.select(jobs).where(this)).one()
+        return Attempt(_job(row), row.attempts, row.tries)
+
+    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None) -> bool:
+        """Stage and fraction, written where they changed; False where this attempt must stop."""
+        with self._db.read() as connection:
+            row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id)).first()
+        if row is None or row.state != State.RUNNING or row.cancelling:
+            return False
+        if attempt is not None and row.attempts != attempt:
+            return False
+        if (row.stage, row.fraction) == (stage, fraction):
+            return True
+        running = _held(job_id, attempt) & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
+        with self._db.write() as connection:
+            changed = sa.update(jobs).where(running).values({"stage": stage, "fraction": fraction} | _CHANGED)
+            return connection.execute(changed).rowcount > 0
+
+    def finish(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None) -> bool:
+        """End a job; False where it had ended, or is another attempt's."""
+        if state not in FINAL:
+            raise ValueError(f"{state} is no final state")
+        ended: dict[str, Any] = {"state": state.value, "finished_at": now()}
+        if state in (State.SUCCEEDED, State.DISPUTED):
+            ended |= {"result": dumps(value), "fraction": 1.0}
+        elif state == State.FAILED:
+            ended |= {"problem": dumps(value)}
+        with self._db.write() as connection:
+            changed = sa.update(jobs).where(_held(job_id, attempt) & _OPEN).values(ended | _CHANGED)
+            return connection.execute(changed).rowcount > 0
+
+    def settled(self, job_id: str, attempt: int) -> None:
+        """A step is done: what is tried next is another."""
+        with self._db.write() as connection:
+            connection.execute(sa.update(jobs).where(_held(job_id, attempt)).values(tries=1))
+
+    def handed_back(self, worker: str) -> None:
+        """A worker shuts down: that is no fault of the jobs it was at."""
+        its = (jobs.c.worker == worker) & (jobs.c.state == State.RUNNING.value) & (jobs.c.tries > 0)
+        with self._db.write() as connection:
+            connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
+
+    def open_before(self, time: str) -> list[str]:
+        """Ids of jobs that are not final and were asked for before that time, oldest first."""
+        query = sa.select(jobs.c.id).where(_OPEN & (jobs.c.created_at < time)).order_by(jobs.c.created_at)
+        with self._db.read() as connection:
+            return [str(job_id) for job_id in connection.execute(query).scalars()]
+
+
+def dumps(value: Mapping[str, Any]) -> str:
+    """JSON in canonical form."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+def _mine(tenant: str, job_id: str) -> sa.ColumnElement[bool]:
+    return (jobs.c.tenant == tenant) & (jobs.c.id == job_id)
+
+
+def _held(job_id: str, attempt: int | None) -> sa.ColumnElement[bool]:
+    this: sa.ColumnElement[bool] = jobs.c.id == job_id
+    return this if attempt is None else this & (jobs.c.attempts == attempt)
+
+
+def _job(row: sa.Row[Any]) -> Job:
+    return Job(
+        id=row.id,
+        tenant=row.tenant,
+        api_key=row.api_key,
+        kind=row.kind,
+        state=State(row.state),
+        request=json.loads(row.request),
+        stage=row.stage,
+        fraction=row.fraction,
+        result=None if row.result is None else json.loads(row.result),
+        problem=None if row.problem is None else json.loads(row.problem),
+        revision=row.revision,
+        cancelling=row.cancelling,
+        created_at=row.created_at,
+        started_at=row.started_at or "",
+        finished_at=row.finished_at or "",
+    )
