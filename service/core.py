@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from service.blobs import Blobs
 from service.db import Database
 from service.jobs.durable import DurableJobs
-from service.jobs.port import Jobs
 from service.settings import Settings
 from service.trust.master import MasterKey
 
@@ -20,7 +19,7 @@ class Service:
     db: Database
     blobs: Blobs
     master: MasterKey
-    jobs: Jobs
+    jobs: DurableJobs
 
     @classmethod
     def open(cls, settings: Settings) -> Service:

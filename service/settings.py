@@ -35,6 +35,10 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON body.")
     upload_hours: float = Field(24.0, gt=0, description="An upload not finished by then is dropped.")
 
+    suspect_days: float = Field(
+        30.0, gt=0, description="Uploads are kept that long; what was made of them stays."
+    )
+
     child_memory_bytes: int = Field(10 * GIB, gt=0, description="Address space of one step's process.")
     child_cpu_seconds: int = Field(1800, gt=0, description="CPU time of one step's process.")
     child_file_bytes: int = Field(4 * GIB, gt=0, description="Largest file one step's process may write.")

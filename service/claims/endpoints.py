@@ -10,7 +10,6 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
-from service.claims.report import report_html
 from service.core import Service
 from service.db.schema import claims
 from service.http.access import Core, Reader
@@ -88,6 +87,8 @@ def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
 def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
+    from service.claims.report import report_html
+
     row = own(core, caller.tenant, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures), media_type="text/html")

@@ -83,7 +83,7 @@ def worker(
     from service.worker import run_worker
 
     _, service = start(Console(machine=False))
-    return run_worker(service, name or None, die_with_parent=die_with_parent)
+    run_worker(service, name, die_with_parent)
 
 
 def start(console: Console) -> tuple[Settings, Service]:

@@ -39,7 +39,7 @@ class JobView(BaseModel):
 def view(job: Job) -> JobView:
     """The job for the client."""
     return JobView(
-        id=job.id, kind=job.kind, state=job.state.value, stage=job.stage, fraction=min(max(job.fraction, 0.0), 1.0),  # type: ignore[arg-type]
+        id=job.id, kind=job.kind, state=job.state.value, stage=job.stage, fraction=min(max(job.fraction, 0.0), 1.0),
         cancelling=job.cancelling, result=dict(job.result) if job.result is not None else None,
         problem=dict(job.problem) if job.problem is not None else None, created_at=job.created_at,
         started_at=job.started_at, finished_at=job.finished_at,

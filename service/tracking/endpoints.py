@@ -38,7 +38,8 @@ def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
 
 
 @router.get("/{job_id}", operation_id="getJob", response_model=JobView, responses={
-    304: {"description": "As it was (If-None-Match)"}, **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+    304: {"description": "As it was (If-None-Match)"},
+    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
 def get_job(
     job_id: str,
     core: Core,

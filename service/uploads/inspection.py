@@ -30,8 +30,9 @@ def inspect(service: Service, row: Any) -> Any:
         if row.size > MOST_BYTES:
             return store.note(service, row, {"kind": kind}, None)
         request = {kind: str(path), "spz_frame": "auto", "candidates": [], "limit": 0}
+        task = "inspect" if kind == "model" else kind
         try:
-            found = run_once(service.settings, "inspect", request, folder, SECONDS)
+            found = run_once(service.settings, task, request, folder, SECONDS)
         except Problem as problem:
             if problem.status < 500:
                 store.drop(service, row)

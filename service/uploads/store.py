@@ -10,7 +10,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.clock import ago, now
+from service.clock import now
 from service.core import Service
 from service.db.schema import uploads
 from service.problems import Problem
@@ -88,16 +88,6 @@ def drop(service: Service, row: Any) -> None:
         service.blobs.remove_part(part_name(row.id, offset))
     with service.db.write() as connection:
         connection.execute(sa.delete(uploads).where(uploads.c.id == row.id))
-
-
-def sweep(service: Service) -> int:
-    """Drop slots that were never filled in time; how many."""
-    old = (uploads.c.created_at < ago(service.settings.upload_hours)) & (uploads.c.state == "open")
-    with service.db.read() as connection:
-        rows = connection.execute(sa.select(uploads).where(old)).all()
-    for row in rows:
-        drop(service, row)
-    return len(rows)
 
 
 def kind_of(head: bytes) -> str:

@@ -1,0 +1,68 @@
+"""What nobody needs any more: uploads never finished or never used, and blobs that no row names."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import sqlalchemy as sa
+
+from service.clock import ago
+from service.core import Service
+from service.db.schema import assets, claims, conversions, jobs, uploads
+from service.jobs.port import FINAL
+from service.uploads import store
+
+
+def sweep(service: Service) -> tuple[int, int]:
+    """Drop uploads and blobs; how many of each.
+
+    A blob goes only if it is older than an upload may be, so that none goes which a running request has just put.
+    """
+    hours = service.settings.upload_hours
+    unfinished = (uploads.c.state == "open") & (uploads.c.created_at < ago(hours))
+    unused = (uploads.c.state == "complete") & (
+        uploads.c.created_at < ago(24 * service.settings.suspect_days)
+    )
+    with service.db.read() as connection:
+        rows = connection.execute(sa.select(uploads).where(unfinished | unused)).all()
+    for row in rows:
+        store.drop(service, row)
+    return len(rows), _sweep_blobs(service, hours)
+
+
+def _sweep_blobs(service: Service, hours: float) -> int:
+    import obstore
+
+    old = datetime.now(UTC) - timedelta(hours=hours)
+    candidates = [
+        entry["path"]
+        for batch in obstore.list(service.blobs.store, "blob")
+        for entry in batch
+        if entry["last_modified"] < old
+    ]
+    named = _named(service)  # after the listing: what was put since is named, or too young
+    gone = [path for path in candidates if path.rsplit("/", 1)[-1] not in named]
+    for path in gone:
+        if obstore.head(service.blobs.store, path)["last_modified"] < old:  # put again meanwhile: it stays
+            service.blobs.remove_part(path)
+    return len(gone)
+
+
+def _named(service: Service) -> set[str]:
+    """Digests that some row names."""
+    columns = (
+        uploads.c.sha256, uploads.c.sketch_sha256, assets.c.original_sha256, assets.c.model_sha256,
+        assets.c.record_sha256, assets.c.preview_sha256, assets.c.sketch_sha256, conversions.c.sha256,
+    )  # fmt: skip
+    found: set[str] = set()
+    with service.db.read() as connection:
+        for column in columns:
+            found.update(digest for (digest,) in connection.execute(sa.select(column)) if digest)
+        for (pictures,) in connection.execute(sa.select(claims.c.pictures)):
+            found.update(json.loads(pictures).values())
+        running = jobs.c.state.not_in([state.value for state in FINAL])
+        for (request,) in connection.execute(sa.select(jobs.c.request).where(running)):
+            asked = json.loads(request)
+            found.update(filter(None, [asked.get("model"), asked.get("cameras"), *asked.get("images", [])]))
+    return found

@@ -1,0 +1,35 @@
+"""The process that does the jobs: flows of all kinds, one job at a time, and tidying up now and then."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import NoReturn
+
+from service.core import Service
+from service.embeds.flow import embed_flow
+from service.http.budgets import forget
+from service.jobs.worker import Worker
+from service.uploads.sweeping import sweep
+from service.verifications.flow import verify_flow
+
+TIDY_SECONDS = 3600.0
+log = logging.getLogger("mark3dgs.worker")
+
+
+def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
+    """Do jobs until told to stop; ends the process."""
+    threading.Thread(target=_tidy, args=(service,), daemon=True).start()
+    flows = {"embed": embed_flow(service), "verify": verify_flow(service)}
+    Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()
+
+
+def _tidy(service: Service) -> None:
+    while True:
+        time.sleep(TIDY_SECONDS)
+        try:
+            sweep(service)
+            forget(service.db)
+        except Exception as error:  # the jobs matter more; the next hour tries again
+            log.warning("tidying up failed: %s", error)
