@@ -8,7 +8,7 @@ completeness plain, the tree proves a single entry to a reader who sees no other
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,7 +80,7 @@ def append(
     alone(connection)
     query = sa.select(audit.c.index, audit.c.hash).order_by(audit.c.index.desc()).limit(1)
     last = connection.execute(query).one_or_none()
-    index, previous = (last.index + 1, last.hash) if last is not None else (0, NO_PREVIOUS)
+    index, previous = (last[0] + 1, last[1]) if last is not None else (0, NO_PREVIOUS)
     entry = Entry(index, now(), tenant, event, subject, dict(payload), previous)
     found = entry.hash
     connection.execute(
@@ -120,18 +120,18 @@ def inclusion_proof(connection: sa.Connection, index: int, size: int) -> list[st
 def find(connection: sa.Connection, event: str, subject: str) -> Entry | None:
     """The first entry of this event about this subject."""
     query = audit.select().where(audit.c.event == event, audit.c.subject == subject)
-    row = connection.execute(query.order_by(audit.c.index).limit(1)).mappings().one_or_none()
+    row = connection.execute(query.order_by(audit.c.index).limit(1)).one_or_none()
     if row is None:
         return None
-    before = sa.select(audit.c.hash).where(audit.c.index == row["index"] - 1)
+    before = sa.select(audit.c.hash).where(audit.c.index == row[0] - 1)
     previous: str | None = connection.execute(before).scalar_one_or_none()
-    return entry_of(row, previous or NO_PREVIOUS)
+    return entry_of(tuple(row), previous or NO_PREVIOUS)
 
 
-def entry_of(row: Mapping[str, Any], previous: str) -> Entry:
-    """The entry of a row of the table `audit`."""
-    names = ("index", "at", "tenant", "event", "subject")
-    return Entry(**{name: row[name] for name in names}, payload=json.loads(row["payload"]), previous=previous)
+def entry_of(row: Sequence[Any], previous: str) -> Entry:
+    """The entry of a row of the table `audit`, after the entry with the hash `previous`."""
+    index, at, tenant, event, subject, payload, _ = row
+    return Entry(index, at, tenant, event, subject, json.loads(payload), previous)
 
 
 def _fetch(connection: sa.Connection, nodes: list[Node]) -> dict[Node, bytes]:

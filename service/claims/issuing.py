@@ -1,0 +1,144 @@
+"""Issuing a claim: one transaction logs, signs and stores it. Twice for one job is once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.claims.document import ClaimDocument, build_document
+from service.clock import now
+from service.core import Service
+from service.db import Database
+from service.db.alone import alone
+from service.db.schema import assets, claims
+from service.jobs.port import Job
+from service.problems import Problem
+from service.trust.audit import Entry
+from service.trust.canonical import canonical
+from service.trust.commitments import commit_claim, registration_of
+from service.trust.master import MasterKey
+from service.trust.signing import sign
+from service.trust.timestamps import stamp
+
+
+@dataclass(frozen=True)
+class IssuedClaim:
+    """A claim as it is stored: `document` is the signed payload, `jws` the signature with it."""
+
+    id: str
+    document: dict[str, Any]
+    jws: str
+
+
+def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any]:
+    """The claim of a verify job, issued and, where a time-stamping service is set, stamped; the job's result.
+
+    Parameters
+    ----------
+    service : Service
+    job : Job
+    reply : mapping
+        Of the task `verify`, with `kept` (name -> SHA-256) in place of `files`.
+    """
+    with service.db.write() as connection:
+        claim = issue_claim(
+            connection, service.master, tenant=job.tenant, job=job.id, reply=reply, pictures=reply["kept"],
+            sha256=[job.request["model"]] if job.request["model"] else list(job.request["images"]),
+        )  # fmt: skip
+    result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
+        name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
+    }
+    url = service.settings.tsa_url
+    if url and (failure := stamp_claim(service.db, url, claim)):
+        result["timestamp_failure"] = failure
+    return result
+
+
+def issue_claim(
+    connection: sa.Connection,
+    master: MasterKey,
+    *,
+    tenant: str,
+    job: str,
+    reply: Mapping[str, Any],
+    sha256: Sequence[str],
+    pictures: Mapping[str, str],
+) -> IssuedClaim:
+    """Log, sign and store the claim of a verification; a job that has a claim keeps it.
+
+    Parameters
+    ----------
+    connection : Connection
+        Of `Database.write`.
+    master : MasterKey
+    tenant, job : str
+    reply : mapping
+        Of the task `verify`.
+    sha256 : sequence of str
+        Of each file handed in, in order.
+    pictures : mapping
+        Name -> SHA-256 of the pictures of the report, stored already.
+
+    Raises
+    ------
+    Problem
+        "internal", if the reply names an asset that the tenant or the log does not have.
+    """
+    alone(connection)
+    query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
+    if (row := connection.execute(query).one_or_none()) is not None:
+        return IssuedClaim(row.id, json.loads(row.document), row.jws)
+    asset, registration, first = _registered(connection, tenant, reply["asset"])
+    claim_id, created_at = "cl_" + job.removeprefix("job_"), now()
+    document = build_document(
+        reply, claim_id=claim_id, created_at=created_at, sha256=sha256, asset=asset,
+        registered_at=registration.at if registration is not None else "", original_registered_at=first,
+        pictures=pictures,
+    )  # fmt: skip
+    document["audit"] = commit_claim(connection, tenant, document, registration)
+    payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
+    jws = sign(connection, master, payload)
+    connection.execute(
+        claims.insert().values(
+            id=claim_id, tenant=tenant, job=job, asset=document["asset"], document=payload.decode(), jws=jws,
+            pictures=canonical(dict(pictures)).decode(), created_at=created_at,
+        )
+    )  # fmt: skip
+    return IssuedClaim(claim_id, json.loads(payload), jws)
+
+
+def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
+    """Ask for a time stamp and keep it with the claim. Returns why there is none, or "" if there is one.
+
+    A claim that has a stamp keeps it. Never raises for the time-stamping service's sake.
+    """
+    with db.read() as connection:
+        query = sa.select(claims.c.timestamp).where(claims.c.id == claim.id)
+        if connection.execute(query).scalar_one() is not None:
+            return ""
+    stamped = stamp(url, claim.jws)
+    if stamped.token is None:
+        return stamped.failure
+    with db.write() as connection:
+        this = sa.and_(claims.c.id == claim.id, claims.c.timestamp.is_(None))
+        connection.execute(claims.update().where(this).values(timestamp=stamped.token))
+    return ""
+
+
+def _registered(
+    connection: sa.Connection, tenant: str, asset_id: str | None
+) -> tuple[dict[str, Any] | None, Entry | None, str]:
+    """Row of an asset, its registration in the log, and when its original was first registered by this tenant."""
+    if asset_id is None:
+        return None, None, ""
+    mine = assets.c.tenant == tenant
+    row = connection.execute(assets.select().where(mine, assets.c.id == asset_id)).one_or_none()
+    if row is None:
+        raise Problem("internal", "the verification named an asset that is not this tenant's")
+    same = mine & (assets.c.original_sha256 == row.original_sha256)
+    first = connection.execute(sa.select(sa.func.min(assets.c.registered_at)).where(same)).scalar_one()
+    return row._asdict(), registration_of(connection, asset_id), first

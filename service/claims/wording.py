@@ -1,0 +1,84 @@
+"""A claim in the words of somebody who is no engineer; honest about what it does not say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+VERDICTS = {"marked": "Mark found", "not_marked": "No mark", "inconclusive": "Undecided"}
+
+ROUTES = {
+    "model": "The suspect model's points, compared one by one with the registered original.",
+    "render": "The suspect model seen from the owner's secret viewpoints, as a picture.",
+    "image": "The pictures handed in, compared with views of the registered original.",
+}
+
+
+def odds(log10_probability: float) -> str:
+    """A bound as "1 in 10^N", rounded so that nothing is overstated."""
+    exponent = math.floor(-log10_probability + 1e-9)
+    return f"1 in 10^{exponent}" if exponent >= 1 else "no better than chance"
+
+
+def sentence(document: Mapping[str, Any]) -> str:
+    """The verdict in one sentence."""
+    what = "These pictures show" if document["subject"]["kind"] == "pictures" else "This model is"
+    it = "the pictures" if document["subject"]["kind"] == "pictures" else "the model"
+    whose = f"the copy made for “{document['copy']}”" if document["copy"] else "the registered model"
+    if document["verdict"] == "marked":
+        return f"{what} {whose}, or something made from it: its hidden mark was found."
+    if document["verdict"] == "inconclusive":
+        return f"There is too little evidence in {it} for a yes or a no."
+    if document["derived_but_unmarked"]:
+        return f"Parts of the registered model are in {it}, but not this copy's hidden mark."
+    return f"The hidden mark of {whose} is not in {it}."
+
+
+def meaning(document: Mapping[str, Any]) -> dict[str, str]:
+    """What the claim says, what it does not, how it was found, and what the record's date is good for."""
+    return {
+        "says": _says(document),
+        "does_not_say": _does_not_say(document),
+        "method": (
+            "The comparison used the owner's sealed record, which holds the unmarked original and the secret"
+            " positions of the mark; nobody can repeat it without that record and the owner's key."
+        ),
+        "record_time": _record_time(document),
+    }
+
+
+def _says(document: Mapping[str, Any]) -> str:
+    if document["verdict"] == "marked":
+        return (
+            "A secret key that had no part in making this suspect would come this far with a probability of at"
+            f" most {odds(document['log10_false_claim'])}; this is a proven bound, whatever the suspect is."
+        )
+    if document["verdict"] == "not_marked":
+        return "Had the suspect carried this copy's mark, even worn to half its strength, it would have been seen."
+    return "Neither yes nor no: more pictures, or more of the model, can decide it."
+
+
+def _does_not_say(document: Mapping[str, Any]) -> str:
+    if document["verdict"] == "marked":
+        return "It does not say who published the suspect, nor that they knew of the mark."
+    if document["verdict"] == "not_marked":
+        return "It does not say that the suspect is lawful, nor that it is free of another copy's or owner's mark."
+    return "It does not say that the suspect is clean."
+
+
+def _record_time(document: Mapping[str, Any]) -> str:
+    if document["registered_at"] is None:
+        return "No registered model was compared, so no date of registration enters."
+    logged = f"This service logged the registration at {document['registered_at'][:19]}Z"
+    if document["meets_dishonest_claimant_rate"]:
+        return (
+            f"{logged}; the bound also meets 2^-128, so it stands even against a claimant who made keys and"
+            " originals to fit, and needs no trust in that date."
+        )
+    if document["verdict"] == "marked":
+        return (
+            f"{logged}; the bound does not reach 2^-128, so the claim counts only if the suspect is known to be"
+            " younger than that date."
+        )
+    return f"{logged}; whether the suspect is older or younger is not known here."

@@ -1,0 +1,241 @@
+"""Checking the whole audit log against itself, and the rows that it commits to against the log."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import aliased
+
+from service.db import Database
+from service.db.schema import assets, audit_nodes, claims
+from service.db.schema import audit as log
+from service.trust import audit, merkle
+from service.trust.canonical import canonical
+from service.trust.commitments import (
+    ASSET_REGISTERED,
+    CLAIM_ISSUED,
+    asset_digest,
+    claim_digest,
+)
+from service.trust.signing import SignatureFault, jwks, verify
+
+MOST_FAULTS = 100
+_PAGE = 1000
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that was altered.
+
+    Parameters
+    ----------
+    index : int or None
+        Entry of the log; None for a row that no entry speaks of.
+    code : str
+        entry, chain, gap, tree, asset, claim or signature.
+    text : str
+    """
+
+    index: int | None
+    code: str
+    text: str
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """What a check of the log found.
+
+    Parameters
+    ----------
+    entries : int
+    root : str
+        Merkle root over all of them, hex; "" where the tree is broken.
+    assets, claims : int
+        Rows compared with the log.
+    faults : tuple of Fault
+        In the order of the log, the first broken entry first; at most MOST_FAULTS.
+    """
+
+    entries: int
+    root: str
+    assets: int
+    claims: int
+    faults: tuple[Fault, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was altered."""
+        return not self.faults
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self) | {"ok": self.ok}
+
+    def text(self) -> str:
+        """For people."""
+        seen = f"{self.entries} entries, {self.assets} assets, {self.claims} claims"
+        if self.ok:
+            return f"The log holds: {seen}. Root {self.root}"
+        lines = [f"THE LOG WAS ALTERED ({seen}):"]
+        for fault in self.faults:
+            where = f"entry {fault.index}" if fault.index is not None else "no entry"
+            lines.append(f"  {where}: {fault.code}: {fault.text}")
+        return "\n".join(lines)
+
+
+def verify_log(db: Database) -> LogReport:
+    """Recompute chain and tree, and compare every asset and claim with what the log says of it.
+
+    What it cannot see: a log cut short together with the rows its last entries spoke of. The root in any
+    claim handed out since shows that.
+    """
+    keys = jwks(db)
+    with db.read() as connection:
+        # Taken before the log, so that a row committed meanwhile does not seem to be one the log never heard of.
+        known = [(ASSET_REGISTERED, name) for name in connection.execute(sa.select(assets.c.id)).scalars()]
+        known += [(CLAIM_ISSUED, name) for name in connection.execute(sa.select(claims.c.id)).scalars()]
+        size = audit.size(connection)
+        faults, events = _check_chain(connection, size)
+        broken = _check_tree(connection, size)
+        faults += broken
+        root = "" if broken else audit.root(connection, size)
+        faults += _check_assets(connection, events)
+        faults += _check_claims(connection, events, keys, bool(root))
+    for event, subject in known:
+        if (event, subject) not in events:
+            faults.append(Fault(None, event.split(".")[0], f"the log does not know {subject}"))
+    faults.sort(key=lambda fault: size if fault.index is None else fault.index)
+    registered, issued = (
+        sum(event == name for event, _ in known) for name in (ASSET_REGISTERED, CLAIM_ISSUED)
+    )
+    return LogReport(size, root, registered, issued, tuple(faults[:MOST_FAULTS]))
+
+
+Events = dict[tuple[str, str], tuple[int, str]]
+"""(event, subject) -> (index, digest): what the log commits to."""
+
+
+def _check_chain(connection: sa.Connection, size: int) -> tuple[list[Fault], Events]:
+    """Every entry against its own hash and the one before it, and against its leaf of the tree."""
+    leaf = sa.and_(audit_nodes.c.level == 0, audit_nodes.c.position == log.c.index)
+    query = sa.select(log, audit_nodes.c.hash.label("leaf")).select_from(log.outerjoin(audit_nodes, leaf))
+    faults: list[Fault] = []
+    events: Events = {}
+    previous, expected = audit.NO_PREVIOUS, 0
+    for row in _all(connection, query.where(log.c.index < size), log.c.index):
+        *columns, leaf_hash = list(row)
+        index, _, _, event, subject, payload, found = columns
+        if index != expected:
+            faults.append(Fault(expected, "gap", f"entries {expected} to {index - 1} are missing"))
+        fault = _entry_fault(columns, previous)
+        if fault is None and leaf_hash != found:
+            fault = "the tree holds another hash for it"
+        if fault is not None:
+            faults.append(Fault(index, "entry", fault))
+        if event in (ASSET_REGISTERED, CLAIM_ISSUED):
+            with suppress(ValueError, AttributeError):
+                events[event, subject] = (index, str(json.loads(payload).get("digest")))
+        previous, expected = found, index + 1
+    return faults, events
+
+
+def _entry_fault(columns: list[Any], previous: str) -> str | None:
+    try:
+        entry = audit.entry_of(columns, previous)
+        if canonical(entry.payload).decode() != columns[5]:
+            return "its payload is not in canonical form"
+        return (
+            None
+            if entry.hash == columns[6]
+            else "it does not give its hash, or does not follow the one before"
+        )
+    except (ValueError, TypeError) as error:
+        return f"it cannot be read: {error}"
+
+
+def _check_tree(connection: sa.Connection, size: int) -> list[Fault]:
+    """Every inner node against the two below it; leaves were compared with the entries."""
+    upper, left, right = audit_nodes, aliased(audit_nodes), aliased(audit_nodes)
+
+    def child(side: Any, offset: int) -> sa.ColumnElement[bool]:
+        return sa.and_(side.c.level == upper.c.level - 1, side.c.position == 2 * upper.c.position + offset)
+
+    joined = upper.outerjoin(left, child(left, 0)).outerjoin(right, child(right, 1))
+    query = sa.select(upper.c.position, upper.c.hash, left.c.hash, right.c.hash).select_from(joined)
+    faults = []
+    for level in range(1, size.bit_length()):
+        expected = 0
+        here = query.where(upper.c.level == level, upper.c.position < size >> level)
+        for position, found, *below in (list(row) for row in _all(connection, here, upper.c.position)):
+            good = position == expected and None not in below
+            if not good or merkle.node_hash(*map(bytes.fromhex, below)).hex() != found:
+                last = (position + 1 << level) - 1
+                faults.append(
+                    Fault(last, "tree", f"the subtree of 2^{level} entries that ends here is not as hashed")
+                )
+            expected = position + 1
+        if expected < size >> level:
+            faults.append(
+                Fault(expected << level, "tree", f"subtrees of 2^{level} entries are missing from here")
+            )
+    return faults
+
+
+def _check_assets(connection: sa.Connection, events: Events) -> list[Fault]:
+    faults, seen = [], set()
+    for row in _all(connection, assets.select(), assets.c.id):
+        seen.add(row.id)
+        index, expected = events.get((ASSET_REGISTERED, row.id), (None, ""))
+        if index is not None and asset_digest(row._asdict()) != expected:
+            faults.append(Fault(index, "asset", f"the row of {row.id} is not the one that was registered"))
+    return faults + _missing(events, ASSET_REGISTERED, seen)
+
+
+def _check_claims(
+    connection: sa.Connection, events: Events, keys: dict[str, Any], tree_holds: bool
+) -> list[Fault]:
+    faults, seen = [], set()
+    for row in _all(connection, claims.select(), claims.c.id):
+        seen.add(row.id)
+        index, expected = events.get((CLAIM_ISSUED, row.id), (None, ""))
+        if index is None:
+            continue
+        try:
+            document = json.loads(row.document)
+            if claim_digest(document) != expected or document["claim_id"] != row.id:
+                faults.append(
+                    Fault(index, "claim", f"the document of {row.id} is not the one that was issued")
+                )
+            elif verify(row.jws, keys)[0] != row.document.encode():
+                faults.append(Fault(index, "signature", f"what is signed as {row.id} is not its document"))
+            elif tree_holds and audit.root(connection, index + 1) != document["audit"]["root"]:
+                faults.append(Fault(index, "claim", f"{row.id} was handed out with another root of this log"))
+        except SignatureFault as error:
+            faults.append(Fault(index, "signature", f"{row.id}: {error}"))
+        except (ValueError, KeyError, TypeError) as error:
+            faults.append(Fault(index, "claim", f"the document of {row.id} cannot be read: {error}"))
+    return faults + _missing(events, CLAIM_ISSUED, seen)
+
+
+def _missing(events: Events, wanted: str, seen: set[str]) -> list[Fault]:
+    """Rows that the log knows and the table does not."""
+    kind = wanted.split(".")[0]
+    return [
+        Fault(index, kind, f"the row of {subject} is gone")
+        for (event, subject), (index, _) in events.items()
+        if event == wanted and subject not in seen
+    ]
+
+
+def _all(connection: sa.Connection, query: sa.Select[Any], key: sa.Column[Any]) -> Iterator[sa.Row[Any]]:
+    """All rows in the order of a unique column, a page at a time: no long cursor, little memory."""
+    page = query.order_by(key).limit(_PAGE)
+    rows = connection.execute(page).all()
+    while rows:
+        yield from rows
+        rows = connection.execute(page.where(key > rows[-1]._mapping[key])).all()

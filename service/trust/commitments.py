@@ -1,0 +1,99 @@
+"""What the audit log commits to: the row of each asset and the document of each claim, by digest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.db.schema import assets
+from service.problems import Problem
+from service.trust import audit
+from service.trust.audit import Entry
+from service.trust.canonical import digest
+
+ASSET_REGISTERED = "asset.registered"
+CLAIM_ISSUED = "claim.issued"
+
+
+def asset_digest(row: Mapping[str, Any]) -> str:
+    """Digest of a whole row of the table `assets`.
+
+    Raises
+    ------
+    KeyError
+        If a column is missing.
+    """
+    return digest({column.name: row[column.name] for column in assets.columns})
+
+
+def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
+    """Log the registration of an asset, in the transaction that inserts its row.
+
+    Parameters
+    ----------
+    connection : Connection
+    row : mapping
+        Every column of the table `assets`.
+    """
+    payload = {
+        "digest": asset_digest(row),
+        "original_sha256": row["original_sha256"],
+        "record_id": row["record_id"],
+        "record_sha256": row["record_sha256"],
+    }
+    return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"])
+
+
+def registration_of(connection: sa.Connection, asset: str) -> Entry:
+    """The entry that logged an asset's registration.
+
+    Raises
+    ------
+    Problem
+        "internal", if there is none: the log or the table was altered.
+    """
+    entry = audit.find(connection, ASSET_REGISTERED, asset)
+    if entry is None:
+        raise Problem("internal", f"the audit log does not know the asset {asset!r}")
+    return entry
+
+
+def claim_digest(document: Mapping[str, Any]) -> str:
+    """Digest of a claim's document without its member `audit`, which is made after it."""
+    return digest({name: value for name, value in document.items() if name != "audit"})
+
+
+def commit_claim(
+    connection: sa.Connection, tenant: str, document: Mapping[str, Any], registration: Entry | None
+) -> dict[str, Any]:
+    """Log a claim, and return its member `audit`: the entry, and the proof that it is in the log.
+
+    The registration of the asset is proven under the same root, so that a reader sees which came first.
+
+    Parameters
+    ----------
+    connection : Connection
+    tenant : str
+    document : mapping
+        With the members `claim_id` and `asset`.
+    registration : Entry or None
+        Of the asset.
+    """
+    payload = {"asset": document["asset"], "digest": claim_digest(document)}
+    entry = audit.append(connection, tenant, CLAIM_ISSUED, payload, document["claim_id"])
+    size = entry.index + 1
+    return {
+        "index": entry.index,
+        "size": size,
+        "root": audit.root(connection, size),
+        "proof": audit.inclusion_proof(connection, entry.index, size),
+        "entry": entry.to_json(),
+        "registration": {
+            "entry": registration.to_json(),
+            "proof": audit.inclusion_proof(connection, registration.index, size),
+        }
+        if registration is not None
+        else None,
+    }

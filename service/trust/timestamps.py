@@ -1,0 +1,137 @@
+"""Time stamps (RFC 3161): somebody else's word that a claim's signature existed at a time."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import urllib.request
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC
+from http.client import HTTPException
+
+from cryptography import x509
+from rfc3161_client import (
+    HashAlgorithm,
+    PKIStatus,
+    TimestampRequestBuilder,
+    TimeStampResponse,
+    VerificationError,
+    VerifierBuilder,
+    decode_timestamp_response,
+)
+
+SECONDS = 10.0
+"""How long a time-stamping service may take to answer, and to send its answer."""
+MOST_BYTES = 64 * 1024
+
+
+class TimestampFault(Exception):
+    """A time stamp that was not given, or does not hold; the text says why."""
+
+
+@dataclass(frozen=True)
+class Stamped:
+    """What asking for a time stamp gave: the service's reply (DER), or why there is none."""
+
+    token: bytes | None
+    failure: str = ""
+
+
+def stamp(url: str, jws: str) -> Stamped:
+    """A time stamp of the SHA-256 of a compact JWS. Never raises: a claim stands without it.
+
+    Parameters
+    ----------
+    url : str
+        http(s) address of a time-stamping service.
+    jws : str
+    """
+    try:
+        request = TimestampRequestBuilder().data(jws.encode()).hash_algorithm(HashAlgorithm.SHA256).build()
+        reply = _ask(url, request.as_bytes())
+        response = _read(reply)
+        if response.tst_info.nonce != request.nonce:
+            raise TimestampFault("the reply answers another request")
+        _check_digest(response, jws)
+        return Stamped(reply)
+    except (TimestampFault, OSError, HTTPException, ValueError) as error:
+        return Stamped(None, f"no time stamp: {error or type(error).__name__}")
+
+
+def stamped_at(token: bytes, jws: str) -> str:
+    """The time a stamp of this JWS names, UTC, ISO 8601; who gave it is left open.
+
+    Raises
+    ------
+    TimestampFault
+        If it is no time stamp, or one of something else.
+    """
+    response = _read(token)
+    _check_digest(response, jws)
+    return response.tst_info.gen_time.replace(tzinfo=UTC).isoformat(timespec="seconds")
+
+
+def check_stamp(token: bytes, jws: str, roots: Sequence[x509.Certificate]) -> str:
+    """As `stamped_at`, for a stamp whose signer one of these certificates vouches for.
+
+    Raises
+    ------
+    TimestampFault
+    """
+    at = stamped_at(token, jws)
+    builder = VerifierBuilder()
+    for root in roots:
+        builder = builder.add_root_certificate(root)
+    response = _read(token)
+    certificates = [x509.load_der_x509_certificate(raw) for raw in response.signed_data.certificates]
+    for certificate in certificates:
+        if not _stamps_time(certificate) and certificate not in roots:
+            builder = builder.add_intermediate_certificate(certificate)
+    try:
+        builder.build().verify_message(response, jws.encode())
+    except (VerificationError, ValueError) as error:
+        raise TimestampFault(f"the time stamp's signature does not hold: {error}") from None
+    return at
+
+
+def _ask(url: str, query: bytes) -> bytes:
+    if not url.startswith(("http://", "https://")):
+        raise TimestampFault(f"{url!r} is no http address")
+    headers = {"Content-Type": "application/timestamp-query", "Accept": "application/timestamp-reply"}
+    request = urllib.request.Request(url, query, headers)
+    until = time.monotonic() + SECONDS
+    parts, total = [], 0
+    with urllib.request.urlopen(request, timeout=SECONDS) as reply:
+        while part := reply.read1(MOST_BYTES):
+            parts.append(part)
+            total += len(part)
+            if total > MOST_BYTES:
+                raise TimestampFault(f"the reply is longer than {MOST_BYTES} bytes")
+            if time.monotonic() > until:
+                raise TimestampFault(f"the reply took longer than {SECONDS:g} seconds")
+    return b"".join(parts)
+
+
+def _read(token: bytes) -> TimeStampResponse:
+    try:
+        response = decode_timestamp_response(token)
+        if response.status != PKIStatus.GRANTED:
+            raise TimestampFault(f"refused: {', '.join(response.status_string) or response.status}")
+        _ = response.tst_info, response.signed_data  # both are parsed on access
+    except ValueError as error:
+        raise TimestampFault(f"this is no time stamp: {error}") from None
+    return response
+
+
+def _check_digest(response: TimeStampResponse, jws: str) -> None:
+    if response.tst_info.message_imprint.message != hashlib.sha256(jws.encode()).digest():
+        raise TimestampFault("the time stamp is one of something else")
+
+
+def _stamps_time(certificate: x509.Certificate) -> bool:
+    try:
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except x509.ExtensionNotFound:
+        return False
+    return x509.oid.ExtendedKeyUsageOID.TIME_STAMPING in usage
