@@ -7,7 +7,6 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.clock import now
 from service.core import Service
 from service.db.schema import assets, uploads
 from service.jobs.port import Flow, Job, Run, State, Step
@@ -111,7 +110,6 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         "gaussians": row["gaussians"],
         "seconds": report["seconds"],
         "already_carries": screened.get("own", []),
-        "committed_at": now(),
     }
     return {"state": State.SUCCEEDED.value, "result": result}
 
