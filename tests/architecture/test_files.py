@@ -39,6 +39,8 @@ NOT_TEXT = {
     ".m3r",
     ".record",
 }
+VENDORED = {Path("service/web/docs/swagger-ui"), Path("service/web/viewer/supersplat")}
+"""Folders of other people's files, kept as they came; a minified bundle holds strings such as `</root>`."""
 
 
 def faults(text: str) -> list[str]:
@@ -69,7 +71,7 @@ def test_files_stay_short() -> None:
 def test_no_machine_paths_and_no_registry_hosts() -> None:
     found = {}
     for path in tracked_files():
-        if path.suffix in NOT_TEXT:
+        if path.suffix in NOT_TEXT or path.parent in VENDORED:
             continue
         try:
             text = (ROOT / path).read_text(encoding="utf-8")

@@ -1,0 +1,90 @@
+// A marked model: numbers, files, the two models in 3D, the preview.
+import { download, getBlob } from "./api.js";
+import { fact, h } from "./dom.js";
+import { problemBox } from "./problem.js";
+import { Viewer } from "./viewer.js";
+import { count, when } from "./words.js";
+
+const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog"];
+const HEAVY = 1_500_000; // Gaussians; two of those are asked for, not sent
+
+/** View of an asset: {element, heading, opened(), destroy()}. */
+export function assetView(asset, { title, carries = [], again } = {}) {
+  const name = asset.label || `${asset.original_format} model`;
+  const heading = h("h1", { tabindex: "-1" }, title ? `${title}: ${name}` : name);
+  const viewer = new Viewer(asset);
+  const preview = h("figure", { class: "preview" });
+  const { report } = asset;
+  const element = h("div", { class: "result" },
+    h("div", { class: "result-head" }, heading,
+      again ? h("button", { type: "button", class: "quiet", onclick: again }, "Mark another") : null),
+    carries.length ? h("p", { class: "hint" }, "It carried a mark of yours before. Both can be read.") : null,
+    h("dl", { class: "facts" },
+      fact("Looks the same", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
+      fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, "SSIM, worst view")),
+      fact("Gaussians", count(asset.gaussians),
+        h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
+      fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
+      fact("Copy for", asset.copy_name || "nobody in particular"),
+      fact("Registered", when(asset.registered_at))),
+    files(asset),
+    h("h2", {}, "Original and marked"), viewer.element,
+    h("h2", {}, "Preview"), preview);
+  return {
+    element,
+    heading,
+    opened: () => {
+      openViewer(viewer, asset);
+      showPreview(preview, asset);
+    },
+    destroy: () => viewer.destroy(),
+  };
+}
+
+function openViewer(viewer, asset) {
+  if (asset.gaussians <= HEAVY) {
+    viewer.load();
+    return;
+  }
+  const button = h("button", { type: "button" }, `Open ${count(2 * asset.gaussians)} Gaussians in 3D`);
+  button.addEventListener("click", () => {
+    button.remove();
+    viewer.load();
+  });
+  viewer.status.before(button);
+}
+
+function files(asset) {
+  const format = h("select", { "aria-label": "Format of the marked model" },
+    FORMATS.map((name) => h("option", { value: name }, name === asset.model_format ? `${name} (as made)` : name)));
+  format.value = asset.model_format;
+  const problem = h("div");
+  const get = (button, path, name) => async () => {
+    button.disabled = true;
+    problem.replaceChildren();
+    try {
+      await download(path(), name());
+    } catch (error) {
+      problem.replaceChildren(problemBox(error));
+    }
+    button.disabled = false;
+  };
+  const model = h("button", { type: "button", class: "primary" }, "Download the marked model");
+  const record = h("button", { type: "button" }, "Download the record");
+  const stem = `${(asset.label || asset.id).replace(/[^\w.-]+/g, "-")}-marked`;
+  model.addEventListener("click", get(model, () => `/v1/assets/${asset.id}/model?format=${format.value}`, () => `${stem}.${format.value}`));
+  record.addEventListener("click", get(record, () => `/v1/assets/${asset.id}/record`, () => `${stem}.record`));
+  return h("div", { class: "files" }, h("div", { class: "row" }, format, model, record),
+    h("p", { class: "help" }, "Publish the marked model only. Keep the original to yourself."), problem);
+}
+
+async function showPreview(figure, asset) {
+  try {
+    const url = URL.createObjectURL(await getBlob(`/v1/assets/${asset.id}/preview.png`));
+    const image = h("img", { src: url, alt: "Render of the original, of the marked model, and twenty times their difference" });
+    image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
+    figure.replaceChildren(image, h("figcaption", {}, "Original, marked, and 20 times the difference"));
+  } catch (error) {
+    figure.replaceChildren(problemBox(error));
+  }
+}

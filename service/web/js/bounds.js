@@ -1,0 +1,22 @@
+// Where a model is, read from the table of a compressed PLY: each row bounds 256 Gaussians.
+
+const quantile = (values, q) => values[Math.min(values.length - 1, Math.floor(q * values.length))];
+const sorted = (values) => Float64Array.from(values).sort();
+
+/** Robust centre and radius in the viewer's frame (y up), and whether the model is a room seen from inside. */
+export function bounds(buffer) {
+  const head = new TextDecoder("latin1").decode(new Uint8Array(buffer, 0, Math.min(buffer.byteLength, 65536)));
+  const end = head.indexOf("end_header\n") + "end_header\n".length;
+  const [, count, properties] = /element chunk (\d+)\n((?:property float \w+\n)+)/.exec(head);
+  const names = [...properties.matchAll(/property float (\w+)/g)].map((match) => match[1]);
+  const table = new DataView(buffer, end, Number(count) * names.length * 4);
+  const at = (row, name) => table.getFloat32((row * names.length + names.indexOf(name)) * 4, true);
+  const middles = ["x", "y", "z"].map((axis) =>
+    Array.from({ length: Number(count) }, (_, row) => (at(row, `min_${axis}`) + at(row, `max_${axis}`)) / 2),
+  );
+  const center = middles.map((values) => quantile(sorted(values), 0.5));
+  const distances = sorted(middles[0].map((_, row) => Math.hypot(...middles.map((v, d) => v[row] - center[d]))));
+  const radius = Math.max(quantile(distances, 0.9), 1e-6);
+  const inside = distances.filter((distance) => distance < 0.45 * radius).length / distances.length;
+  return { center: [-center[0], -center[1], center[2]], radius, isRoom: distances.length > 20 && inside < 0.03 };
+}

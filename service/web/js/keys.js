@@ -1,0 +1,60 @@
+// Owner keys: choose one, or make one and keep a copy.
+import { getJson, postJson, save } from "./api.js";
+import { $, fill, h, only } from "./dom.js";
+import { showProblem } from "./problem.js";
+
+/** List the keys; with none, the form to make one is open at once. */
+export async function listKeys() {
+  const { items } = await getJson("/v1/keys?limit=100");
+  const select = $("#mark-key");
+  const chosen = select.value;
+  fill(select, items.map((key) =>
+    h("option", { value: key.id }, key.label ? `${key.label} (${key.fingerprint.slice(0, 8)})` : key.fingerprint)));
+  if (items.some((key) => key.id === chosen)) select.value = chosen;
+  const none = items.length === 0;
+  $("#key-cancel").hidden = none;
+  showMaking(none);
+}
+
+/** Wire the buttons. */
+export function startKeys() {
+  $("#key-new").addEventListener("click", () => {
+    showMaking(true);
+    $("#key-label").focus();
+  });
+  $("#key-cancel").addEventListener("click", () => {
+    showMaking(false);
+    $("#key-new").focus();
+  });
+  $("#key-create").addEventListener("click", make);
+  $("#key-label").addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault(); // Enter here makes the key; it does not send the form around it
+    make();
+  });
+}
+
+function showMaking(making) {
+  only(making ? $("#key-make") : $("#key-choice"), $("#key-make"), $("#key-choice"));
+  $("#mark-key").disabled = making; // a required field that is hidden would block the form
+}
+
+async function make() {
+  const button = $("#key-create");
+  const label = $("#key-label");
+  button.disabled = true;
+  try {
+    const reveal = $("#key-reveal").checked;
+    const made = await postJson("/v1/keys", { label: label.value.trim(), reveal });
+    if (made.key) save(new Blob([made.key], { type: "text/plain" }), `${made.fingerprint}.key`);
+    label.value = "";
+    fill($("#key-problem"));
+    await listKeys();
+    $("#mark-key").value = made.id;
+    $("#mark-key").focus();
+  } catch (error) {
+    showProblem($("#key-problem"), error);
+  } finally {
+    button.disabled = false;
+  }
+}

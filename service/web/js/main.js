@@ -1,0 +1,87 @@
+// The page: which view is shown, by the part of the address after "#".
+import { getJson } from "./api.js";
+import { assetView } from "./asset.js";
+import { claimView } from "./claim.js";
+import { $, fill, focusOn, h } from "./dom.js";
+import { startEmbed } from "./embed.js";
+import { showLibrary } from "./library.js";
+import { showProblem } from "./problem.js";
+import { apiKey, onApiKey, setApiKey } from "./session.js";
+import { startVerify } from "./verify.js";
+
+const VIEWS = ["mark", "check", "library"];
+const TITLES = { mark: "Mark a model", check: "Check a suspect", library: "Library" };
+let item = null; // the asset shown on a page of its own, with its 3D view
+
+const embed = startEmbed();
+const verify = startVerify();
+
+async function show(moveFocus) {
+  const [view, id] = location.hash.slice(1).split("/");
+  const name = VIEWS.includes(view) || id ? view : "mark";
+  item?.destroy?.();
+  item = null;
+  const shown = apiKey() ? (id ? "view-item" : `view-${name}`) : "gate";
+  for (const section of document.querySelectorAll("main > section")) section.hidden = section.id !== shown;
+  for (const link of document.querySelectorAll(".top nav a")) {
+    const current = link.hash === `#${name}` || (id && link.hash === "#library");
+    if (current) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  document.title = `${TITLES[name] ?? "Library"} · Mark3DGS`;
+  const key = $("#key-state");
+  key.hidden = !apiKey();
+  key.textContent = "Forget API key";
+  if (shown === "gate") {
+    if (moveFocus) $("#api-key").focus();
+    return;
+  }
+  if (id) await showItem(name, id);
+  else if (name === "mark") embed.enter();
+  else if (name === "check") verify.enter();
+  else showLibrary();
+  if (moveFocus) focusOn($(`#${shown} h1`) ?? $(`#${shown} h2`) ?? $("#main"));
+}
+
+async function showItem(kind, id) {
+  const place = $("#view-item");
+  fill(place, h("p", { role: "status" }, "Loading…"));
+  try {
+    const plain = await getJson(`/v1/${kind === "claim" ? "claims" : "assets"}/${encodeURIComponent(id)}`);
+    item = kind === "claim" ? claimView(plain) : assetView(plain);
+    fill(place, h("p", { class: "crumb" }, h("a", { href: "#library" }, "← Library")), item.element);
+    item.opened?.();
+  } catch (error) {
+    showProblem(place, error);
+  }
+}
+
+function startGate() {
+  $("#gate-form").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const field = $("#api-key");
+    setApiKey(field.value.trim());
+    try {
+      await getJson("/v1/keys?limit=1");
+      field.value = "";
+      fill($("#gate-problem"));
+      show(true);
+    } catch (error) {
+      setApiKey("");
+      showProblem($("#gate-problem"), error);
+    }
+  });
+  $("#key-state").addEventListener("click", () => setApiKey(""));
+  onApiKey((key) => {
+    if (key) return;
+    embed.leave();
+    verify.leave();
+    show(true);
+  });
+}
+
+startGate();
+window.addEventListener("hashchange", () => {
+  if (location.hash !== "#main") show(true);
+});
+show(false);

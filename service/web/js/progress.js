@@ -1,0 +1,92 @@
+// One job from the first uploaded byte to its end: a bar, the steps done so far, and a way out.
+import { $, focusOn, h } from "./dom.js";
+import { cancel, follow } from "./jobs.js";
+import { upload } from "./upload.js";
+import { bytes, stageWords } from "./words.js";
+
+/** Thrown when the user cancelled. */
+export class Cancelled extends Error {}
+
+export class Progress {
+  #stop = new AbortController();
+  #job = null;
+  #began = 0;
+  #stage = null;
+
+  constructor(place, title) {
+    this.bar = h("progress", { max: "1", "aria-label": title });
+    this.now = h("p", { class: "progress-now", role: "status", "aria-live": "polite" });
+    this.side = h("span", { class: "progress-side", "aria-hidden": "true" });
+    this.done = h("ol", { class: "progress-done" });
+    this.button = h("button", { type: "button", class: "quiet", onclick: () => this.cancel() }, "Cancel");
+    const heading = h("h2", { tabindex: "-1" }, title);
+    place.replaceChildren(h("div", { class: "card progress" }, heading, this.done,
+      h("div", { class: "progress-line" }, this.now, this.side), this.bar, this.button));
+    focusOn(heading);
+  }
+
+  /** Upload files one after the other; their uploads. */
+  async upload(files) {
+    const total = files.reduce((sum, file) => sum + file.size, 0);
+    const uploads = [];
+    let before = 0;
+    for (const file of files) {
+      const tell = (sent, waiting) => {
+        this.#show(waiting ? "Connection lost. Going on as soon as it is back" : "Uploading", (before + sent) / total);
+        this.side.textContent = `${bytes(before + sent)} of ${bytes(total)}`;
+      };
+      tell(0, false);
+      uploads.push(await this.#stoppable(upload(file, tell, this.#stop.signal)));
+      before += file.size;
+    }
+    return uploads;
+  }
+
+  /** Start a job with `begin(signal)` and follow it to its end. */
+  async run(begin) {
+    this.#show("Waiting for its turn", null);
+    const job = await this.#stoppable(begin(this.#stop.signal));
+    this.#job = job.id;
+    const ended = await this.#stoppable(follow(job.id, (now) => this.#tell(now), this.#stop.signal));
+    if (ended.state === "cancelled") throw new Cancelled();
+    this.#show("Done", 1);
+    return ended;
+  }
+
+  async cancel() {
+    this.button.disabled = true;
+    this.now.textContent = "Stopping";
+    // Before there is a job, the upload is dropped; after that, the service ends the job and says so.
+    if (this.#job) await cancel(this.#job).catch(() => this.#stop.abort());
+    else this.#stop.abort();
+  }
+
+  async #stoppable(promise) {
+    try {
+      return await promise;
+    } catch (error) {
+      throw error.name === "AbortError" ? new Cancelled() : error;
+    }
+  }
+
+  #tell(job) {
+    if (job.cancelling) this.now.textContent = "Stopping";
+    else this.#show(stageWords(job.state === "queued" ? "" : job.stage), job.fraction || null);
+  }
+
+  // The words change only with the stage, so that a screen reader hears each once; the bar moves in between.
+  #show(words, fraction) {
+    if (words !== this.#stage) {
+      if (this.#stage !== null && !this.#stage.startsWith("Connection")) {
+        const seconds = (performance.now() - this.#began) / 1000;
+        this.done.append(h("li", {}, this.#stage, h("span", {}, `${seconds.toFixed(1)} s`)));
+      }
+      this.#stage = words;
+      this.#began = performance.now();
+      this.now.textContent = words;
+      this.side.textContent = "";
+    }
+    if (fraction === null) this.bar.removeAttribute("value");
+    else this.bar.value = fraction;
+  }
+}

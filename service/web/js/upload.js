@@ -1,0 +1,70 @@
+// Upload in pieces; after a broken connection it asks how far it came and goes on from there.
+import { LOST, Problem, authorization, getJson, pause, postJson, problemOf } from "./api.js";
+
+const PIECE = 32 * 2 ** 20;
+const PATIENCE = 8; // attempts without a byte of progress, about two minutes
+
+/**
+ * Bring a file to the service.
+ *
+ * @param {File} file
+ * @param {(sent: number, waiting: boolean) => void} tell  progress in bytes; waiting: the connection is down
+ * @param {AbortSignal} signal
+ * @returns {Promise<object>} the upload: id, sha256, info
+ */
+export async function upload(file, tell, signal) {
+  let slot = await postJson("/v1/uploads", { name: file.name.slice(-200), size: file.size }, { signal });
+  const path = `/v1/uploads/${slot.id}`;
+  let offset = slot.offset;
+  let failures = 0;
+  while (slot.state !== "complete") {
+    try {
+      const piece = file.slice(offset, offset + PIECE);
+      slot = await put(path, piece, offset, (sent) => tell(offset + sent, false), signal);
+      failures = slot.offset > offset ? 0 : failures + 1;
+    } catch (error) {
+      if (!passing(error) || failures >= PATIENCE) throw error;
+      failures += 1;
+      tell(offset, true);
+      await pause(Math.min(30_000, 400 * 2 ** failures), signal);
+      slot = await standing(path, slot, signal);
+    }
+    offset = slot.offset;
+  }
+  return slot;
+}
+
+/** Whether trying again can help: no connection, a gateway's answer, bytes that arrived although nobody said so. */
+const passing = (error) => error.title === LOST || error.status === 409 || error.status >= 502;
+
+async function standing(path, last, signal) {
+  try {
+    return await getJson(path, { signal });
+  } catch (error) {
+    if (passing(error)) return last;
+    throw error;
+  }
+}
+
+// XMLHttpRequest, because fetch does not say how much of a body has been sent.
+function put(path, piece, offset, tell, signal) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.open("PUT", path);
+    for (const [name, value] of Object.entries(authorization())) request.setRequestHeader(name, value);
+    request.setRequestHeader("Content-Type", "application/octet-stream");
+    request.setRequestHeader("Upload-Offset", String(offset));
+    const stop = () => request.abort();
+    signal.addEventListener("abort", stop, { once: true });
+    request.upload.onprogress = (event) => tell(event.loaded);
+    request.onloadend = () => signal.removeEventListener("abort", stop);
+    request.onabort = () => reject(new DOMException("stopped", "AbortError"));
+    request.onerror = () => reject(new Problem({ title: LOST, detail: "The upload was interrupted." }));
+    request.onload = () => {
+      if (request.status === 200) resolve(JSON.parse(request.responseText));
+      else reject(problemOf(request.responseText, request.status, request.getResponseHeader("x-request-id") ?? ""));
+    };
+    if (signal.aborted) request.onabort();
+    else request.send(piece);
+  });
+}

@@ -1,0 +1,84 @@
+// Check a suspect: the form, the job, the claim.
+import { getJson, postOnce } from "./api.js";
+import { claimView } from "./claim.js";
+import { $, fill, focusOn, h, only } from "./dom.js";
+import { dropZone } from "./drop.js";
+import { refusal } from "./embed.js";
+import { showProblem } from "./problem.js";
+import { Cancelled, Progress } from "./progress.js";
+
+const PICTURE = /\.(png|jpe?g|webp)$/i;
+
+/** Wire the view; `enter` is called when it is shown, `leave` when the API key is gone. */
+export function startVerify() {
+  const [form, intro, place, result, problem] =
+    ["form", "intro", "progress", "result", "problem"].map((name) => $(`#check-${name}`));
+  const clear = dropZone($("#check-drop"), () => fill(problem));
+  let progress = null;
+
+  const again = () => {
+    fill(result);
+    fill(place);
+    only(form, form, place, result);
+    intro.hidden = false;
+  };
+
+  const run = async (files, pictures) => {
+    const asked = { asset_id: $("#check-asset").value || null, false_claim_rate: Number($("#check-rate").value) };
+    only(place, form, place, result);
+    const running = new Progress(place, "Checking the suspect");
+    progress = running;
+    try {
+      const ids = (await running.upload(files)).map((uploaded) => uploaded.id);
+      const body = { ...asked, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) };
+      const job = await running.run((signal) => postOnce("/v1/verify", body, signal));
+      if (running !== progress) return;
+      if (job.state !== "succeeded") throw refusal(job);
+      const view = claimView(await getJson(`/v1/claims/${job.result.claim_id}`), {
+        again: () => { clear(); again(); focusOn($("#check-title")); },
+      });
+      intro.hidden = true;
+      fill(result, view.element);
+      only(result, form, place, result);
+      focusOn(view.heading);
+    } catch (error) {
+      if (running !== progress) return;
+      again();
+      if (error instanceof Cancelled) focusOn($("#check-title"));
+      else showProblem(problem, error);
+    }
+  };
+
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    fill(problem);
+    const files = [...$("#check-files").files];
+    const pictures = files.every((file) => PICTURE.test(file.name));
+    if (!pictures && files.length > 1) {
+      showProblem(problem, { title: "One suspect at a time", detail: "Choose one model, or only pictures of one scene." });
+      return;
+    }
+    run(files, pictures);
+  });
+  return {
+    enter: () => {
+      if (form.hidden) return;
+      listAssets().catch((error) => showProblem(problem, error));
+    },
+    leave: () => {
+      progress?.cancel();
+      progress = null;
+      again();
+    },
+  };
+}
+
+async function listAssets() {
+  const { items } = await getJson("/v1/assets?limit=100");
+  const select = $("#check-asset");
+  const chosen = select.value;
+  const name = (asset) => [asset.label || asset.id, asset.copy_name && `copy for ${asset.copy_name}`].filter(Boolean).join(", ");
+  fill(select, h("option", { value: "" }, "All of mine"),
+    items.map((asset) => h("option", { value: asset.id }, name(asset))));
+  if (items.some((asset) => asset.id === chosen)) select.value = chosen;
+}

@@ -1,0 +1,54 @@
+// Numbers and codes in plain words.
+
+const STAGES = {
+  "": "Waiting for its turn",
+  screen: "Looking whether it already carries a mark",
+  inspect: "Looking whether it already carries a mark",
+  compile: "Making the kernels ready",
+  read: "Reading the model",
+  look: "Looking at the model from all sides",
+  prune: "Leaving out what nobody sees",
+  quantize: "Learning the code book",
+  landmarks: "Noting landmarks, to recognise screenshots later",
+  plan: "Planning a mark that nobody sees",
+  embed: "Placing the mark",
+  refine: "Refining the mark",
+  record: "Sealing the record",
+  write: "Writing the marked model",
+  preview: "Drawing the preview",
+  "open record": "Opening the records",
+  verify: "Holding the suspect against your records",
+  register: "Finding how the suspect was moved and cut",
+  model: "Reading the mark from the model",
+  render: "Reading the mark from renders",
+  image: "Reading the mark from the pictures",
+  commit: "Writing it down",
+};
+
+/** What a stage of a job does. */
+export const stageWords = (stage) => STAGES[stage] ?? stage.charAt(0).toUpperCase() + stage.slice(1);
+
+export const VERDICTS = {
+  marked: ["Your mark is in it", "good"],
+  not_marked: ["No mark of yours in it", "plain"],
+  inconclusive: ["Too little to tell", "open"],
+};
+
+/** "1 in 10^76" of log10 of a probability, as words for the ear and the eye. */
+export function chance(log10) {
+  if (log10 === null || log10 === undefined) return "not bounded";
+  if (log10 > -1) return `${(100 * 10 ** log10).toFixed(0)} %`;
+  return `1 in 10${superscript(Math.floor(-log10))}`;
+}
+
+const superscript = (number) => String(number).replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+
+export const count = (number) => number.toLocaleString("en");
+
+export function bytes(number) {
+  const [unit, size] = number < 1e6 ? ["kB", 1e3] : number < 1e9 ? ["MB", 1e6] : ["GB", 1e9];
+  return `${(number / size).toFixed(number / size < 10 ? 1 : 0)} ${unit}`;
+}
+
+export const when = (iso) =>
+  iso ? new Date(iso).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" }) : "unknown";
