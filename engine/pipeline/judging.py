@@ -32,12 +32,17 @@ class VerifyConfig:
         "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours.
     seed : int
         Of the registration's trials.
+    tries : int, optional
+        Hypotheses (records times routes) of the whole question, where this verification is one part of it:
+        fixed before any evidence is seen, and counted in every claim. Default: those of this one record, as
+        they come.
     """
 
     false_claim_rate: float = 1e-9
     route: str = "auto"
     decoder: str = "ours"
     seed: int = 0
+    tries: int | None = None
 
     def __post_init__(self) -> None:
         if self.route not in ROUTES:
@@ -46,6 +51,8 @@ class VerifyConfig:
             raise InputError(f"decoder must be 'ours' or 'paper', got {self.decoder!r}")
         if not 0.0 < self.false_claim_rate < 1.0:
             raise InputError(f"false-claim rate must lie in (0, 1), got {self.false_claim_rate}")
+        if self.tries is not None and self.tries < 1:
+            raise InputError(f"at least one hypothesis is tried, got tries {self.tries}")
 
 
 def judge(
@@ -71,7 +78,8 @@ def judge(
             notes = (*notes, "no piece of the asset was found in the suspect model")
     claim = decide(
         evidence.y, evidence.weights, evidence.signal, spreading.bit_of, spreading.chips, opened.message,
-        tries=tries, config=ClaimConfig(false_claim_rate=config.false_claim_rate), route=route, copy=opened.copy,
+        tries=max(tries, config.tries or 1), config=ClaimConfig(false_claim_rate=config.false_claim_rate),
+        route=route, copy=opened.copy,
         derived_fraction=fraction, absence_power=absence, transform=transform, notes=notes,
     )  # fmt: skip
     if config.decoder == "paper":

@@ -91,9 +91,11 @@ class Sketch:
         if magic != _MAGIC or count > POINTS or len(data) != _PREFIX.size + count * _POINT.itemsize:
             raise FormatError("this is no sketch")
         points = np.frombuffer(data, dtype=_POINT, offset=_PREFIX.size)
-        means, looks, sizes, quats = (points[name].astype(np.float32) for name in _POINT.names or ())
+        means, looks, sizes, quats = (
+            np.asarray(points[name], dtype=np.float32) for name in _POINT.names or ()
+        )
         lengths = np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1.0)
-        return cls(means, looks, sizes, (quats / lengths).astype(np.float32))
+        return cls(means, looks, sizes, np.asarray(quats / lengths, dtype=np.float32))
 
 
 def make_sketch(model: GaussianModel) -> Sketch:
@@ -101,8 +103,8 @@ def make_sketch(model: GaussianModel) -> Sketch:
     # The faint half is what pruning takes first.
     rows = np.flatnonzero(model.opacity_logits >= np.median(model.opacity_logits))
     rows = rows[:: max(1, len(rows) // POOL)]
-    looks = invariant_features(model, rows, 0)
-    rows = rows[np.sort(by_region(model.means[rows], _rarity(looks), POINTS, REGIONS))]
+    rarity = _rarity(invariant_features(model, rows, 0))
+    rows = rows[np.sort(by_region(model.means[rows], rarity, POINTS, REGIONS))]
     looks = invariant_features(model, rows, 0).astype(np.float32)
     return Sketch(model.means[rows], looks, _sizes(model, rows), model.quats[rows])
 

@@ -1,0 +1,93 @@
+"""Task `embed`: the marked model, the record that proves it, and what people and later searches need."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from engine.cli.models import loss_note, repair_entries
+from engine.formats import encode_model
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import EmbedConfig, profile
+from engine.watermark.keys import OwnerKey
+from engine.watermark.messages import check_bits, message_signs
+from engine.watermark.sketch import make_sketch
+from service.work.inputs import load_cameras, load_model
+from service.work.pictures import draw_preview
+from service.work.process import Progress
+
+
+def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Contract: docs/SERVICE.md."""
+    began = time.perf_counter()
+    # What is cheap to refuse is refused before the model is read.
+    config = _config(request)
+    key = OwnerKey(bytes.fromhex(request["key"]))
+    message = message_signs(request["message"]) if request.get("message") is not None else None
+    bits = request.get("bits") or 32
+    check_bits(bits)
+    cameras = load_cameras(request.get("cameras"))
+    progress("read", 0.0)
+    loaded = load_model(request)
+    kind = request.get("format") or loaded.format
+    read_seconds = time.perf_counter() - began
+    made = embed(
+        loaded.model, key, original_sha256=loaded.sha256, message=message, bits=bits, config=config,
+        cameras=cameras, copy=request.get("copy") or "", registered_at=request.get("registered_at") or "",
+        progress=progress,
+    )  # fmt: skip
+    started = time.perf_counter()
+    progress("write", 0.0)
+    files = {
+        "model": f"model.{kind}",
+        "record": "model.record",
+        "preview": "preview.png",
+        "sketch": "sketch.bin",
+    }
+    record, model = made.record.to_bytes(key), encode_model(made.model, kind)
+    (folder / files["record"]).write_bytes(record)
+    (folder / files["model"]).write_bytes(model)
+    progress("picture", 0.0)
+    drawing = time.perf_counter()
+    # Of what is published: a sketch says nothing that the public does not know.
+    (folder / files["sketch"]).write_bytes(make_sketch(made.model).to_bytes())
+    draw_preview(folder / files["preview"], loaded.model, made.model)
+    ended = time.perf_counter()
+    report = made.report | {
+        "format_in": loaded.format,
+        "format_out": kind,
+        "bytes_in": loaded.source_bytes,
+        "bytes_out": len(model),
+        "record_bytes": len(record),
+        "profile": request["profile"],
+        "repairs": repair_entries(loaded.repairs),
+        "notes": loss_note(made.model, kind),
+        "seconds": ended - began,
+        "seconds_by_stage": {
+            "read": read_seconds,
+            **made.report["seconds_by_stage"],
+            "write": drawing - started,
+            "picture": ended - drawing,
+        },
+    }
+    return {
+        "report": report,
+        "record_id": made.report["record_id"],
+        "message": made.report["message"],
+        "format": kind,
+        "original_format": loaded.format,
+        "original_sha256": loaded.sha256,
+        "files": files,
+    }
+
+
+def _config(request: Mapping[str, Any]) -> EmbedConfig:
+    """Settings of the profile with what the request changes."""
+    changes = {"psnr_db": request.get("psnr"), "output": request.get("output")}
+    config = profile(request["profile"], **{name: v for name, v in changes.items() if v is not None})
+    if request.get("budget") is None:
+        return config
+    return replace(config, prune=replace(config.prune, budget_db=float(request["budget"])))

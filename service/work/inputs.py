@@ -1,0 +1,134 @@
+"""Files that a request names, read; what is wrong with them is said without saying where they lie."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from engine.cli.files import MAX_PICTURE_PIXELS, is_picture, read_picture
+from engine.errors import CameraError, FormatError, InputError
+from engine.formats import LoadedModel, read_cameras, read_model
+from engine.model import Camera, Float32
+from engine.watermark.keys import OwnerKey
+from service.problems import Problem
+
+MOST_PICTURES = 64
+MOST_PIXELS = 200_000_000
+"""Of all pictures together: 2.4 GB in memory."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A registered asset that a suspect may derive from.
+
+    Parameters
+    ----------
+    asset : str
+        Its id, handed back as it came.
+    record : Path
+    key : OwnerKey
+    sketch : Path or None
+        None where the suspect is to be registered to it in any case.
+    """
+
+    asset: str
+    record: Path
+    key: OwnerKey
+    sketch: Path | None
+
+
+def load_model(request: Mapping[str, Any]) -> LoadedModel:
+    """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
+    loaded = read_model(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    if len(loaded.model) == 0:
+        raise Problem("unreadable-model", "the model holds no Gaussians")
+    return loaded
+
+
+def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
+    """The candidates of a request, in its order."""
+    return [
+        Candidate(
+            str(plain["asset"]),
+            Path(plain["record"]),
+            OwnerKey(bytes.fromhex(plain["key"])),
+            Path(plain["sketch"]) if plain.get("sketch") else None,
+        )
+        for plain in request.get("candidates") or ()
+    ]
+
+
+def load_pictures(paths: Sequence[str]) -> list[Float32]:
+    """1 to MOST_PICTURES pictures, each (H, W, 3) float32.
+
+    Raises
+    ------
+    Problem
+        "unreadable-image" naming the picture by its number, or "invalid-request" for their number.
+    """
+    if not 1 <= len(paths) <= MOST_PICTURES:
+        raise Problem("invalid-request", f"1 to {MOST_PICTURES} pictures go together, got {len(paths)}")
+    with warnings.catch_warnings():
+        # We have a limit of our own, which refuses where this one only warns.
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        together = sum(_pixels(Path(path), number) for number, path in enumerate(paths, start=1))
+        if together > MOST_PIXELS:
+            raise Problem(
+                "unreadable-image",
+                f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}",
+            )
+        return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
+
+
+def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] | None:
+    """The cameras of a request, if it names any.
+
+    Parameters
+    ----------
+    path : str or None
+    count : int, optional
+        How many there must be: one for each picture.
+    """
+    if path is None:
+        return None
+    try:
+        cameras = read_cameras(path)
+    except (CameraError, InputError) as error:
+        raise Problem("unreadable-cameras", str(error).replace(path, "the cameras")) from None
+    if count is not None and len(cameras) != count:
+        raise Problem("unreadable-cameras", f"{count} pictures, but {len(cameras)} cameras")
+    if count is not None and max(c.width * c.height for c in cameras) > MAX_PICTURE_PIXELS:
+        raise Problem("unreadable-cameras", f"a camera has more than {MAX_PICTURE_PIXELS:,} pixels")
+    return cameras
+
+
+def _pixels(path: Path, number: int) -> int:
+    if not is_picture(path):
+        raise _unreadable(number, "is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
+    try:
+        with Image.open(path) as picture:
+            return picture.width * picture.height
+    except Image.DecompressionBombError:
+        raise _unreadable(number, "has too many pixels") from None
+    except Exception as error:  # Pillow's parsers raise whatever hostile bytes make them raise
+        raise _unreadable(number, f"cannot be read ({type(error).__name__})") from None
+
+
+def _read(path: Path, number: int) -> Float32:
+    try:
+        return read_picture(path)
+    except FormatError as error:
+        raise _unreadable(number, error.message.replace(str(path), "it")) from None
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise _unreadable(number, f"cannot be read ({type(error).__name__})") from None
+
+
+def _unreadable(number: int, what: str) -> Problem:
+    return Problem("unreadable-image", f"picture {number}: {what}")
