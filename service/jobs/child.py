@@ -84,7 +84,11 @@ class Children:
         """Have a process ready for the next task; imports and kernels are loaded while nobody waits."""
         with self._lock:
             if not self._stopped and (self._spare is None or self._spare.poll() is not None):
-                self._spare = self._start()
+                try:
+                    self._spare = self._start()
+                except OSError as error:  # the next task says so, if it is still true then
+                    _log.warning("no process could be made ready: %s", error)
+                    self._spare = None
 
     def run(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from service.clock import ago
@@ -87,7 +87,7 @@ class DurableJobs:
         """
         try:
             seen = self.presence.seen()
-            silent = self._watch.silent(seen, self._owners(), silent_seconds)
+            silent = self._watch.silent(seen, {owner for _, owner in self._pending()}, silent_seconds)
         except Exception:
             self._watch.start_over()
             raise
@@ -95,10 +95,22 @@ class DurableJobs:
         for worker in silent:
             # First the jobs, then the row: dying in between, we leave the worker to be found again. Any number of
             # others may do the same, for only jobs that are still that worker's go back to the queue.
-            self._requeue(worker)
+            self.requeue(worker, self.held(worker))
             if worker in seen:
                 self.presence.forget(worker, seen[worker])
         return silent
+
+    def held(self, worker: str) -> set[str]:
+        """Jobs that a worker has taken from the queue and not ended."""
+        return {job_id for job_id, owner in self._pending() if owner == worker}
+
+    def requeue(self, worker: str, job_ids: Collection[str]) -> None:
+        """Put jobs back in the queue, those that are still this worker's. They go on at their last finished step."""
+        # DBOS's own recovery step, which its public form offers for the executor of this process only.
+        system = self._client()._sys_db
+        for job_id in job_ids:
+            if system.reenqueue_for_recovery(job_id, [worker], dbos_setup.QUEUE):
+                _log.warning("job %s is taken over from worker %s", job_id, worker)
 
     def reconcile(self) -> None:
         """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
@@ -137,16 +149,7 @@ class DurableJobs:
         }
         self._client().enqueue(options, job_id)
 
-    def _owners(self) -> set[str]:
+    def _pending(self) -> Sequence[tuple[str, str]]:
+        """Jobs that were taken from the queue, and by whom."""
         pending = self._client().list_workflows(status="PENDING", load_input=False, load_output=False)
-        return {workflow.executor_id for workflow in pending if workflow.executor_id}
-
-    def _requeue(self, worker: str) -> None:
-        """DBOS's own recovery, but for workers other than this process."""
-        client = self._client()
-        pending = client.list_workflows(
-            status="PENDING", executor_id=worker, load_input=False, load_output=False
-        )
-        for workflow in pending:
-            if client._sys_db.reenqueue_for_recovery(workflow.workflow_id, [worker], dbos_setup.QUEUE):
-                _log.warning("job %s is taken over from worker %s", workflow.workflow_id, worker)
+        return [(workflow.workflow_id, workflow.executor_id or "") for workflow in pending]

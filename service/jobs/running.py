@@ -20,6 +20,10 @@ from service.problems import Problem
 MAX_TRIES = 8
 """So many workers may be lost at one step of a job: then it is the job that ends them."""
 
+_UNAVAILABLE = frozenset({"unavailable"})
+_OUT_OF_REACH = _UNAVAILABLE | {"storage-full"}
+"""A full disk fails the step that fills it; what the job's row must say waits for space."""
+
 _FIRST_WAIT_SECONDS, _LONGEST_WAIT_SECONDS = 0.5, 5.0
 
 _log = logging.getLogger(__name__)
@@ -40,6 +44,11 @@ class Runner:
     worker : str
     stopping : threading.Event
         Set when the worker shuts down.
+
+    Attributes
+    ----------
+    active : set of str
+        Jobs that are running here.
     """
 
     def __init__(
@@ -48,19 +57,24 @@ class Runner:
     ) -> None:  # fmt: skip
         self._jobs, self._flows, self._children = jobs, flows, children
         self._scratch, self._worker, self._stopping = scratch, worker, stopping
+        self.active: set[str] = set()
 
     def run(self, job_id: str) -> None:
         """The workflow: returns once the job's row is final. What it raises, DBOS would take for an end."""
-        attempt = self._patiently(lambda: self._jobs.rows.begin(job_id, self._worker))
-        if attempt is None:
-            return
+        self.active.add(job_id)
         try:
-            state, value = self._steps(attempt)
-        except Exception:
-            _log.exception("job %s failed", job_id)
-            state, value = State.FAILED, _internal()
-        self._patiently(lambda: self._jobs.result(job_id, state, value, attempt.number))
-        _log.info("job %s %s", job_id, state)
+            attempt = self._patiently(lambda: self._jobs.rows.begin(job_id, self._worker), _OUT_OF_REACH)
+            if attempt is None:
+                return
+            try:
+                state, value = self._steps(attempt)
+            except Exception:
+                _log.exception("job %s failed", job_id)
+                state, value = State.FAILED, _internal()
+            self._patiently(lambda: self._jobs.result(job_id, state, value, attempt.number), _OUT_OF_REACH)
+            _log.info("job %s %s", job_id, state)
+        finally:
+            self.active.discard(job_id)
 
     def _steps(self, attempt: Attempt) -> tuple[State, Mapping[str, Any]]:
         from dbos import DBOS
@@ -84,6 +98,7 @@ class Runner:
         """What is kept of a step. How it failed is kept as a value too: it would fail again."""
         try:
             kept = self._patiently(lambda: self._do(attempt, step, results))
+            self._patiently(lambda: self._jobs.rows.settled(attempt.job.id, attempt.number))
         except Cancelled:
             return {"cancelled": True}
         except Problem as problem:
@@ -101,7 +116,7 @@ class Runner:
             try:
                 return self._jobs.progress(attempt.job.id, stage or step.name, fraction, attempt.number)
             except Problem as problem:
-                if problem.kind != "unavailable":
+                if problem.kind not in _OUT_OF_REACH:
                     raise
                 return True  # nobody can see how far it is, or ask it to stop, and the work goes on
 
@@ -110,14 +125,12 @@ class Runner:
         try:
             if not go_on(step.name, 0.0):
                 raise Cancelled
-            kept = step.do(run)
-            self._jobs.rows.settled(attempt.job.id, attempt.number)
-            return kept
+            return step.do(run)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _patiently(self, call: Callable[[], T]) -> T:
-        """The result of a call, again and again while the database or the store does not answer."""
+    def _patiently(self, call: Callable[[], T], wait_out: frozenset[str] = _UNAVAILABLE) -> T:
+        """The result of a call, made again and again while the database or the store does not answer."""
         wait = _FIRST_WAIT_SECONDS
         while not self._stopping.is_set():
             try:
@@ -125,7 +138,7 @@ class Runner:
             except Stopped:
                 break
             except Problem as problem:
-                if problem.kind != "unavailable":
+                if problem.kind not in wait_out:
                     raise
                 _log.warning("waiting: %s", problem.detail)
             self._stopping.wait(wait)

@@ -62,6 +62,7 @@ class Worker:
             raise ValueError(f"no name of a worker: {self.name!r}")
         self._settings, self._jobs, self._die_with_parent = settings, jobs, die_with_parent
         self._stopping = threading.Event()
+        self._idle: set[str] = set()
         limits = Limits(settings.child_memory_bytes, settings.child_cpu_seconds, settings.child_file_bytes)
         self._children = Children(limits, command)
         scratch = _scratch(settings, self.name)
@@ -86,7 +87,7 @@ class Worker:
         """Start DBOS in this process; jobs begin to run. Those of an earlier process of our name go first."""
         from dbos import DBOS
 
-        dbos_setup.migrate(self._jobs.url)
+        self._jobs.requeue(self.name, self._jobs.held(self.name))
         DBOS(config=dbos_setup.configuration(self._jobs.url, self.name))
 
         @DBOS.workflow(name=dbos_setup.WORKFLOW, max_recovery_attempts=None)  # we count, by step
@@ -135,6 +136,10 @@ class Worker:
                 _log.warning("worker %s is silent; its jobs are taken over", silent)
                 shutil.rmtree(_scratch(self._settings, silent), ignore_errors=True)
             self._jobs.reconcile()
+            # A job taken from the queue in the moment the database went away may be ours and yet not run.
+            idle = self._jobs.held(self.name) - self._runner.active
+            self._jobs.requeue(self.name, idle & self._idle)
+            self._idle = idle
         except Exception as error:
             _log.warning("worker %s cannot watch over the others: %s", self.name, error)
 

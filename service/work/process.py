@@ -73,7 +73,7 @@ class _Lines:
         if stage == self._stage and fraction < 1 and now - self._at < SECONDS_BETWEEN_LINES:
             return
         self._stage, self._at = stage, now
-        self._out.write(json.dumps({"stage": stage, "fraction": min(max(float(fraction), 0.0), 1.0)}) + "\n")
+        self._out.write(json.dumps({"stage": stage, "fraction": min(1.0, max(0.0, float(fraction)))}) + "\n")
         self._out.flush()
 
 
