@@ -23,6 +23,7 @@ SKETCH = "sketch.bin"
 def inspect_upload(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
     """Contract: docs/SERVICE.md."""
     candidates = load_candidates(request)
+    sketch = SKETCH if request.get("sketch") is None else None  # one that was made before is not made again
     progress("read", 0.0)
     loaded = load_model(request)
     model = loaded.model
@@ -33,8 +34,9 @@ def inspect_upload(request: Mapping[str, Any], folder: Path, progress: Progress)
         progress("screen for marks", number / len(chosen))
         found = _carries(model, candidate, len(chosen))
         carries += [found] if found is not None else []
-    progress("sketch", 0.0)
-    (folder / SKETCH).write_bytes(make_sketch(model).to_bytes())
+    if sketch is not None:
+        progress("sketch", 0.0)
+        (folder / sketch).write_bytes(make_sketch(model).to_bytes())
     return {
         "sha256": loaded.sha256,
         "format": loaded.format,
@@ -42,7 +44,7 @@ def inspect_upload(request: Mapping[str, Any], folder: Path, progress: Progress)
         "gaussians": len(model),
         "sh_degree": model.sh_degree,
         "repairs": repair_entries(loaded.repairs),
-        "sketch": SKETCH,
+        "sketch": sketch,
         "alike": len(ranked),
         "screened": len(chosen),
         "carries": carries,

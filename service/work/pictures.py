@@ -34,7 +34,8 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
     # The gaps that thinning leaves are filled.
     wider = 0.5 * np.log(len(model) / len(thin))
     thin = thin.with_(log_scales=thin.log_scales + np.float32(wider))
-    rig = make_rig(model, _TRIAL_VIEWS, width, height)
+    short = min(width, height)  # a rig fits the model to the width of its pictures
+    rig = [_widened(camera, width, height) for camera in make_rig(thin, _TRIAL_VIEWS, short, short)]
     shrink = _TRIAL_SIZE / max(width, height)
     scores = []
     for camera in rig:
@@ -43,6 +44,12 @@ def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
         filled = (np.abs(image - 0.5).max(axis=2) > 0.02).mean()
         scores.append(float(filled) + float(image.std()))
     return rig[int(np.argmax(scores))]
+
+
+def _widened(camera: Camera, width: int, height: int) -> Camera:
+    K = camera.K.copy()
+    K[0, 2], K[1, 2] = width / 2, height / 2
+    return Camera(camera.viewmat, K, width, height)
 
 
 def draw_preview(path: Path, original: GaussianModel, marked: GaussianModel) -> None:
