@@ -1,10 +1,11 @@
-# make install  -> .venv with everything; make demo -> the main job on a real scene; make test -> every check.
+# make install  -> .venv with everything; make demo -> the main job on a real scene; make test -> every check;
+# make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: install demo test check clean
+.PHONY: install demo test docker-test check clean
 
 install: $(STAMP)
 
@@ -24,6 +25,10 @@ check: install
 
 test: check
 	$(BIN)/python -m pytest
+
+docker-test: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[docker-test]'
+	$(BIN)/python -m pytest -m docker -ra --durations=10 tests/docker
 
 clean:
 	rm -rf $(VENV) demo-out build *.egg-info

@@ -23,4 +23,8 @@ if [ ! -d "$NUMBA_CACHE_DIR" ]; then
   mv -T "$fresh" "$NUMBA_CACHE_DIR" 2>/dev/null || rm -rf "$fresh"  # another container was first
 fi
 
+# Large forms and files in the making go to the volume, not to memory.
+export TMPDIR="$MARK3DGS_DATA_DIR/scratch"
+mkdir -p "$TMPDIR"
+
 exec mark3dgs "$@"

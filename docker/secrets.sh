@@ -1,8 +1,8 @@
 #!/bin/sh
-# Makes the secrets of compose.scale.yaml once; a second run changes nothing. Keep a copy of the folder apart:
-# without the master key every owner key in the database is lost.
+# Makes the secrets of compose.scale.yaml, in the folder `secrets` beside it or in the one given; a second run changes
+# nothing. Keep a copy of the folder apart: without the master key every owner key in the database is lost.
 set -eu
-folder=$(dirname "$0")/secrets
+folder=${1:-$(dirname "$0")/secrets}
 mkdir -p -m 700 "$folder"
 cd "$folder"
 
