@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 VERDICTS = {"marked": "Mark found", "not_marked": "No mark", "inconclusive": "Undecided"}
 
 ROUTES = {
@@ -15,10 +17,41 @@ ROUTES = {
 }
 
 
+def power_of_ten(exponent: float) -> str:
+    """10 to a whole power, as it is written."""
+    return "10" + str(round(exponent)).translate(_SUPERSCRIPT)
+
+
 def odds(log10_probability: float) -> str:
     """A bound as "1 in 10^N", rounded so that nothing is overstated."""
     exponent = math.floor(-log10_probability + 1e-9)
-    return f"1 in 10^{exponent}" if exponent >= 1 else "no better than chance"
+    return f"1 in {power_of_ten(exponent)}" if exponent >= 1 else "1 in 1"
+
+
+def percent(share: float) -> str:
+    """A share in percent that says 100 % only of the whole."""
+    if 0.999 <= share < 1.0:
+        return "more than 99.9 %"
+    return f"{100.0 * share:.1f} %".replace(".0 %", " %")
+
+
+def facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Label and value of what a reader looks for first."""
+    message, verdict = document["message"], document["verdict"]
+    found = []
+    if verdict == "marked":
+        found.append(("Chance of a false claim", f"at most {odds(document['log10_false_claim'])}"))
+    elif verdict == "not_marked":
+        sure = percent(min(document["evidence"][0]["power"], 0.9999))
+        found.append(("A mark would have been seen", f"{sure} sure"))
+    else:
+        found.append(("What is missing", document["missing"]))
+    if message is not None and verdict != "inconclusive":
+        chance = "" if verdict == "marked" else f" (coins: {message['bits'] // 2})"
+        found.append(("Bits as registered", f"{message['matching']} of {message['bits']}{chance}"))
+    if document["derived_fraction"] is not None:
+        found.append(("Of the registered model found", percent(document["derived_fraction"])))
+    return found
 
 
 def sentence(document: Mapping[str, Any]) -> str:
@@ -73,12 +106,12 @@ def _record_time(document: Mapping[str, Any]) -> str:
     logged = f"This service logged the registration at {document['registered_at'][:19]}Z"
     if document["meets_dishonest_claimant_rate"]:
         return (
-            f"{logged}; the bound also meets 2^-128, so it stands even against a claimant who made keys and"
+            f"{logged}; the bound also meets 2⁻¹²⁸, so it stands even against a claimant who made keys and"
             " originals to fit, and needs no trust in that date."
         )
     if document["verdict"] == "marked":
         return (
-            f"{logged}; the bound does not reach 2^-128, so the claim counts only if the suspect is known to be"
+            f"{logged}; the bound does not reach 2⁻¹²⁸, so the claim counts only if the suspect is known to be"
             " younger than that date."
         )
     return f"{logged}; whether the suspect is older or younger is not known here."

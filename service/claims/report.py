@@ -1,0 +1,122 @@
+"""The report: a claim as one page to read, print and send. The same claim gives the same bytes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+
+from service.claims.drawing import bit_lines, bound_scale
+from service.claims.wording import ROUTES, VERDICTS, facts, power_of_ten, sentence
+from service.trust.timestamps import TimestampFault, stamped_at
+
+CHECKS = {
+    True: ("pass", "✓", "holds"),
+    False: ("fail", "✕", "does not hold"),
+    None: ("open", "–", "not decided"),
+}
+CHECK_NAMES = {
+    "record_intact": "Record",
+    "owner_key": "Owner's key",
+    "derived": "Same model",
+    "mark": "Mark",
+    "evidence": "Evidence",
+}
+CAPTIONS = {
+    "suspect": "The suspect.",
+    "reference": "The registered original, without the mark.",
+    "heatmap": (
+        "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says"
+        " nothing. Each patch sums many secret positions, so none can be read off."
+    ),
+}
+
+
+def report_html(
+    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None = None
+) -> str:
+    """One self-contained HTML page.
+
+    Parameters
+    ----------
+    document : mapping
+        The signed document.
+    jws : str
+        Its signature, with it.
+    pictures : mapping
+        Name -> PNG bytes, as `document["pictures"]` names them.
+    timestamp : bytes, optional
+        RFC 3161 reply about the JWS.
+    """
+    return _template().render(
+        claim=document,
+        verdict=VERDICTS[document["verdict"]],
+        sentence=sentence(document),
+        facts=facts(document),
+        message=document["message"],
+        bits=bit_lines(document["message"]) if document["message"] else None,
+        scale=bound_scale(document),
+        pictures=[
+            (name, CAPTIONS.get(name, name), base64.b64encode(pictures[name]).decode())
+            for name in (*CAPTIONS, *sorted(set(pictures) - set(CAPTIONS)))
+            if name in pictures
+        ],
+        evidence=[(ROUTES.get(one["route"], one["route"]), one) for one in document["evidence"]],
+        checks=[
+            (*CHECKS[check["ok"]], CHECK_NAMES.get(check["code"], check["code"]), check["text"])
+            for check in document["checks"]
+        ],
+        timeline=_timeline(document, jws, timestamp),
+        jws=jws,
+        timestamp=base64.b64encode(timestamp).decode() if timestamp else "",
+        plain=_pretty(document),
+    )
+
+
+def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) -> list[tuple[str, str, str]]:
+    """Time, what happened, and what proves it."""
+    log = document["audit"]
+    events = []
+    if (original := document["original"]) is not None:
+        copy = f"Copy for “{document['copy']}”" if document["copy"] else "Marked copy"
+        entry = log["registration"]["entry"]["index"] if log["registration"] else "–"
+        events += [
+            (original["registered_at"], "Original registered", f"SHA-256 {original['sha256']}"),
+            (document["registered_at"], f"{copy} made and delivered", f"audit log, entry {entry}"),
+        ]
+    events.append((document["created_at"], "This claim made and signed", f"audit log, entry {log['index']}"))
+    if timestamp is not None:
+        with suppress(TimestampFault):  # the page shows what is signed; `verify-report` names the fault
+            stamped = stamped_at(timestamp, jws)
+            events.append((stamped, "Stamped by a time-stamping service", "RFC 3161, in this page"))
+    return [(_when(at), what, proof) for at, what, proof in events]
+
+
+def _when(at: str) -> str:
+    """2026-11-03T09:14:07.123456+00:00 as a person writes it."""
+    when = datetime.fromisoformat(at)
+    return f"{when.day} {when:%B %Y}, {when:%H:%M:%S} UTC"
+
+
+def _pretty(document: Mapping[str, Any]) -> str:
+    """JSON, lists of numbers on one line."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, sort_keys=True)
+    return re.sub(r"\[[\s\d.,eE+-]+\]", lambda found: " ".join(found[0].split()), text)
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters.update(when=_when, power=power_of_ten)
+    return environment.get_template("report.html")
