@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from engine.cli.app import app, main, run
 from service.cli.admin import apikey, audit, rotate_signing_key
+from service.cli.openapi import openapi
 from service.cli.serve import serve, worker
 
 app.command("serve")(serve)
 app.command("worker")(worker)
+app.command("openapi")(openapi)
 app.add_typer(apikey, name="apikey")
 app.add_typer(audit, name="audit")
 app.command("rotate-signing-key")(rotate_signing_key)

@@ -7,36 +7,44 @@ import secrets
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from service.core import Service
 from service.http.access import Core, Embedder
 from service.http.answers import JobView, respond, submit
 from service.http.budgets import spend
 from service.http.failures import responses
-from service.http.forms import form_schema, read_form
+from service.http.forms import WHOLE, form_schema, read_form
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import open_key
-from service.uploads.taking import take, whole
+from service.uploads.taking import expect, take, whole
 
 router = APIRouter(prefix="/v1", tags=["embed"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
 
 
+_GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": "integer"}}
+
+
 class EmbedRequest(BaseModel):
     """What to mark, under which key, and how."""
 
-    model_config = ConfigDict(extra="forbid")
-    upload_id: str = Field(max_length=64, description="A complete upload: the model.")
-    key_id: str = Field(max_length=64, description="Owner key of this tenant.")
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}},
+    )
+    upload_id: str = Field(min_length=1, max_length=64, description="A complete upload: the model.")
+    key_id: str = Field(min_length=1, max_length=64, description="Owner key of this tenant.")
     message: str | None = Field(
         None,
         pattern="^([0-9a-fA-F]{2}){2,32}$",
         description="16 to 256 bits; drawn from the key if left out.",
     )
-    bits: int | None = Field(
+    bits: Annotated[int, Field(ge=16, le=256, multiple_of=8), WHOLE] | None = Field(
+        None, description="Length of a drawn message (32)."
+    )
         None, ge=16, le=256, multiple_of=8, description="Length of a drawn message (32)."
     )
     profile: Literal["fast", "balanced", "strong"] = Field("balanced", description="Speed against accuracy.")
@@ -51,7 +59,10 @@ class EmbedRequest(BaseModel):
     copy_name: str = Field("", max_length=100, description="Recipient: each copy has a mark of its own.")
     label: str = Field("", max_length=200, description="For people.")
     cameras_upload_id: str | None = Field(
-        None, max_length=64, description="cameras.json or transforms.json; views are generated if left out."
+        None,
+        min_length=1,
+        max_length=64,
+        description="cameras.json or transforms.json; views are generated if left out.",
     )
     spz_frame: Literal["auto", "rub", "rdf"] = Field("auto", description="Axes of an .spz that does not say.")
 
@@ -63,7 +74,7 @@ class EmbedRequest(BaseModel):
 
 
 FILES = {"model": ("The model.", False), "cameras": ("cameras.json or transforms.json.", False)}
-BODY = form_schema(EmbedRequest, FILES, ("upload_id", "cameras_upload_id"))
+BODY = form_schema(EmbedRequest, FILES, ("upload_id", "cameras_upload_id"), ("model", "key_id"))
 
 
 @router.post("/embed", status_code=202, operation_id="embed", openapi_extra=BODY, response_model=JobView,
@@ -109,6 +120,8 @@ def _submit(
         )
     model = whole(core, tenant, values["upload_id"])
     cameras = whole(core, tenant, values["cameras_upload_id"]) if values["cameras_upload_id"] else None
+    expect([model], "model")
+    expect([cameras] if cameras else [], "cameras")
     digests = {"model": model.sha256, "cameras": cameras.sha256 if cameras else None}
     unnamed = {name: value for name, value in values.items() if not name.endswith("upload_id")}
 

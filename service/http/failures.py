@@ -12,6 +12,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.problems import KINDS, MEDIA_TYPE, Problem
@@ -68,7 +69,10 @@ def install(app: FastAPI) -> None:
         kind = _BY_STATUS.get(
             error.status_code, "internal" if error.status_code >= 500 else "malformed-request"
         )
-        return answer(Problem(kind, str(error.detail), headers=dict(error.headers or {})), request)
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(sorted(_methods(app, request)))
+        return answer(Problem(kind, str(error.detail), headers=headers), request)
 
     def on_invalid(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
@@ -87,6 +91,15 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, on_invalid)
     app.add_exception_handler(OSError, on_bug)
     app.add_exception_handler(Exception, on_bug)
+
+
+def _methods(app: FastAPI, request: Request) -> set[str]:
+    """Methods of all routes at the request's address: the framework names those of the first only."""
+    found: set[str] = set()
+    for route in app.routes:
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
+            found |= route.methods or set()
+    return found
 
 
 def invalid(errors: list[Any]) -> Problem:

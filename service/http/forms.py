@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Request
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException
 
@@ -16,6 +16,14 @@ from service.problems import Problem
 
 T = TypeVar("T", bound=BaseModel)
 MAX_FILES, MAX_FIELDS = 66, 32
+
+
+def _whole(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+WHOLE = BeforeValidator(_whole)
+"""For whole numbers: in JSON, 2.0 is one too. It stands after the `Field` with the limits, which it hides otherwise."""
 
 
 async def read_form(
@@ -64,13 +72,16 @@ async def read_form(
             "unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}"
         )
     try:
-        return kind.model_validate(values, strict=False), found
+        return kind.model_validate(values, strict=media == "application/json"), found
     except ValidationError as error:
         raise invalid([{**entry, "loc": ("body", *entry["loc"])} for entry in error.errors()]) from None
 
 
 def form_schema(
-    kind: type[BaseModel], files: dict[str, tuple[str, bool]], without: Sequence[str]
+    kind: type[BaseModel],
+    files: dict[str, tuple[str, bool]],
+    without: Sequence[str],
+    required: Sequence[str] = (),
 ) -> dict[str, Any]:
     """OpenAPI `requestBody` for `read_form`.
 
@@ -82,11 +93,17 @@ def form_schema(
         Field -> (description, several files?).
     without : sequence of str
         Properties that a form does not need, since the files stand for them.
+    required : sequence of str
+        Fields that a form must have. Which of them go together is said for JSON only: generators of forms and of
+        clients cope badly with combined schemas of files.
     """
     schema = kind.model_json_schema()
     binary = {"type": "string", "format": "binary"}
     form = {**schema, "properties": {k: v for k, v in schema["properties"].items() if k not in without}}
-    form["required"] = [name for name in schema.get("required", []) if name not in without]
+    for rule in ("oneOf", "not", "required"):
+        form.pop(rule, None)
+    if required:
+        form["required"] = list(required)
     for name, (text, several) in files.items():
         form["properties"][name] = (
             {"type": "array", "items": binary, "maxItems": 64, "description": text}

@@ -24,11 +24,11 @@ router = APIRouter(prefix="/v1/keys", tags=["keys"])
 class NewKey(BaseModel):
     """An owner key to make, or to import."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
     label: str = Field("", max_length=200, description="For people.")
     key: str | None = Field(
-        None, min_length=64, max_length=4096,
-        description="To import: 64 or more hex digits, or the text of a key file; left out: a new key is made.",
+        None, pattern="^([0-9a-fA-F]{2}){32,1024}$", json_schema_extra={"not": {"type": "string", "pattern": r"^(..)\1+$"}},
+        description="To import: 64 or more hex digits, the last line of a key file; left out: a new key is made.",
     )  # fmt: skip
     reveal: bool = Field(False, description="Show the key in this answer, once, so that you can keep a copy.")
 
@@ -56,7 +56,7 @@ class KeyList(BaseModel):
 
 
 @router.post("", status_code=201, operation_id="createKey", responses=responses(
-    "malformed-request", "unauthorized", "forbidden", "invalid-request", "too-large"))  # fmt: skip
+    "malformed-request", "unauthorized", "forbidden", "conflict", "invalid-request", "too-large"))  # fmt: skip
 def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> MadeKey:
     """Make or import an owner key. It is sealed under the service's master key."""
     key = OwnerKey.generate() if body.key is None else owner_keys.parse_key(body.key)

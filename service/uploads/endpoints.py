@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.access import Core, Uploader
 from service.http.failures import responses
+from service.http.forms import WHOLE
 from service.problems import Problem
 from service.uploads import store
 from service.uploads.inspection import inspect
@@ -24,9 +25,11 @@ OCTETS = {"requestBody": {"required": True, "content": {"application/octet-strea
 class NewUpload(BaseModel):
     """A slot for one file."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
     name: str = Field("", max_length=200, description="For people; it never becomes a path.")
-    size: int | None = Field(None, ge=1, le=1 << 50, description="Bytes to come; needed to resume.")
+    size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
+        None, description="Bytes to come; needed to resume."
+    )
     sha256: str | None = Field(
         None, pattern="^[0-9a-f]{64}$", description="Digest to hold the bytes against."
     )
@@ -89,13 +92,13 @@ async def put_upload(
     room = (row.size or core.settings.max_upload_bytes) - row.received
     with core.blobs.new_file() as path:
         got = await receive(request.stream(), path, room)
+        if got.whole and not got.length:
+            raise Problem("invalid-request", "no bytes were sent")
         missing = row.size is not None and got.length < room
         if missing or not got.whole:
             if got.length:
                 await asyncio.to_thread(store.add_part, core, row, path, got.length)
             return shape(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
-        if row.received + got.length == 0:
-            raise Problem("invalid-request", "no bytes were sent")
         row = await asyncio.to_thread(store.complete, core, row, path, got.length, got.sha256)
     return shape(await asyncio.to_thread(inspect, core, row))
 

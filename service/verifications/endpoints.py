@@ -7,7 +7,7 @@ import secrets
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.core import Service
 from service.http.access import Core, Verifier
@@ -18,18 +18,34 @@ from service.http.forms import form_schema, read_form
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust.api_keys import Caller
-from service.uploads.taking import take, whole
+from service.uploads.taking import expect, take, whole
 from service.verifications.candidates import asset_exists, spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])
-Id = Annotated[str, Field(max_length=64)]
+Id = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+_ONE_MODEL: JsonValue = {
+    "required": ["upload_id"],
+    "properties": {
+        "upload_id": {"type": "string", "minLength": 1},
+        "image_upload_ids": {"maxItems": 0},
+        "cameras_upload_id": {"type": "null"},
+    },
+}
+_PICTURES: JsonValue = {
+    "required": ["image_upload_ids"],
+    "properties": {"upload_id": {"type": "null"}, "image_upload_ids": {"minItems": 1}},
+}
 
 
 class VerifyRequest(BaseModel):
     """What to check, and against what."""
 
-    model_config = ConfigDict(extra="forbid")
-    upload_id: str | None = Field(None, max_length=64, description="A complete upload: the suspect model.")
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [_ONE_MODEL, _PICTURES]})
+    upload_id: str | None = Field(
+        None, min_length=1, max_length=64, description="A complete upload: the suspect model."
+    )
     image_upload_ids: list[Id] = Field(
         [], max_length=64, description="Complete uploads: pictures of one suspect, read together."
     )
@@ -103,6 +119,8 @@ def _submit(
         if body.cameras_upload_id
         else [take(core, tenant, file) for file in camera_files]
     )
+    for rows, kind in ((model, "model"), (images, "picture"), (cameras, "cameras")):
+        expect(rows, kind)
     asked: dict[str, Any] = {
         "model": model[0].sha256 if model else None,
         "upload_id": model[0].id if model else None,
