@@ -39,7 +39,11 @@ NOT_TEXT = {
     ".m3r",
     ".record",
 }
-VENDORED = {Path("service/web/docs/swagger-ui"), Path("service/web/viewer/supersplat")}
+VENDORED = {
+    Path("service/web/docs/swagger-ui"),
+    Path("service/web/viewer/supersplat"),
+    Path("tests/service/web/axe"),
+}
 """Folders of other people's files, kept as they came; a minified bundle holds strings such as `</root>`."""
 
 

@@ -20,7 +20,7 @@ export function assetView(asset, { title, carries = [], again } = {}) {
       again ? h("button", { type: "button", class: "quiet", onclick: again }, "Mark another") : null),
     carries.length ? h("p", { class: "hint" }, "It carried a mark of yours before. Both can be read.") : null,
     h("dl", { class: "facts" },
-      fact("Looks the same", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
+      fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
       fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, "SSIM, worst view")),
       fact("Gaussians", count(asset.gaussians),
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
@@ -83,7 +83,7 @@ async function showPreview(figure, asset) {
     const url = URL.createObjectURL(await getBlob(`/v1/assets/${asset.id}/preview.png`));
     const image = h("img", { src: url, alt: "Render of the original, of the marked model, and twenty times their difference" });
     image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
-    figure.replaceChildren(image, h("figcaption", {}, "Original, marked, and 20 times the difference"));
+    figure.replaceChildren(image);
   } catch (error) {
     figure.replaceChildren(problemBox(error));
   }

@@ -14,7 +14,11 @@ export function bounds(buffer) {
   const middles = ["x", "y", "z"].map((axis) =>
     Array.from({ length: Number(count) }, (_, row) => (at(row, `min_${axis}`) + at(row, `max_${axis}`)) / 2),
   );
-  const center = middles.map((values) => quantile(sorted(values), 0.5));
+  const center = middles.map((values) => {
+    const [low, half, high] = [0.05, 0.5, 0.95].map((q) => quantile(sorted(values), q));
+    const middle = (low + high) / 2;
+    return Math.abs(half - middle) < 0.25 * (high - low) ? middle : half;
+  });
   const distances = sorted(middles[0].map((_, row) => Math.hypot(...middles.map((v, d) => v[row] - center[d]))));
   const radius = Math.max(quantile(distances, 0.9), 1e-6);
   const inside = distances.filter((distance) => distance < 0.45 * radius).length / distances.length;

@@ -2,7 +2,7 @@
 import { download, getBlob } from "./api.js";
 import { fact, h } from "./dom.js";
 import { problemBox } from "./problem.js";
-import { VERDICTS, chance, when } from "./words.js";
+import { VERDICTS, chance, raised, when } from "./words.js";
 import { bits, scale } from "./charts.js";
 
 const DISHONEST = Math.log10(2) * -128;
@@ -16,7 +16,7 @@ export function claimView({ document: claim }, { again } = {}) {
       h("div", { class: "result-head" }, heading,
         again ? h("button", { type: "button", class: "quiet", onclick: again }, "Check another") : null),
       h("p", {}, sentence(claim)),
-      h("p", { class: "meaning" }, claim.meaning.says)),
+      h("p", {}, raised(claim.meaning.says))),
     claim.threshold ? sureness(claim) : null,
     claim.message ? message(claim.message) : null,
     facts(claim),
@@ -44,9 +44,9 @@ function sureness(claim) {
       `, with ${claim.tries} ${claim.tries === 1 ? "try" : "tries"} counted.`),
     scale(claim.log10_false_claim, [
       [threshold, `needed: ${chance(threshold)}`],
-      ...(DISHONEST < threshold - 1 ? [[DISHONEST, "forged original: 1 in 2¹²⁸"]] : []),
+      ...(DISHONEST < threshold - 1 ? [[DISHONEST, "against forgers: 1 in 2¹²⁸"]] : []),
     ]),
-    h("p", { class: "help" }, claim.meaning.record_time));
+    h("p", { class: "help" }, raised(claim.meaning.record_time)));
 }
 
 function message(found) {
@@ -71,7 +71,7 @@ function facts(claim) {
 function check({ ok, text, code }) {
   const [sign, words] = ok === null ? ["?", "could not check"] : ok ? ["✓", "yes"] : ["✕", "no"];
   return h("li", { class: ok === null ? "open" : ok ? "yes" : "no", "data-code": code },
-    h("span", { class: "sign", role: "img", "aria-label": words }, sign), h("span", {}, text));
+    h("span", { class: "sign", role: "img", "aria-label": words }, sign), h("span", {}, raised(text)));
 }
 
 function files(claim) {

@@ -31,7 +31,7 @@ async function show(moveFocus) {
   document.title = `${TITLES[name] ?? "Library"} · Mark3DGS`;
   const key = $("#key-state");
   key.hidden = !apiKey();
-  key.textContent = "Forget API key";
+  $("#views").hidden = !apiKey();
   if (shown === "gate") {
     if (moveFocus) $("#api-key").focus();
     return;

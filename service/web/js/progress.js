@@ -4,6 +4,9 @@ import { cancel, follow } from "./jobs.js";
 import { upload } from "./upload.js";
 import { bytes, stageWords } from "./words.js";
 
+const LOST = "Connection lost. Going on as soon as it is back";
+const WORTH_SAYING = 0.2; // seconds a step takes to be listed
+
 /** Thrown when the user cancelled. */
 export class Cancelled extends Error {}
 
@@ -32,7 +35,8 @@ export class Progress {
     let before = 0;
     for (const file of files) {
       const tell = (sent, waiting) => {
-        this.#show(waiting ? "Connection lost. Going on as soon as it is back" : "Uploading", (before + sent) / total);
+        const words = waiting ? LOST : sent < file.size ? "Uploading" : "Reading the file";
+        this.#show(words, words === "Reading the file" ? null : (before + sent) / total);
         this.side.textContent = `${bytes(before + sent)} of ${bytes(total)}`;
       };
       tell(0, false);
@@ -70,15 +74,20 @@ export class Progress {
   }
 
   #tell(job) {
-    if (job.cancelling) this.now.textContent = "Stopping";
-    else this.#show(stageWords(job.state === "queued" ? "" : job.stage), job.fraction || null);
+    if (job.cancelling) {
+      this.now.textContent = "Stopping";
+      return;
+    }
+    const [words, part] = stageWords(job.state === "queued" ? "" : job.stage);
+    this.#show(words, job.fraction || null);
+    this.side.textContent = part;
   }
 
   // The words change only with the stage, so that a screen reader hears each once; the bar moves in between.
   #show(words, fraction) {
     if (words !== this.#stage) {
-      if (this.#stage !== null && !this.#stage.startsWith("Connection")) {
-        const seconds = (performance.now() - this.#began) / 1000;
+      const seconds = (performance.now() - this.#began) / 1000;
+      if (this.#stage !== null && this.#stage !== LOST && seconds > WORTH_SAYING) {
         this.done.append(h("li", {}, this.#stage, h("span", {}, `${seconds.toFixed(1)} s`)));
       }
       this.#stage = words;

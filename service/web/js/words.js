@@ -1,4 +1,5 @@
 // Numbers and codes in plain words.
+import { h } from "./dom.js";
 
 const STAGES = {
   "": "Waiting for its turn",
@@ -19,14 +20,21 @@ const STAGES = {
   "open record": "Opening the records",
   verify: "Holding the suspect against your records",
   register: "Finding how the suspect was moved and cut",
+  "find camera": "Finding where the pictures were taken from",
+  "read picture": "Reading the mark from the pictures",
+  decide: "Weighing the evidence",
   model: "Reading the mark from the model",
   render: "Reading the mark from renders",
   image: "Reading the mark from the pictures",
   commit: "Writing it down",
 };
 
-/** What a stage of a job does. */
-export const stageWords = (stage) => STAGES[stage] ?? stage.charAt(0).toUpperCase() + stage.slice(1);
+/** What a stage of a job does, and how many of how many where it says so ("record 3 of 20"). */
+export function stageWords(stage) {
+  const many = /^record (\d+ of \d+)$/.exec(stage);
+  if (many) return [STAGES.verify, many[1]];
+  return [STAGES[stage] ?? stage.charAt(0).toUpperCase() + stage.slice(1), ""];
+}
 
 export const VERDICTS = {
   marked: ["Your mark is in it", "good"],
@@ -42,6 +50,11 @@ export function chance(log10) {
 }
 
 const superscript = (number) => String(number).replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+
+/** Text with powers such as 10^-9 raised, as children of an element. */
+export function raised(text) {
+  return text.split(/\^(-?\d+(?:\.\d+)?)/).map((part, k) => (k % 2 ? h("sup", {}, part.replace("-", "−")) : part));
+}
 
 export const count = (number) => number.toLocaleString("en");
 
