@@ -45,8 +45,6 @@ class EmbedRequest(BaseModel):
     bits: Annotated[int, Field(ge=16, le=256, multiple_of=8), WHOLE] | None = Field(
         None, description="Length of a drawn message (32)."
     )
-        None, ge=16, le=256, multiple_of=8, description="Length of a drawn message (32)."
-    )
     profile: Literal["fast", "balanced", "strong"] = Field("balanced", description="Speed against accuracy.")
     psnr: float | None = Field(None, ge=20, le=90, description="Least PSNR of the mark, dB (47).")
     budget: float | None = Field(

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
@@ -21,13 +21,17 @@ from service.trust import owner_keys
 router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
 
+_ONE_BYTE: JsonValue = {"type": "string", "pattern": r"^(..)\1+$"}
+"""One byte repeated is no key."""
+
+
 class NewKey(BaseModel):
     """An owner key to make, or to import."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
     label: str = Field("", max_length=200, description="For people.")
     key: str | None = Field(
-        None, pattern="^([0-9a-fA-F]{2}){32,1024}$", json_schema_extra={"not": {"type": "string", "pattern": r"^(..)\1+$"}},
+        None, pattern="^([0-9a-fA-F]{2}){32,1024}$", json_schema_extra={"not": _ONE_BYTE},
         description="To import: 64 or more hex digits, the last line of a key file; left out: a new key is made.",
     )  # fmt: skip
     reveal: bool = Field(False, description="Show the key in this answer, once, so that you can keep a copy.")
