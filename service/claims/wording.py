@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -20,6 +21,27 @@ ROUTES = {
 def power_of_ten(exponent: float) -> str:
     """10 to a whole power, as it is written."""
     return "10" + str(round(exponent)).translate(_SUPERSCRIPT)
+
+
+def when(at: str) -> str:
+    """2026-11-03T09:14:07.123456+00:00 as a person writes it."""
+    time = datetime.fromisoformat(at)
+    return f"{time.day} {time:%B %Y}, {time:%H:%M:%S} UTC"
+
+
+def rate(probability: float) -> str:
+    """A small probability in powers of ten."""
+    digits, exponent = f"{probability:.1e}".split("e")
+    power = power_of_ten(int(exponent))
+    return power if digits == "1.0" else f"{digits} · {power}"
+
+
+def bound(log10_probability: float) -> str:
+    """A bound in words, rounded so that nothing is overstated."""
+    if log10_probability > -1:
+        share = math.ceil(100 * 10**log10_probability) / 100
+        return "1: no evidence of the mark" if share == 1 else f"{share:.2f}"
+    return power_of_ten(math.ceil(log10_probability - 1e-9))
 
 
 def odds(log10_probability: float) -> str:
@@ -43,7 +65,7 @@ def facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         found.append(("Chance of a false claim", f"at most {odds(document['log10_false_claim'])}"))
     elif verdict == "not_marked":
         sure = percent(min(document["evidence"][0]["power"], 0.9999))
-        found.append(("A mark would have been seen", f"{sure} sure"))
+        found.append(("Chance that a mark would be seen", sure))
     else:
         found.append(("What is missing", document["missing"]))
     if message is not None and verdict != "inconclusive":
@@ -56,7 +78,7 @@ def facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def sentence(document: Mapping[str, Any]) -> str:
     """The verdict in one sentence."""
-    what = "These pictures show" if document["subject"]["kind"] == "pictures" else "This model is"
+    what = "These pictures show" if document["subject"]["kind"] == "pictures" else "This model contains"
     it = "the pictures" if document["subject"]["kind"] == "pictures" else "the model"
     whose = f"the copy made for “{document['copy']}”" if document["copy"] else "the registered model"
     if document["verdict"] == "marked":
@@ -103,7 +125,7 @@ def _does_not_say(document: Mapping[str, Any]) -> str:
 def _record_time(document: Mapping[str, Any]) -> str:
     if document["registered_at"] is None:
         return "No registered model was compared, so no date of registration enters."
-    logged = f"This service logged the registration at {document['registered_at'][:19]}Z"
+    logged = f"This service logged the registration on {when(document['registered_at'])}"
     if document["meets_dishonest_claimant_rate"]:
         return (
             f"{logged}; the bound also meets 2⁻¹²⁸, so it stands even against a claimant who made keys and"

@@ -1,0 +1,272 @@
+"""Checking a claim with nothing but the service's public keys: no database, no network.
+
+1. Find the signed claim in the file.          5. The claim is under the log's root.
+2. The signature, by one of the given keys.    6. So is the asset's registration, before it.
+3. The document's form.                        7. What stands around the claim says what was signed.
+4. Its numbers follow from one another.        8. The time stamp, if there is one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from cryptography import x509
+from pydantic import ValidationError
+
+from engine.watermark.statistics import log10_false_claim_bound
+from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
+from service.claims.document import SCHEMA_VERSION, ClaimDocument
+from service.claims.report import report_html
+from service.trust.canonical import canonical
+from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
+from service.trust.merkle import check_inclusion, leaf_hash
+from service.trust.signing import SignatureFault, verify
+from service.trust.timestamps import TimestampFault, check_stamp, stamped_at
+
+
+class Status(StrEnum):
+    """What came of a check. "Could not check" is an answer of its own."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    NOT_CHECKED = "not_checked"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked.
+
+    Parameters
+    ----------
+    code : str
+        readable, signature, schema, arithmetic, log, registration, document, pictures, page or timestamp.
+    status : Status
+    text : str
+    """
+
+    code: str
+    status: Status
+    text: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a file after checking it.
+
+    Parameters
+    ----------
+    checks : tuple of Check
+        In order; after a failure that leaves nothing to go by, no more are made.
+    document : dict or None
+        What is signed; None unless the signature and the form hold.
+    signed_by : str
+        Id of the key.
+    """
+
+    checks: tuple[Check, ...]
+    document: dict[str, Any] | None = None
+    signed_by: str = ""
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing failed."""
+        return all(check.status is not Status.FAIL for check in self.checks)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"valid": self.valid, **asdict(self)}
+
+
+def verify_report(
+    data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequence[x509.Certificate] = ()
+) -> Findings:
+    """Check a signed claim, a claim as JSON, or a report.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    jwks : mapping
+        The keys that are trusted to sign claims.
+    tsa_certificates : sequence of Certificate
+        Who is trusted to vouch for a time-stamping service.
+    """
+    checks: list[Check] = []
+
+    def say(code: str, fault: str, good: str) -> bool:
+        checks.append(Check(code, Status.FAIL if fault else Status.PASS, fault or good))
+        return not fault
+
+    try:  # 1
+        carried = unpack(data)
+    except UnreadableError as error:
+        say("readable", str(error), "")
+        return Findings(tuple(checks))
+    try:  # 2
+        payload, kid = verify(carried.jws, jwks)
+    except SignatureFault as error:
+        say("signature", str(error), "")
+        return Findings(tuple(checks))
+    say("signature", "", f"Signed by the key {kid}, which is among those given.")
+    document, fault = _read(payload)  # 3
+    if not say("schema", fault, "The document has the form that this program writes.") or document is None:
+        return Findings(tuple(checks), None, kid)
+    say(
+        "arithmetic", _arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence."
+    )  # 4
+    audit = document["audit"]
+    where = f"entry {audit['index']} of the log of {audit['size']} entries"
+    say("log", _log_fault(document), f"The claim is {where}, by its inclusion proof.")  # 5
+    if document["asset"] is not None:  # 6
+        good = f"The asset was registered in the same log before, on {document['registered_at']}."
+        say("registration", _registration_fault(document), good)
+    checks += _around(data, carried, document, payload)  # 7
+    if carried.timestamp is not None:  # 8
+        checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates))
+    return Findings(tuple(checks), document, kid)
+
+
+def _read(payload: bytes) -> tuple[dict[str, Any] | None, str]:
+    """The document, or what is wrong with it."""
+    try:
+        document = strict_json(payload)
+        version = document["schema_version"]
+        if isinstance(version, int) and version > SCHEMA_VERSION:
+            return None, f"a later version of this program wrote this claim (schema {version}); use that one"
+        ClaimDocument.model_validate(document)
+        if document["audit"] is None:
+            return None, "the document does not say where it stands in the audit log"
+        return (
+            (document, "")
+            if canonical(document) == payload
+            else (None, "the document is not in canonical form")
+        )
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(str(step) for step in first["loc"])
+        return None, f"the document has another form: {place}: {first['msg']}"
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        return None, f"the document cannot be read: {error}"
+
+
+def _arithmetic_fault(document: Mapping[str, Any]) -> str:
+    stated, threshold, message = (document[name] for name in ("log10_false_claim", "threshold", "message"))
+    for one in document["evidence"]:
+        if not math.isclose(log10_false_claim_bound(one["z"], document["tries"]), stated, abs_tol=1e-6):
+            return f"a bound of 10^{stated:g} does not follow from z = {one['z']:g} and {document['tries']} tries"
+        if (one["z"] >= threshold["z"]) != (document["verdict"] == "marked"):
+            return f"the verdict does not follow from z = {one['z']:g} and the threshold {threshold['z']:g}"
+    if document["verdict"] == "marked" and not document["evidence"]:
+        return "a mark without evidence"
+    if message is not None:
+        if len(message["reliability"]) != message["bits"]:
+            return "the message does not have a reliability for each bit"
+        if not math.isclose(message["bit_accuracy"], message["matching"] / message["bits"]):
+            return "the bit accuracy is not the share of matching bits"
+    return ""
+
+
+def _log_fault(document: Mapping[str, Any]) -> str:
+    audit, entry = document["audit"], document["audit"]["entry"]
+    expected = {
+        "index": audit["index"],
+        "event": CLAIM_ISSUED,
+        "subject": document["claim_id"],
+        "payload": {"asset": document["asset"], "digest": claim_digest(document)},
+    }
+    for name, value in expected.items():
+        if entry[name] != value:
+            return f"the log's entry speaks of another claim (its {name} differs)"
+    return (
+        ""
+        if _included(entry, audit["proof"], audit)
+        else "the inclusion proof does not lead to the log's root"
+    )
+
+
+def _registration_fault(document: Mapping[str, Any]) -> str:
+    audit, found = document["audit"], document["audit"]["registration"]
+    if found is None or document["original"] is None:
+        return "the claim names an asset, but not its registration"
+    entry = found["entry"]
+    facts = {
+        "original_sha256": document["original"]["sha256"],
+        "record_id": document["record_id"],
+    }
+    same = (
+        entry["event"] == ASSET_REGISTERED
+        and entry["subject"] == document["asset"]
+        and entry["tenant"] == audit["entry"]["tenant"]
+        and entry["at"] == document["registered_at"]
+        and all(entry["payload"].get(name) == value for name, value in facts.items())
+    )
+    if not same:
+        return "the log registered another asset, or at another time"
+    if entry["index"] >= audit["index"]:
+        return "the asset was registered after the claim"
+    return (
+        ""
+        if _included(entry, found["proof"], audit)
+        else "its inclusion proof does not lead to the log's root"
+    )
+
+
+def _included(entry: Mapping[str, Any], proof: Sequence[str], audit: Mapping[str, Any]) -> bool:
+    try:
+        steps, root = [bytes.fromhex(step) for step in proof], bytes.fromhex(audit["root"])
+    except ValueError:
+        return False
+    return check_inclusion(leaf_hash(canonical(entry)), entry["index"], audit["size"], steps, root)
+
+
+def _around(data: bytes, carried: Carried, document: dict[str, Any], payload: bytes) -> list[Check]:
+    """Whether the readable part of the file says what was signed."""
+    if carried.kind == "json":
+        same = _canonical_or_none(carried.document) == payload
+        text = (
+            "The document is the one that was signed."
+            if same
+            else "the document is not the one that was signed"
+        )
+        return [Check("document", Status.PASS if same else Status.FAIL, text)]
+    if carried.kind == "jws":
+        return []
+    digests = {name: hashlib.sha256(picture).hexdigest() for name, picture in carried.pictures.items()}
+    same = digests == document["pictures"]
+    text = (
+        "The pictures are those that were signed." if same else "the pictures are not those that were signed"
+    )
+    pictures = Check("pictures", Status.PASS if same else Status.FAIL, text)
+    drawn = report_html(document, carried.jws, carried.pictures, carried.timestamp).encode()
+    if drawn == data:
+        return [pictures, Check("page", Status.PASS, "Every word on the page follows from what was signed.")]
+    ours = document["tool"]["version"]
+    text = (
+        f"the page is not the one that this program draws from the signed claim (made by version {ours}): rely on the"
+        " signed claim only"
+    )
+    return [pictures, Check("page", Status.FAIL, text)]
+
+
+def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> Check:
+    try:
+        if certificates:
+            at = check_stamp(token, jws, certificates)
+            return Check("timestamp", Status.PASS, f"Stamped on {at} by a service that was vouched for.")
+        at = stamped_at(token, jws)
+    except TimestampFault as fault:
+        return Check("timestamp", Status.FAIL, str(fault))
+    text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."
+    return Check("timestamp", Status.NOT_CHECKED, text)
+
+
+def _canonical_or_none(value: Any) -> bytes | None:
+    try:
+        return canonical(value)
+    except (ValueError, RecursionError):
+        return None
