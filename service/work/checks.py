@@ -91,7 +91,7 @@ def _mark(claim: Claim, derived: bool | None) -> Check:
             "mark",
             True,
             f"The mark is there: {claim.matching_bits} of {claim.bits} bits agree, and the chance of a false"
-            f" claim is at most 10^{claim.log10_false_claim:.1f}, all {claim.tries} tries counted.",
+            f" claim is at most 10^{claim.log10_false_claim:.1f} (tries counted: {claim.tries}).",
         )
     if claim.verdict is Verdict.INCONCLUSIVE:
         return _check("mark", None, "Neither shown nor ruled out.")

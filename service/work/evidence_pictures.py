@@ -9,7 +9,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
-from engine.numerics.similarity import transform_model
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.verification import Verification
 from engine.raster import View, prepare_view, render, sh_colors
@@ -69,12 +68,19 @@ def draw_evidence(
 
 
 def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> Float32:
-    """From the reference's camera where the suspect was registered to it, else from one of its own."""
+    """From the reference's camera where the suspect was registered to it, else from one of its own.
+
+    The camera moves, not the model: x_reference = s R x + t is seen by V as x is by the camera below, all lengths
+    divided by s.
+    """
     transform = found.claim.transform
     if transform is None:
         return render(model, choose_view(model, *SIZE))
-    moved = transform_model(model, transform["scale"], transform["rotation"], transform["translation"])
-    return render(moved, camera)
+    viewmat = camera.viewmat.copy()
+    turn = viewmat[:3, :3]
+    viewmat[:3, 3] = (turn @ transform["translation"] + viewmat[:3, 3]) / transform["scale"]
+    viewmat[:3, :3] = turn @ transform["rotation"]
+    return render(model, Camera(viewmat, camera.K, camera.width, camera.height))
 
 
 def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Bool]:

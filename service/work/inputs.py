@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,27 +109,36 @@ def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] 
 
 
 def _pixels(path: Path, number: int) -> int:
-    if not is_picture(path):
-        raise _unreadable(number, "is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
-    try:
-        with Image.open(path) as picture:
-            return picture.width * picture.height
-    except Image.DecompressionBombError:
-        raise _unreadable(number, "has too many pixels") from None
-    except Exception as error:  # Pillow's parsers raise whatever hostile bytes make them raise
-        raise _unreadable(number, f"cannot be read ({type(error).__name__})") from None
+    with _told_by_number(path, number), _opened(path, number) as picture:
+        return picture.width * picture.height
 
 
 def _read(path: Path, number: int) -> Float32:
-    try:
+    with _told_by_number(path, number):
         return read_picture(path)
-    except FormatError as error:
-        raise _unreadable(number, error.message.replace(str(path), "it")) from None
-    except MemoryError:
+
+
+def _opened(path: Path, number: int) -> Image.Image:
+    if not is_picture(path):
+        raise Problem(
+            "unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)"
+        )
+    return Image.open(path)
+
+
+@contextmanager
+def _told_by_number(path: Path, number: int) -> Iterator[None]:
+    """Pillow's parsers raise whatever hostile bytes make them raise."""
+    try:
+        yield
+    except (MemoryError, Problem):
         raise
+    except FormatError as error:
+        text = error.message.replace(str(path), "it")
+        raise Problem("unreadable-image", f"picture {number}: {text}") from None
+    except Image.DecompressionBombError:
+        raise Problem("unreadable-image", f"picture {number}: has too many pixels") from None
     except Exception as error:
-        raise _unreadable(number, f"cannot be read ({type(error).__name__})") from None
-
-
-def _unreadable(number: int, what: str) -> Problem:
-    return Problem("unreadable-image", f"picture {number}: {what}")
+        raise Problem(
+            "unreadable-image", f"picture {number}: cannot be read ({type(error).__name__})"
+        ) from None

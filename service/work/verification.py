@@ -106,7 +106,7 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
         seconds["picture"] = time.perf_counter() - started
     return reply | {
         "subject": suspect.subject,
-        "screened": len(candidates) if suspect.model is not None else 0,
+        "screened": len(candidates) if suspect.model is not None and len(candidates) > 1 else 0,
         "tried": tried,
         "seconds": time.perf_counter() - began,
         "seconds_by_stage": seconds,

@@ -129,6 +129,16 @@ def test_fine_tuning_on_clean_images_keeps_every_bit(scene: MarkedScene) -> None
     assert (claim.bit_accuracy, claim.verdict.value) == (1.0, "marked")
 
 
+def test_tries_of_the_whole_question_count_in_every_bound(scene: MarkedScene) -> None:
+    alone = verify_model(scene.marked, scene.opened).claim
+    among = verify_model(scene.marked, scene.opened, VerifyConfig(tries=200)).claim
+    assert (alone.tries, among.tries) == (1, 200)
+    assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200))
+    assert among.z_threshold > alone.z_threshold
+    with pytest.raises(InputError, match="at least one"):
+        VerifyConfig(tries=0)
+
+
 def test_bad_requests_are_refused(scene: MarkedScene) -> None:
     picture = np.zeros((64, 64, 3), np.float32)
     with pytest.raises(InputError, match="route"):

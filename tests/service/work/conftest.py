@@ -1,0 +1,80 @@
+"""One marked model, made by the task itself, and a way to ask the tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.work.tasks import TASKS
+
+DATA = Path(__file__).parents[2] / "data"
+SCENE = DATA / "plant.splat"
+FOREIGN = DATA / "train_1000.ply"
+KEY = "11" * 16 + "22" * 16
+
+Ask = Callable[..., dict[str, Any]]
+
+
+def silent(stage: str, fraction: float) -> None:
+    """Nobody looks at the progress."""
+
+
+@dataclass(frozen=True)
+class Marked:
+    """Files of one embedding, and what the task replied."""
+
+    folder: Path
+    reply: dict[str, Any]
+
+    def path(self, name: str) -> Path:
+        return self.folder / self.reply["files"][name]
+
+    def candidate(self, asset: str = "plant", **changes: str | Path) -> dict[str, Any]:
+        plain = {"asset": asset, "record": self.path("record"), "key": KEY, "sketch": self.path("sketch")}
+        return {name: str(value) for name, value in (plain | changes).items()}
+
+
+@pytest.fixture(scope="session")
+def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
+    """The shipped scene, marked with the fast profile."""
+    folder = tmp_path_factory.mktemp("marked")
+    request = {
+        "model": str(SCENE), "key": KEY, "message": "c0ffee42", "bits": None, "profile": "fast", "psnr": None,
+        "budget": None, "output": None, "format": "ply", "copy": "acme", "cameras": None, "spz_frame": "auto",
+        "registered_at": "2026-01-02T03:04:05+00:00",
+    }  # fmt: skip
+    return Marked(folder, TASKS["embed"](request, folder, silent))
+
+
+@pytest.fixture
+def verify(marked: Marked, tmp_path: Path) -> Ask:
+    """Ask the task `verify`; what is not said is the usual."""
+
+    def ask(**request: Any) -> dict[str, Any]:
+        usual = {
+            "model": None, "images": [], "cameras": None, "spz_frame": "auto", "false_claim_rate": 1e-9,
+            "route": "auto", "candidates": [marked.candidate()], "stop_at_first": True,
+        }  # fmt: skip
+        return TASKS["verify"](usual | request, tmp_path, silent)
+
+    return ask
+
+
+@pytest.fixture
+def inspect(tmp_path: Path) -> Ask:
+    """Ask the task `inspect`."""
+
+    def ask(model: Path, **request: Any) -> dict[str, Any]:
+        usual = {"model": str(model), "spz_frame": "auto", "candidates": [], "limit": 8}
+        return TASKS["inspect"](usual | request, tmp_path, silent)
+
+    return ask
+
+
+def checks(reply: dict[str, Any]) -> dict[str, bool | None]:
+    """The outcome of each check."""
+    return {check["code"]: check["ok"] for check in reply["checks"]}

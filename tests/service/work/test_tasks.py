@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.errors import CapacityError, FormatError, InputError
+from engine.formats import read_model, write_model
+from engine.pipeline.sealing import open_record
+from engine.sim.attacks import model_attack
+from engine.watermark.keys import OwnerKey
+from engine.watermark.sketch import Sketch, SuspectIndex, make_sketch
+from service.work.embedding import embed_mark
+from service.work.pictures import choose_view
+from service.work.tasks import TASKS
+from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, silent
+
+EMBED: dict[str, Any] = {
+    "model": str(FOREIGN), "key": KEY, "message": None, "bits": 16, "profile": "fast", "psnr": 30.0,
+    "budget": None, "output": None, "format": None, "copy": "", "cameras": None, "spz_frame": "auto",
+    "registered_at": "",
+}  # fmt: skip
+
+
+def test_importing_the_tasks_is_cheap_and_preloading_needs_no_torch() -> None:
+    code = (
+        "import sys, service.work.tasks as t; assert 'numpy' not in sys.modules;"
+        "import service.work.verification, service.work.embedding, service.work.inspection;"
+        "assert 'torch' not in sys.modules and 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
+    reply = marked.reply
+    json.dumps(reply)
+    assert (reply["message"], reply["format"], reply["original_format"]) == ("c0ffee42", "ply", "splat")
+    assert reply["report"]["psnr_worst_view"] > 46.9
+    assert reply["report"]["bytes_out"] == marked.path("model").stat().st_size
+    model, original = read_model(marked.path("model")).model, read_model(SCENE).model
+    assert (model.sh[:, 0] != original.sh[:, 0]).any(axis=1).mean() > 0.99
+    opened = open_record(marked.path("record").read_bytes(), OwnerKey(bytes.fromhex(KEY)))
+    assert (opened.copy, opened.header.record_id) == ("acme", reply["record_id"])
+    # The sketch is that of the published model: it tells nothing of the original.
+    assert marked.path("sketch").read_bytes() == make_sketch(model).to_bytes()
+
+
+def test_preview_shows_original_marked_and_difference(marked: Marked) -> None:
+    with Image.open(marked.path("preview")) as picture:
+        assert picture.width <= 1200
+        levels = np.asarray(picture.convert("RGB"), dtype=np.int32)[24:]
+    width = (levels.shape[1] - 12) // 3
+    original, marked_, change = (levels[:, k * (width + 6) :][:, :width] for k in range(3))
+    assert original.std() > 30  # something is to be seen
+    assert 0 < np.abs(original - marked_).mean() < 2
+    expected = np.clip(127.5 + 20 * (marked_ - original), 0, 255)
+    # Within what rounding to 8 bits twice leaves, twenty times enlarged.
+    assert np.abs(change - expected).max() <= 21
+
+
+def test_the_view_shows_the_whole_model_and_needs_no_key(marked: Marked) -> None:
+    original = read_model(SCENE).model
+    camera, same = choose_view(original, 640, 480), choose_view(original, 640, 480)
+    np.testing.assert_array_equal(camera.viewmat, same.viewmat)
+    x = original.means[::50] @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    pixel = x @ camera.K.T
+    at = pixel[:, :2] / pixel[:, 2:]
+    inside = (x[:, 2] > 0) & (at > 0).all(axis=1) & (at < [640, 480]).all(axis=1)
+    assert inside.mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"bits": 256, "psnr": 60.0}, CapacityError), ({"bits": 17}, InputError), ({"message": "zz"}, InputError),
+        ({"profile": "best"}, InputError), ({"psnr": 5.0}, InputError), ({"budget": 200.0}, InputError),
+        ({"output": "tiny"}, InputError), ({"model": __file__}, FormatError),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_embed_refuses_and_leaves_nothing(
+    tmp_path: Path, changes: dict[str, Any], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        embed_mark(EMBED | changes, tmp_path, silent)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_convert_writes_every_format(marked: Marked, tmp_path: Path) -> None:
+    for kind in ("splat", "sog"):
+        request = {"model": str(marked.path("model")), "format": kind}
+        reply = TASKS["convert"](request, tmp_path, silent)
+        loaded = read_model(tmp_path / reply["files"]["model"])
+        assert (loaded.format, len(loaded.model)) == (kind, marked.reply["report"]["gaussians_out"])
+
+
+def test_inspect_says_what_an_upload_is(inspect: Ask, tmp_path: Path) -> None:
+    reply = inspect(FOREIGN)
+    assert (reply["format"], reply["gaussians"], reply["sh_degree"]) == ("ply", 1000, 3)
+    assert (reply["bytes"], reply["sha256"]) == (FOREIGN.stat().st_size, read_model(FOREIGN).sha256)
+    assert (reply["carries"], reply["screened"]) == ([], 0)
+    sketch = Sketch.from_bytes((tmp_path / reply["sketch"]).read_bytes())
+    assert SuspectIndex(read_model(FOREIGN).model).resemblance(sketch) > 100
+    assert inspect(FOREIGN, sketch=str(tmp_path / reply["sketch"]))["sketch"] is None
+
+
+def test_inspect_finds_a_registered_mark_and_only_that(inspect: Ask, marked: Marked, tmp_path: Path) -> None:
+    stolen = tmp_path / "stolen.spz"
+    piece = model_attack("crop").apply(read_model(marked.path("model")).model, 0.3, rng=1)
+    write_model(model_attack("similarity").apply(piece, 3.0, rng=1), stolen)
+    candidates = [
+        marked.candidate("broken", record=FOREIGN),
+        marked.candidate("strange", key="33" * 16 + "44" * 16),
+        marked.candidate("mine"),
+    ]
+    reply = inspect(stolen, candidates=candidates)
+    assert [each["asset"] for each in reply["carries"]] == ["mine"]
+    assert (reply["alike"], reply["screened"]) == (3, 3)
+    assert reply["carries"][0]["log10_false_claim"] < -100
+    assert inspect(stolen, candidates=candidates, limit=2)["screened"] == 2
+    assert inspect(SCENE, candidates=candidates)["carries"] == []  # the original itself carries none
+    assert (
+        inspect(FOREIGN, candidates=candidates)["screened"] == 0
+    )  # and a foreign model costs no registration

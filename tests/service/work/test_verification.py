@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.cli.files import write_picture
+from engine.formats import read_model, write_model
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import verify_model
+from engine.raster import render
+from engine.sim.attacks import model_attack
+from engine.watermark.keys import OwnerKey
+from engine.watermark.sketch import make_sketch
+from service.problems import Problem
+from service.work.evidence_pictures import CELL_CODES, cell_scores
+from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, checks
+
+FIVE = ["record_intact", "owner_key", "derived", "mark", "evidence"]
+
+
+def test_a_marked_model_is_told_with_pictures(verify: Ask, marked: Marked, tmp_path: Path) -> None:
+    reply = verify(model=str(marked.path("model")))
+    claim = reply["claim"]
+    assert reply["asset"] == "plant"
+    assert (claim["verdict"], claim["message"], claim["copy"]) == ("marked", "c0ffee42", "acme")
+    assert reply["registered_message"] == "c0ffee42"
+    assert reply["record"]["record_id"] == marked.reply["record_id"]
+    assert reply["record"]["registered_at"] == "2026-01-02T03:04:05+00:00"
+    assert reply["subject"] == {"format": "ply", "gaussians": len(read_model(SCENE).model), "pictures": 0}
+    assert [check["code"] for check in reply["checks"]] == FIVE
+    assert set(checks(reply).values()) == {True}
+    assert set(reply["files"]) == {"heatmap", "suspect", "reference"}
+    for name in reply["files"].values():
+        with Image.open(tmp_path / name) as picture:
+            assert max(picture.size) <= 800
+            assert picture.size[0] == 640
+
+
+def test_derived_but_unmarked(verify: Ask) -> None:
+    reply = verify(model=str(SCENE))
+    assert reply["claim"]["verdict"] == "not_marked"
+    assert reply["claim"]["derived_but_unmarked"]
+    assert checks(reply) == dict(zip(FIVE, [True, True, True, False, True], strict=True))
+
+
+def test_not_derived(verify: Ask) -> None:
+    reply = verify(model=str(FOREIGN))
+    assert reply["claim"]["verdict"] == "not_marked"
+    assert checks(reply) == dict(zip(FIVE, [True, True, False, False, True], strict=True))
+
+
+def test_tampered_record(verify: Ask, marked: Marked, tmp_path: Path) -> None:
+    data = bytearray(marked.path("record").read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "altered.record").write_bytes(data)
+    candidates = [marked.candidate(record=tmp_path / "altered.record")]
+    reply = verify(model=str(marked.path("model")), candidates=candidates)
+    assert (reply["asset"], reply["claim"], reply["record"], reply["files"]) == ("plant", None, None, {})
+    assert checks(reply) == dict(zip(FIVE, [False, None, None, None, None], strict=True))
+    assert reply["tried"][0]["verdict"] == "could_not_check"
+
+
+def test_wrong_key(verify: Ask, marked: Marked) -> None:
+    reply = verify(model=str(marked.path("model")), candidates=[marked.candidate(key="33" * 16 + "44" * 16)])
+    assert reply["claim"] is None
+    assert checks(reply) == dict(zip(FIVE, [True, False, None, None, None], strict=True))
+
+
+def test_too_little_evidence(verify: Ask, marked: Marked, tmp_path: Path) -> None:
+    scrap = read_model(marked.path("model")).model.take(np.arange(20_000, 20_090))
+    write_model(scrap, tmp_path / "scrap.ply")
+    reply = verify(model=str(tmp_path / "scrap.ply"), false_claim_rate=1e-300)
+    assert reply["claim"]["verdict"] == "inconclusive"
+    assert checks(reply)["evidence"] is False
+    assert "as much evidence" in reply["checks"][-1]["text"]
+
+
+def test_the_right_one_of_several_and_all_tries_count(verify: Ask, marked: Marked, tmp_path: Path) -> None:
+    """Two records resemble the suspect, two routes each; the foreign one and the broken one cost no try of theirs."""
+    suspect = tmp_path / "suspect.ply"
+    moved = model_attack("similarity").apply(read_model(marked.path("model")).model, 3.0, rng=1)
+    write_model(model_attack("crop").apply(moved, 0.3, rng=2), suspect)
+    alone = verify(model=str(suspect))
+    foreign_sketch = tmp_path / "foreign.sketch"
+    foreign_sketch.write_bytes(make_sketch(read_model(FOREIGN).model).to_bytes())
+    candidates = [
+        marked.candidate("foreign", sketch=foreign_sketch),
+        marked.candidate("stolen", key="33" * 16 + "44" * 16),
+        marked.candidate("mine"),
+    ]
+    reply = verify(model=str(suspect), candidates=candidates)
+    assert reply["asset"] == "mine"
+    assert [each["asset"] for each in reply["tried"]] == ["stolen", "mine"]
+    assert (alone["tries"], reply["tries"], reply["claim"]["tries"]) == (2, 4, 4)
+    worse = reply["claim"]["log10_false_claim"] - alone["claim"]["log10_false_claim"]
+    assert worse == pytest.approx(math.log10(2), abs=1e-6)
+    assert reply["screened"] == 3
+
+
+def test_stopping_at_the_first_is_a_choice(verify: Ask, marked: Marked) -> None:
+    candidates = [marked.candidate("one"), marked.candidate("two")]
+    model = str(marked.path("model"))
+    soon = verify(model=model, candidates=candidates, route="model")
+    late = verify(model=model, candidates=candidates, route="model", stop_at_first=False)
+    assert [each["asset"] for each in soon["tried"]] == ["one"]
+    assert [each["asset"] for each in late["tried"]] == ["one", "two"]
+    assert (
+        soon["claim"]["tries"] == late["claim"]["tries"] == 2
+    )  # the bar was set before either was looked at
+
+
+def test_without_candidates_there_is_nothing_to_say(verify: Ask) -> None:
+    reply = verify(model=str(FOREIGN), candidates=[])
+    assert (reply["asset"], reply["claim"], reply["tries"]) == (None, None, 0)
+    assert checks(reply) == {"evidence": False}
+
+
+def test_a_screenshot_from_an_unknown_camera(verify: Ask, marked: Marked, tmp_path: Path) -> None:
+    model = read_model(marked.path("model")).model
+    camera = make_rig(model, 1, 900, 640, jitter=np.random.default_rng(3).random((1, 4)))[0]
+    shot = tmp_path / "shot.jpg"
+    write_picture(np.clip(render(model, camera), 0, 1), shot, shot, 85)
+    reply = verify(images=[str(shot)])
+    assert reply["claim"]["verdict"] == "marked"
+    assert reply["subject"] == {"format": "pictures", "gaussians": None, "pictures": 1}
+    assert set(checks(reply).values()) == {True}
+    with Image.open(tmp_path / reply["files"]["suspect"]) as picture:
+        assert picture.size == (800, 569)
+
+
+def test_a_picture_of_something_else(verify: Ask, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "noise.png")
+    reply = verify(images=[str(tmp_path / "noise.png")])
+    assert reply["claim"]["verdict"] == "inconclusive"
+    assert checks(reply) == dict(zip(FIVE, [True, True, None, None, False], strict=True))
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_a_suspect_is_a_model_or_pictures(verify: Ask, both: bool) -> None:
+    with pytest.raises(Problem, match="one model, or pictures") as caught:
+        verify(model=str(SCENE) if both else None, images=[str(SCENE)] if both else [])
+    assert caught.value.kind == "invalid-request"
+
+
+def test_the_map_shows_the_mark_but_no_secret_sign(marked: Marked) -> None:
+    opened = open_record(marked.path("record").read_bytes(), OwnerKey(bytes.fromhex(KEY)))
+    found = verify_model(read_model(marked.path("model")).model, opened)
+    z, seen = cell_scores(opened, found)
+    cells = np.unique(z)
+    assert seen.all()
+    assert cells.min() > 3
+    # Each value sums over many code vectors, of each of which it would take the one sign.
+    assert len(cells) <= opened.layout.codes[0] // CELL_CODES
+    for value in cells:
+        assert len(np.unique(opened.layout.labels[0][z == value])) >= CELL_CODES
+    unmarked, _ = cell_scores(opened, verify_model(read_model(SCENE).model, opened))
+    assert np.abs(unmarked).max() < 5
+    assert np.unique(unmarked).std() == pytest.approx(1.0, abs=0.5)
