@@ -110,7 +110,7 @@ class Workshop:
         lines = [line.split(" ", 1) for line in self.marks.read_text().splitlines()]
         return [line for owner, line in lines if owner == job_id]
 
-    def wait(self, true: Callable[[], Any], seconds: float = 20) -> None:
+    def wait(self, true: Callable[[], Any], seconds: float = 30) -> None:
         deadline = time.monotonic() + seconds
         while not true():
             if time.monotonic() > deadline:
