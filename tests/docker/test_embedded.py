@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,14 +78,20 @@ def test_the_port_is_published_on_the_loopback_only(stack: Stack, container: str
     assert ports == {"8000/tcp": [{"HostIp": "127.0.0.1", "HostPort": str(stack.port)}]}
 
 
-def test_a_mark_made_is_found_and_an_unmarked_model_is_not(client: Client, asset: str, plant: bytes) -> None:
+def test_a_mark_made_is_found_and_an_unmarked_model_is_not(
+    client: Client, asset: str, plant: bytes, tmp_path: Path
+) -> None:
     marked = client.get(f"/v1/assets/{asset}/model").content
+    keys = tmp_path / "jwks.json"
+    keys.write_bytes(client.get("/.well-known/jwks.json").content)
     for suspect, verdict in ((marked, "marked"), (plant, "not_marked")):
         job = client.end(client.start("verify", suspect, asset_id=asset))
         assert job["state"] == "succeeded", job
-        claim = client.get(f"/v1/claims/{job['result']['claim_id']}")
-        assert claim.status_code == 200, claim.text
-        assert claim.json()["verdict"] == verdict
+        claim = client.get(f"/v1/claims/{job['result']['claim_id']}").json()
+        assert claim["document"]["verdict"] == verdict
+        signed = tmp_path / f"{verdict}.jws"
+        signed.write_text(claim["jws"])
+        run(sys.executable, "-m", "service.cli", "verify-report", signed, "--jwks", keys)
 
 
 def test_kernels_come_from_the_image(client: Client, container: str, asset: str, plant: bytes) -> None:
