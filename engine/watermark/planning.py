@@ -188,7 +188,7 @@ def check_capacity(wanted: int, capacity: int) -> None:
     if wanted > capacity:
         raise CapacityError(
             f"this scene carries {capacity} bits at the asked fidelity, {wanted} were asked for; "
-            "ask for fewer bits or a lower --psnr",
+            "ask for fewer bits or a lower PSNR",
             wanted=wanted,
             capacity=capacity,
         )

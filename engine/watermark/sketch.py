@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Float32, Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_section
 from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import quaternion_product
@@ -42,6 +42,13 @@ REGIONS = 8
 """Regions along each axis: a small piece of the model holds its share of the sketch."""
 MOST_PAIRS = 512
 """Partners asked for agreement, the least ambiguous ones; the time grows with the square."""
+
+CROWD = 256
+"""Gaussians of one look that a suspect is searched by."""
+
+_BUCKETS = 1 << 20
+_MIX = np.array([73856093, 19349663, 83492791, 49979687, 67867979, 32452843], dtype=np.int32)
+"""Looks are told apart by a hash; two looks in one bucket count as one."""
 
 _ERRORS = np.array([0.08, 0.08, 0.2, 0.12, 0.12, 0.12], dtype=np.float32)
 """Expected errors of the looks, which a derivative's may differ by: rounding, noise, a mark, a slight tint."""
@@ -119,9 +126,10 @@ class SuspectIndex:
 
     def __init__(self, model: GaussianModel) -> None:
         self.model = model
-        looks = invariant_features(model, slice(None), 0).astype(np.float32)
+        looks = invariant_features(model, slice(None), 0).astype(np.float32) / _ERRORS
+        self._rows = _uncrowded(looks)
         self._grid = WhitenedGrid(
-            looks / _ERRORS, _no_turn(len(model)), quat_weight=0.0, hard=len(_ERRORS), soft_cap=0.0
+            looks[self._rows], _no_turn(len(self._rows)), quat_weight=0.0, hard=len(_ERRORS), soft_cap=0.0
         )
 
     def resemblance(self, sketch: Sketch) -> int:
@@ -137,7 +145,7 @@ class SuspectIndex:
         if len(found) < 2:
             return 0
         mine = found[np.argsort(-near.probability[found], kind="stable")[:MOST_PAIRS]]
-        theirs = near.index[mine].astype(np.int64)
+        theirs = self._rows[near.index[mine]]
         conjugate = self.model.quats[theirs].astype(np.float64) * np.array([1, -1, -1, -1])
         with parallel_section():
             degrees = degrees_of_agreement(
@@ -148,6 +156,24 @@ class SuspectIndex:
                 LOOSE.size, LOOSE.edge, math.cos(LOOSE.angle / 2), math.cos(LOOSE.angle),
             )  # fmt: skip
         return int(degrees.max())
+
+
+def _uncrowded(points: Float32) -> Int64:
+    """Indices, ascending, of at most CROWD points of one look.
+
+    Where thousands look the same, a partner tells nothing, and looking for it takes all the time there is.
+    """
+    steps = np.floor(np.float32(0.5) * points).astype(np.int32)
+    bucket = (steps * _MIX).sum(axis=1, dtype=np.int32) & (_BUCKETS - 1)
+    crowded = np.bincount(bucket, minlength=_BUCKETS) > CROWD
+    if not crowded.any():
+        return np.arange(len(points))
+    kept = ~crowded[bucket]
+    rows = np.flatnonzero(~kept)
+    rows = rows[np.argsort(bucket[rows], kind="stable")]
+    _, starts, counts = np.unique(bucket[rows], return_index=True, return_counts=True)
+    kept[rows[np.arange(len(rows)) - np.repeat(starts, counts) < CROWD]] = True
+    return np.flatnonzero(kept)
 
 
 def _sizes(model: GaussianModel, rows: npt.NDArray[np.int64]) -> Float32:

@@ -10,7 +10,7 @@ from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.sim.attacks import model_attack
 from engine.sim.model_placement import foreign_scene
-from engine.watermark.sketch import ALIKE, POINTS, Sketch, SuspectIndex, make_sketch
+from engine.watermark.sketch import ALIKE, CROWD, POINTS, Sketch, SuspectIndex, make_sketch
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -81,3 +81,16 @@ def test_tiny_models_are_compared_too(plant: GaussianModel, count: int) -> None:
     sketch = make_sketch(tiny)
     assert len(sketch) <= count
     assert 0 <= SuspectIndex(tiny).resemblance(sketch) < count
+
+
+def test_thousands_of_one_look_cost_no_more_than_a_few(plant: GaussianModel, sketch: Sketch) -> None:
+    one = plant.take(np.zeros(30_000, np.int64)).with_(means=plant.means[:30_000])
+    crowd = SuspectIndex(one)
+    assert len(crowd._rows) == CROWD
+    assert crowd.resemblance(sketch) < ALIKE
+    # Discs of one size and opacity, as made from point clouds: colours tell them apart well enough.
+    flat = plant.with_(
+        log_scales=np.full_like(plant.log_scales, -4.0), opacity_logits=np.full(len(plant), 2.0, np.float32)
+    )
+    moved = model_attack("similarity").apply(flat, 3.0, rng=1)
+    assert SuspectIndex(moved).resemblance(make_sketch(flat)) > 2 * ALIKE
