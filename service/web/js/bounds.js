@@ -1,7 +1,7 @@
 // Where a model is, read from the table of a compressed PLY: each row bounds 256 Gaussians.
 
 const quantile = (values, q) => values[Math.min(values.length - 1, Math.floor(q * values.length))];
-const sorted = (values) => Float64Array.from(values).sort();
+const sorted = (values) => values.slice().sort();
 
 /** Robust centre and radius in the viewer's frame (y up), and whether the model is a room seen from inside. */
 export function bounds(buffer) {
@@ -11,16 +11,17 @@ export function bounds(buffer) {
   const names = [...properties.matchAll(/property float (\w+)/g)].map((match) => match[1]);
   const table = new DataView(buffer, end, Number(count) * names.length * 4);
   const at = (row, name) => table.getFloat32((row * names.length + names.indexOf(name)) * 4, true);
-  const middles = ["x", "y", "z"].map((axis) =>
-    Array.from({ length: Number(count) }, (_, row) => (at(row, `min_${axis}`) + at(row, `max_${axis}`)) / 2),
-  );
-  const center = middles.map((values) => {
-    const [low, half, high] = [0.05, 0.5, 0.95].map((q) => quantile(sorted(values), q));
-    const middle = (low + high) / 2;
-    return Math.abs(half - middle) < 0.25 * (high - low) ? middle : half;
+  const column = (name) => Float64Array.from({ length: Number(count) }, (_, row) => at(row, name));
+  const [low, high] = ["min", "max"].map((side) => ["x", "y", "z"].map((axis) => column(`${side}_${axis}`)));
+  const middles = low.map((values, d) => values.map((value, row) => (value + high[d][row]) / 2));
+  const spans = low.map((values, d) => [quantile(sorted(values), 0.05), quantile(sorted(high[d]), 0.95)]);
+  const center = spans.map(([from, to], d) => {
+    const half = quantile(sorted(middles[d]), 0.5); // floaters move the ends, not this
+    const middle = (from + to) / 2;
+    return Math.abs(half - middle) < 0.25 * (to - from) ? middle : half;
   });
   const distances = sorted(middles[0].map((_, row) => Math.hypot(...middles.map((v, d) => v[row] - center[d]))));
-  const radius = Math.max(quantile(distances, 0.9), 1e-6);
+  const radius = Math.max(quantile(distances, 0.9), ...spans.map(([from, to]) => (to - from) / 2), 1e-6);
   const inside = distances.filter((distance) => distance < 0.45 * radius).length / distances.length;
   return { center: [-center[0], -center[1], center[2]], radius, isRoom: distances.length > 20 && inside < 0.03 };
 }

@@ -1,7 +1,8 @@
 // Following a job to its end: server-sent events, and plain questions where those do not come through.
 import { LOST, getJson, pause, request } from "./api.js";
 
-export const ENDED = new Set(["succeeded", "disputed", "failed", "cancelled"]);
+const PATIENCE = 120; // seconds without an answer; the job goes on meanwhile
+const ENDED = new Set(["succeeded", "disputed", "failed", "cancelled"]);
 
 /** The job once it has ended; `tell` sees it at every change. */
 export async function follow(id, tell, signal) {
@@ -12,11 +13,16 @@ export async function follow(id, tell, signal) {
         tell(job);
         if (ENDED.has(job.state)) return job;
       }
+    } catch (error) {
+      if (error.title !== LOST) throw error;
+    }
+    try {
       const job = await getJson(`/v1/jobs/${id}`, { signal });
+      failures = 0;
       tell(job);
       if (ENDED.has(job.state)) return job;
     } catch (error) {
-      if (error.title !== LOST || failures >= 30) throw error;
+      if (error.title !== LOST || failures >= PATIENCE) throw error;
       failures += 1;
     }
     await pause(1000, signal);

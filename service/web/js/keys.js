@@ -13,7 +13,7 @@ export async function listKeys() {
   if (items.some((key) => key.id === chosen)) select.value = chosen;
   const none = items.length === 0;
   $("#key-cancel").hidden = none;
-  showMaking(none);
+  showMaking(none || !$("#key-make").hidden); // who is making a key is not interrupted
 }
 
 /** Wire the buttons. */
@@ -50,6 +50,7 @@ async function make() {
     label.value = "";
     fill($("#key-problem"));
     await listKeys();
+    showMaking(false);
     $("#mark-key").value = made.id;
     $("#mark-key").focus();
   } catch (error) {

@@ -21,7 +21,8 @@ export async function upload(file, tell, signal) {
     try {
       const piece = file.slice(offset, offset + PIECE);
       slot = await put(path, piece, offset, (sent) => tell(offset + sent, false), signal);
-      failures = slot.offset > offset ? 0 : failures + 1;
+      if (slot.offset <= offset) throw new Problem({ title: LOST, detail: "The bytes sent do not arrive." });
+      failures = 0;
     } catch (error) {
       if (!passing(error) || failures >= PATIENCE) throw error;
       failures += 1;

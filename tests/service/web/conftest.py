@@ -117,7 +117,9 @@ def watched(context: BrowserContext, served: Served) -> Iterator[Watched]:
     watched = Watched(context.new_page(), [], [])
     context.on("request", lambda request: watched.requests.append(request.url))
     watched.page.on("pageerror", lambda error: watched.errors.append(str(error)))
-    watched.page.on("console", lambda said: watched.errors.append(said.text) if "Content Security" in said.text else None)
+    watched.page.on(
+        "console", lambda said: watched.errors.append(said.text) if "Content Security" in said.text else None
+    )
     watched.page.goto(served.address)
     yield watched
     assert watched.errors == []

@@ -20,6 +20,7 @@ LONG = 240_000
 
 def make_key(page: Page, label: str) -> str:
     """Make an owner key with a copy; what the copy holds."""
+    page.locator("#key-choice:visible, #key-make:visible").wait_for()
     if page.get_by_role("button", name="Make a new key").is_visible():
         page.get_by_role("button", name="Make a new key").click()
     page.get_by_label("Name of the new key").fill(label)

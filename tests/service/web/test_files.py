@@ -1,0 +1,57 @@
+"""The page's own files, without a browser."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+WEB = Path(__file__).parents[3] / "service" / "web"
+SCRIPTS = sorted((WEB / "js").glob("*.js"))
+PAGES = [WEB / "index.html", WEB / "docs" / "index.html"]
+STYLES = [*sorted((WEB / "css").glob("*.css")), WEB / "docs" / "docs.css"]
+
+
+@pytest.mark.parametrize("path", [*SCRIPTS, *STYLES, *PAGES], ids=lambda path: path.name)
+def test_own_files_are_short_and_ask_no_other_host(path: Path) -> None:
+    text = path.read_text()
+    assert len(text.splitlines()) <= 330
+    assert not re.findall(r"(?:https?:)?//[\w-]+\.[\w.-]+", text)
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
+def test_imports_exist(path: Path) -> None:
+    for names, target in re.findall(r"import (?:\{([^}]*)\} from )?\"(\.[^\"]+)\"", path.read_text()):
+        source = (path.parent / target).resolve()
+        assert source.is_file()
+        for name in filter(None, (part.strip() for part in names.split(","))):
+            assert re.search(
+                rf"export (?:async )?(?:function\*?|class|const) {re.escape(name)}(?!\w)", source.read_text()
+            ), name
+
+
+def test_elements_that_scripts_name_are_on_the_page() -> None:
+    page = (WEB / "index.html").read_text()
+    ids = set(re.findall(r"\bid=\"([\w-]+)\"", page))
+    for path in SCRIPTS:
+        for name in re.findall(r"\$\(\"#([\w-]+)\"", path.read_text()):
+            assert name in ids, f"{path.name}: #{name}"
+    for view in ("mark", "check"):
+        assert {f"{view}-{part}" for part in ("form", "intro", "progress", "result", "problem")} <= ids
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.parent.name)
+def test_pages_hold_no_script_of_their_own(path: Path) -> None:
+    text = path.read_text()
+    assert not re.search(r"<script(?![^>]*\bsrc=)", text)
+    assert not re.search(r"\son\w+=|\sstyle=", text)
+    for asset in re.findall(r"(?:src|href)=\"/static/([^\"]+)\"", text):
+        assert (WEB / asset).is_file(), asset
+
+
+@pytest.mark.parametrize("folder", ["viewer/supersplat", "docs/swagger-ui"])
+def test_what_others_wrote_keeps_its_licence_and_version(folder: str) -> None:
+    assert len((WEB / folder / "LICENSE").read_text()) > 1000
+    note = (WEB / folder).parent / "README.md"
+    assert re.search(r"`[@\w/-]+` \d+\.\d+\.\d+", note.read_text())
