@@ -172,18 +172,19 @@ def _check_tree(connection: sa.Connection, size: int) -> list[Fault]:
         expected = 0
         here = query.where(upper.c.level == level, upper.c.position < size >> level)
         for position, found, *below in (list(row) for row in _all(connection, here, upper.c.position)):
-            good = position == expected and None not in below
-            if not good or merkle.node_hash(*map(bytes.fromhex, below)).hex() != found:
-                last = (position + 1 << level) - 1
-                faults.append(
-                    Fault(last, "tree", f"the subtree of 2^{level} entries that ends here is not as hashed")
-                )
+            if position != expected:
+                faults.append(_lost(level, expected))
+            elif None in below or merkle.node_hash(*map(bytes.fromhex, below)).hex() != found:
+                text = f"the subtree of 2^{level} entries that ends here is not the hash of its halves"
+                faults.append(Fault((position + 1 << level) - 1, "tree", text))
             expected = position + 1
         if expected < size >> level:
-            faults.append(
-                Fault(expected << level, "tree", f"subtrees of 2^{level} entries are missing from here")
-            )
+            faults.append(_lost(level, expected))
     return faults
+
+
+def _lost(level: int, position: int) -> Fault:
+    return Fault(position << level, "tree", f"the subtree of 2^{level} entries that begins here is missing")
 
 
 def _check_assets(connection: sa.Connection, events: Events) -> list[Fault]:
