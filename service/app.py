@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -20,6 +20,7 @@ from service.core import Service
 from service.embeds.endpoints import router as embeds
 from service.health.endpoints import router as health
 from service.http.failures import RequestIds, install
+from service.http.headers import SafeHeaders
 from service.http.limits import BodyLimit
 from service.keys.endpoints import router as keys
 from service.tracking.endpoints import router as jobs
@@ -30,13 +31,6 @@ WEB = Path(__file__).parent / "web"
 DESCRIPTION = """Ownership watermarks for 3D Gaussian Splatting models: mark a model under a key, and later prove,
 with a bound on a false claim, whose mark a found model or screenshot carries. Extraction is informed: it uses the
 record that was made at embedding."""
-
-POLICY = (
-    "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' blob: data:; worker-src 'self' blob:;"
-    " style-src 'self' 'unsafe-inline'; script-src 'self' 'wasm-unsafe-eval'; frame-ancestors 'self';"
-    " base-uri 'none'; form-action 'self'; object-src 'none'"
-)
-REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
 
 PROBLEM = {
     "type": "object",
@@ -70,8 +64,8 @@ def make_app(service: Service) -> FastAPI:
         app.include_router(router)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     install(app)
-    app.middleware("http")(_headers)
     app.add_middleware(BodyLimit, settings=service.settings)
+    app.add_middleware(SafeHeaders)
     app.add_middleware(RequestIds)
 
     @app.get("/", include_in_schema=False)
@@ -84,15 +78,6 @@ def make_app(service: Service) -> FastAPI:
 
     app.mount("/static", StaticFiles(directory=WEB, check_dir=False), name="static")
     return app
-
-
-async def _headers(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
-    response = await call_next(request)
-    report = request.url.path.endswith("/report")
-    response.headers.setdefault("Content-Security-Policy", REPORT_POLICY if report else POLICY)
-    response.headers.setdefault("X-Content-Type-Options", "nosniff")
-    response.headers.setdefault("Referrer-Policy", "no-referrer")
-    return response
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:

@@ -39,6 +39,10 @@ class Settings(BaseSettings):
         30.0, gt=0, description="Uploads are kept that long; what was made of them stays."
     )
 
+    inspect_seconds: float = Field(
+        4.5, gt=0, description="A look at an upload that takes longer is left to the job that uses it."
+    )
+
     child_memory_bytes: int = Field(10 * GIB, gt=0, description="Address space of one step's process.")
     child_cpu_seconds: int = Field(1800, gt=0, description="CPU time of one step's process.")
     child_file_bytes: int = Field(4 * GIB, gt=0, description="Largest file one step's process may write.")

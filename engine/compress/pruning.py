@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
 
 from engine.compress.cells import split_cells
 from engine.compress.merging import merge_duplicates
@@ -110,7 +109,8 @@ def prune(
     goal = config.budget_db
     merged = _merge_if_cheap(model, impact, worst_psnr, config)
     base, rows, impact = merged
-    rank = rankdata(impact, method="ordinal") / len(base)
+    rank = np.empty(len(base))
+    rank[np.argsort(impact, kind="stable")] = np.arange(1, len(base) + 1) / len(base)
     features = (base.means / radius).astype(np.float32)
     clusters = split_cells(features, np.ones(len(base)), min(config.clusters, max(1, len(base) // 64)))
     best = Pruned(base, rows, worst_psnr(base), n - len(base))

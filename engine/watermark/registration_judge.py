@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from engine.model import Float32, GaussianModel
 from engine.numerics.umeyama import Similarity, robust_umeyama
@@ -203,7 +203,7 @@ def same_order(
     a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
     b = joint_vectors(suspect, fit, deviations, origin)
     error2 = np.square(a - b)
-    usual, limit = float(chi2.median(10)), 4.0 * float(chi2.isf(1e-3, 10))
+    usual, limit = float(chdtri(10, 0.5)), 4.0 * float(chdtri(10, 1e-3))
     distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
     quality = np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32)
     return Verdict(fit, None, deviations, quality)

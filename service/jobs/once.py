@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from service.jobs.child import Children, Limits
+from service.jobs.child import COMMAND, Children, Limits
 from service.jobs.port import Cancelled
 from service.settings import Settings
 
@@ -46,7 +46,9 @@ def run_once(
     if not _turn.acquire(timeout=seconds):
         return None
     try:
-        return _Single(limits).run(task, request, folder, lambda stage, fraction: time.monotonic() < until)
+        return _Single(limits, (*COMMAND, "--prompt")).run(
+            task, request, folder, lambda stage, fraction: time.monotonic() < until
+        )
     except Cancelled:
         return None
     finally:

@@ -12,8 +12,6 @@ from service.uploads import store
 MOST_BYTES = 256 << 20
 """Larger files are read by their job only."""
 
-SECONDS = 4.5
-
 
 def inspect(service: Service, row: Any) -> Any:
     """The row with what the file is. What takes too long to say is left to the job.
@@ -32,7 +30,7 @@ def inspect(service: Service, row: Any) -> Any:
         request = {kind: str(path), "spz_frame": "auto", "candidates": [], "limit": 0}
         task = "inspect" if kind == "model" else kind
         try:
-            found = run_once(service.settings, task, request, folder, SECONDS)
+            found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds)
         except Problem as problem:
             if problem.status < 500:
                 store.drop(service, row)

@@ -59,10 +59,10 @@ def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -
         service.blobs.put_part(path, part_name(row.id, row.received))
         with service.blobs.new_file() as whole:
             sha256 = _join(service, row.id, parts, whole)
-            _check(service, row._replace(parts=json.dumps(parts)), sha256)
+            _check(service, row, parts, sha256)
             service.blobs.put(whole, sha256)
     else:
-        _check(service, row, sha256)
+        _check(service, row, [], sha256)
         service.blobs.put(path, sha256)
     total = row.received + length
     _advance(service, row, received=total, size=total, sha256=sha256, state="complete")
@@ -123,8 +123,10 @@ def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path)
     return digest.hexdigest()
 
 
-def _check(service: Service, row: Any, sha256: str) -> None:
+def _check(service: Service, row: Any, parts: list[list[int]], sha256: str) -> None:
     if row.sha256 is not None and row.sha256 != sha256:
+        for offset, _ in parts:
+            service.blobs.remove_part(part_name(row.id, offset))
         drop(service, row)
         raise Problem(
             "digest-mismatch",

@@ -9,9 +9,6 @@ from typing import Any
 from engine.cli.models import repair_entries
 from engine.errors import RecordError
 from engine.model import GaussianModel
-from engine.pipeline.sealing import open_record
-from engine.pipeline.verification import VerifyConfig, verify_model
-from engine.watermark.claim import Verdict
 from engine.watermark.sketch import make_sketch
 from service.work.inputs import Candidate, load_candidates, load_model
 from service.work.process import Progress
@@ -57,6 +54,11 @@ def _carries(model: GaussianModel, candidate: Candidate, tries: int) -> dict[str
     The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is
     found by `verify`.
     """
+    # Only here, so that a first look at an upload does not wait for half the engine.
+    from engine.pipeline.sealing import open_record
+    from engine.pipeline.verification import VerifyConfig, verify_model
+    from engine.watermark.claim import Verdict
+
     try:
         opened = open_record(candidate.record.read_bytes(), candidate.key)
     except RecordError:  # its owner learns that when verifying; somebody's upload must not fail for it

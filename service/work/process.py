@@ -27,6 +27,9 @@ Task = Callable[[Mapping[str, Any], Path, Progress], dict[str, Any]]
 NICENESS = 5
 """Below the API and the database: they must answer while every core works on a model."""
 
+PROMPT = "--prompt"
+"""On the command line: somebody waits for this answer, which takes a second, so it does not stand back."""
+
 SECONDS_BETWEEN_LINES = 0.1
 """Progress of one stage is said no more often than this."""
 
@@ -47,7 +50,8 @@ def serve(load: Callable[[], Mapping[str, Task]], warm_up: Callable[[], None]) -
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a core would hold the owner's key
-    os.nice(NICENESS)
+    if PROMPT not in sys.argv:
+        os.nice(NICENESS)
     requests: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
     tasks = load()

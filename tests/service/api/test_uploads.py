@@ -1,0 +1,103 @@
+"""Uploads: streamed, hashed, resumable, limited, inspected."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+from collections.abc import Iterator
+
+import pytest
+from PIL import Image
+
+from tests.service.api.conftest import PLANT, SMALL, Api
+
+
+def test_a_whole_file_in_one_request(api: Api) -> None:
+    data = SMALL.read_bytes()
+    made = api.client.post("/v1/uploads", json={"name": "a.ply", "size": len(data)})
+    assert made.status_code == 201
+    assert made.headers["location"] == f"/v1/uploads/{made.json()['id']}"
+    done = api.client.put(made.headers["location"], content=data).json()
+    assert done["state"] == "complete"
+    assert done["sha256"] == hashlib.sha256(data).hexdigest()
+    assert done["info"]["format"] == "ply"
+    assert done["info"]["gaussians"] == 1000
+
+
+def test_in_three_parts(api: Api) -> None:
+    """A broken connection costs what was on the way: `offset` says where to continue."""
+    data = PLANT.read_bytes()
+    slot = api.client.post("/v1/uploads", json={"size": len(data)}).json()["id"]
+    cuts = [0, 1_000_000, 2_500_000, len(data)]
+    for low, high in itertools.pairwise(cuts):
+        assert api.client.get(f"/v1/uploads/{slot}").json()["offset"] == low
+        answer = api.client.put(
+            f"/v1/uploads/{slot}", content=data[low:high], headers={"Upload-Offset": str(low)}
+        )
+        assert answer.status_code == 200
+    assert answer.json()["sha256"] == hashlib.sha256(data).hexdigest()
+    assert answer.json()["state"] == "complete"
+    left = list((api.service.blobs.folder or PLANT).glob(f"upload/{slot}/*"))
+    assert left == []
+
+
+def test_bytes_at_the_wrong_place(api: Api) -> None:
+    slot = api.client.post("/v1/uploads", json={"size": 100}).json()["id"]
+    api.client.put(f"/v1/uploads/{slot}", content=b"x" * 10)
+    answer = api.client.put(f"/v1/uploads/{slot}", content=b"x" * 10, headers={"Upload-Offset": "50"})
+    assert answer.status_code == 409
+    assert answer.json()["offset"] == 10
+
+
+def test_other_bytes_than_announced(api: Api) -> None:
+    slot = api.client.post("/v1/uploads", json={"size": 4, "sha256": "0" * 64}).json()["id"]
+    answer = api.client.put(f"/v1/uploads/{slot}", content=b"abcd")
+    assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:digest-mismatch")
+    assert api.client.get(f"/v1/uploads/{slot}").status_code == 404
+
+
+def chunks(total: int) -> Iterator[bytes]:
+    for _ in range(total // 65536):
+        yield bytes(65536)
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+def test_over_the_limit(api: Api, chunked: bool) -> None:
+    """Sized or chunked, the body ends where the limit is."""
+    size = api.service.settings.max_upload_bytes + (1 << 20)
+    slot = api.client.post("/v1/uploads", json={}).json()["id"]
+    answer = api.client.put(f"/v1/uploads/{slot}", content=chunks(size) if chunked else bytes(size))
+    assert answer.status_code == 413
+    assert list(api.service.settings.scratch.glob("*")) == []
+
+
+def test_more_than_announced(api: Api) -> None:
+    slot = api.client.post("/v1/uploads", json={"size": 10}).json()["id"]
+    assert api.client.put(f"/v1/uploads/{slot}", content=bytes(11)).status_code == 413
+
+
+def test_a_slot_larger_than_the_limit(api: Api) -> None:
+    assert api.client.post("/v1/uploads", json={"size": 1 << 40}).status_code == 413
+
+
+def test_large_json_and_form(api: Api) -> None:
+    body = b'{"label": "' + b"x" * 100_000 + b'"}'
+    answer = api.client.post("/v1/keys", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 413
+    form = api.client.post("/v1/verify", files={"model": ("m.ply", bytes(9 << 20))})
+    assert form.status_code == 413
+
+
+def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
+    file = io.BytesIO()
+    Image.new("RGB", (40, 30)).save(file, "PNG")
+    png = file.getvalue()
+    slot = api.upload(png, "a.png")
+    assert api.client.get(f"/v1/uploads/{slot}").json()["info"]["kind"] == "picture"
+    embed = {"upload_id": slot, "key_id": api.key()}
+    assert api.client.post("/v1/embed", json=embed).json()["type"].endswith("unreadable-model")
+    slot = api.client.post("/v1/uploads", json={}).json()["id"]
+    assert (
+        api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")
+    )
