@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from typing import Any
 
 MOST_BYTES = 64 << 20
+_MEMBERS = {"document", "jws", "timestamp"}
 
 
 class UnreadableError(ValueError):
@@ -73,8 +74,10 @@ def _from_json(text: str) -> Carried:
     try:
         claim = strict_json(text)
         document, jws, stamp = claim["document"], claim["jws"], claim.get("timestamp")
-        if not (isinstance(document, dict) and isinstance(jws, str)):
-            raise UnreadableError("the members `document` and `jws` are not what they should be")
+        if not (isinstance(document, dict) and isinstance(jws, str) and set(claim) <= _MEMBERS):
+            raise UnreadableError(
+                "a claim as JSON has the members `document`, `jws` and `timestamp`, and no other"
+            )
         return Carried("json", jws, document, _decode(stamp) if stamp is not None else None)
     except (KeyError, RecursionError) as error:
         raise UnreadableError(f"this JSON is no claim: {error or 'too deep'}") from None

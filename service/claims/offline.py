@@ -18,7 +18,7 @@ from typing import Any
 from cryptography import x509
 from pydantic import ValidationError
 
-from engine.watermark.statistics import log10_false_claim_bound
+from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import SCHEMA_VERSION, ClaimDocument
 from service.claims.report import report_html
@@ -156,7 +156,13 @@ def _read(payload: bytes) -> tuple[dict[str, Any] | None, str]:
 
 def _arithmetic_fault(document: Mapping[str, Any]) -> str:
     stated, threshold, message = (document[name] for name in ("log10_false_claim", "threshold", "message"))
+    if threshold is not None:
+        needed = z_threshold(threshold["false_claim_rate"], document["tries"])
+        if not math.isclose(threshold["z"], needed, rel_tol=1e-9):
+            return f"a threshold of z = {threshold['z']:g} does not follow from its rate and {document['tries']} tries"
     for one in document["evidence"]:
+        if threshold is None:
+            return "evidence without a threshold"
         if not math.isclose(log10_false_claim_bound(one["z"], document["tries"]), stated, abs_tol=1e-6):
             return f"a bound of 10^{stated:g} does not follow from z = {one['z']:g} and {document['tries']} tries"
         if (one["z"] >= threshold["z"]) != (document["verdict"] == "marked"):

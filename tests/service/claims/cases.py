@@ -1,0 +1,78 @@
+"""Replies of the task `verify` from made-up evidence, judged by the engine itself."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from engine.watermark.claim import decide
+from engine.watermark.messages import message_hex
+from service.db.schema import assets
+
+KINDS = ("marked", "not_marked", "inconclusive")
+CHIPS = 8192
+
+
+def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any]:
+    """A reply about the asset "as_1"."""
+    random = np.random.default_rng(7)
+    bit_of = np.arange(CHIPS) % bits
+    chips, message = (random.integers(0, 2, size, dtype=np.int8) * 2 - 1 for size in (CHIPS, bits))
+    y = random.normal(size=CHIPS) + (chips * message[bit_of] if kind == "marked" else 0.0)
+    signal = np.full(CHIPS, 1e-3 if kind == "inconclusive" else 1.0)
+    pictures = kind == "inconclusive"
+    claim = decide(
+        y, np.ones(CHIPS), signal, bit_of, chips, message, tries=3, route="image" if pictures else "model",
+        copy="Studio Nord", derived_fraction=None if pictures else 0.75,
+        notes=("picture 1: no view of this asset was recognised",) if pictures else (),
+    )  # fmt: skip
+    assert claim.verdict == kind
+    return {
+        "subject": {"format": "pictures", "gaussians": None, "pictures": 2}
+        if pictures
+        else {"format": "ply", "gaussians": 1234, "pictures": 0},
+        "tries": 3,
+        "asset": "as_1",
+        "claim": claim.to_json(),
+        "registered_message": message_hex(message),
+        "checks": [
+            {"code": "record_intact", "ok": True, "text": "The record is whole and unaltered."},
+            {"code": "mark", "ok": {"marked": True, "not_marked": False}.get(kind), "text": "About the mark."},
+        ],
+    } | changes  # fmt: skip
+
+
+def nothing() -> dict[str, Any]:
+    """A reply where no record could be compared."""
+    check = {"code": "record_intact", "ok": False, "text": "The record cannot be used."}
+    return reply() | {"asset": None, "claim": None, "registered_message": None, "tries": 0, "checks": [check]}
+
+
+def asset_row(**changes: Any) -> dict[str, Any]:
+    """A whole row of the table `assets`."""
+    row: dict[str, Any] = {column.name: column.name for column in assets.columns}
+    return row | {
+        "id": "as_1",
+        "tenant": "acme",
+        "copy": "Studio Nord",
+        "gaussians": 1234,
+        "original_sha256": "ab" * 32,
+        "original_format": "ply",
+        "record_id": "cd" * 16,
+        "record_sha256": "ef" * 32,
+        "registered_at": "2026-11-03T09:14:07.123456+00:00",
+        **changes,
+    }
+
+
+def picture(shade: int) -> bytes:
+    """A small PNG."""
+    file = io.BytesIO()
+    Image.new("RGB", (8, 6), (shade, shade, shade)).save(file, "PNG")
+    return file.getvalue()
+
+
+PICTURES = {name: picture(shade) for shade, name in enumerate(("heatmap", "reference", "suspect"))}

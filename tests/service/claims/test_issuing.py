@@ -1,0 +1,117 @@
+"""Issuing: logged, signed and stored together, and once."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import pytest
+import sqlalchemy as sa
+
+from service.claims import issuing
+from service.claims.document import ClaimDocument
+from service.claims.issuing import IssuedClaim, stamp_claim
+from service.db.schema import assets, audit, claims
+from service.problems import Problem
+from service.trust import signing
+from service.trust.audit_check import verify_log
+from service.trust.canonical import canonical
+from service.trust.timestamps import Stamped
+from tests.service.claims.cases import KINDS, nothing, reply
+from tests.service.claims.conftest import Registry
+
+
+def count(registry: Registry, table: sa.Table) -> int:
+    with registry.db.read() as connection:
+        return int(connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_claim_is_logged_signed_and_stored(registry: Registry, kind: str) -> None:
+    claim = registry.issue(reply(kind))
+    payload, _ = signing.verify(claim.jws, registry.jwks)
+    assert json.loads(payload) == claim.document
+    assert canonical(claim.document) == payload
+    assert claim.document["verdict"] == kind
+    assert claim.document["asset"] == "as_1"
+    with registry.db.read() as connection:
+        row = connection.execute(claims.select()).one()
+    assert (row.id, row.job, row.tenant, row.asset, row.jws) == (claim.id, "job_1", "acme", "as_1", claim.jws)
+    assert row.document.encode() == payload
+    report = verify_log(registry.db)
+    assert report.ok, report.text()
+    assert (report.assets, report.claims) == (1, 1)
+
+
+def test_one_job_has_one_claim(registry: Registry) -> None:
+    first = registry.issue()
+    entries = count(registry, audit)
+    assert registry.issue(reply("not_marked")) == first
+    assert (count(registry, claims), count(registry, audit)) == (1, entries)
+    assert registry.issue(job="job_2").id != first.id
+
+
+def test_two_workers_with_one_job_issue_one_claim(registry: Registry) -> None:
+    found: list[IssuedClaim] = []
+    threads = [threading.Thread(target=lambda: found.append(registry.issue())) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4
+    assert all(claim == found[0] for claim in found)
+    assert count(registry, claims) == 1
+
+
+def test_the_first_registration_of_the_original_is_named(registry: Registry) -> None:
+    registry.register(id="as_0", job="other", registered_at="2025-01-01T00:00:00.000000+00:00")
+    registry.register(
+        id="as_x", job="foreign", tenant="other", registered_at="2024-01-01T00:00:00.000000+00:00"
+    )
+    claim = registry.issue()
+    assert claim.document["original"]["registered_at"].startswith("2025-01-01")
+
+
+def test_without_a_comparison_nothing_is_claimed(registry: Registry) -> None:
+    document = registry.issue(nothing()).document
+    assert (document["verdict"], document["confidence"], document["asset"]) == ("inconclusive", 0.0, None)
+    assert document["audit"]["registration"] is None
+    assert document["checks"][0]["ok"] is False
+    ClaimDocument.model_validate(document)
+
+
+def test_an_asset_of_another_tenant_is_no_ground_for_a_claim(registry: Registry) -> None:
+    with pytest.raises(Problem, match="not this tenant's"):
+        registry.issue(tenant="other")
+    assert count(registry, claims) == 0
+
+
+def test_an_asset_that_the_log_does_not_know_is_no_ground_for_a_claim(registry: Registry) -> None:
+    with registry.db.write() as connection:
+        connection.execute(assets.update().values(id="as_2"))
+    with pytest.raises(Problem, match="the audit log does not know"):
+        registry.issue(reply(asset="as_2"))
+
+
+def test_when_signing_fails_nothing_is_left(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = count(registry, audit)
+
+    def fail(*_: object) -> str:
+        raise Problem("internal", "no")
+
+    monkeypatch.setattr(issuing, "sign", fail)
+    with pytest.raises(Problem):
+        registry.issue()
+    assert (count(registry, claims), count(registry, audit)) == (0, entries)
+
+
+def test_a_stamp_is_kept_and_asked_for_once(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    claim = registry.issue()
+    replies = [Stamped(None, "no time stamp: busy"), Stamped(b"token"), Stamped(b"another")]
+    monkeypatch.setattr(issuing, "stamp", lambda url, jws: replies.pop(0))
+    assert stamp_claim(registry.db, "http://tsa", claim) == "no time stamp: busy"
+    assert stamp_claim(registry.db, "http://tsa", claim) == ""
+    assert stamp_claim(registry.db, "http://tsa", claim) == ""
+    assert len(replies) == 1
+    with registry.db.read() as connection:
+        assert connection.execute(sa.select(claims.c.timestamp)).scalar_one() == b"token"

@@ -1,0 +1,264 @@
+"""A claim is checked with public keys alone, and no change to it passes."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from engine.errors import InputError
+from service.claims.offline import Findings, Status, verify_report
+from service.claims.report import report_html
+from service.cli import verify_report as command
+from service.trust import signing
+from service.trust.canonical import canonical
+from service.trust.commitments import claim_digest
+from service.trust.merkle import leaf_hash
+from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
+from tests.service.claims.conftest import Registry
+
+Document = dict[str, Any]
+
+
+def carriers(registry: Registry, found: dict[str, Any] | None = None, job: str = "job_1") -> dict[str, bytes]:
+    """A claim in its three files."""
+    claim = registry.issue(found, job)
+    whole = {"document": claim.document, "jws": claim.jws, "timestamp": None}
+    return {
+        "jws": claim.jws.encode(),
+        "json": json.dumps(whole).encode(),
+        "html": report_html(claim.document, claim.jws, PICTURES).encode(),
+    }
+
+
+def failed(found: Findings) -> list[str]:
+    return [check.code for check in found.checks if check.status is Status.FAIL]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whole_claims_hold(registry: Registry, kind: str) -> None:
+    for form, data in carriers(registry, reply(kind)).items():
+        found = verify_report(data, registry.jwks)
+        assert found.valid, (form, found.checks)
+        assert found.document is not None
+        assert found.document["verdict"] == kind
+        assert found.signed_by == registry.jwks["keys"][0]["kid"]
+        codes = [check.code for check in found.checks]
+        around = {"jws": [], "json": ["document"], "html": ["pictures", "page"]}[form]
+        assert codes == ["signature", "schema", "arithmetic", "log", "registration", *around]
+
+
+def test_a_claim_about_nothing_holds(registry: Registry) -> None:
+    for data in carriers(registry, nothing()).values():
+        found = verify_report(data, registry.jwks)
+        assert found.valid, found.checks
+        assert "registration" not in [check.code for check in found.checks]
+
+
+def test_claims_of_a_retired_key_hold_and_those_of_a_stranger_do_not(
+    registry: Registry, tmp_path: Path
+) -> None:
+    data = carriers(registry)["jws"]
+    signing.rotate(registry.db, registry.master)
+    assert verify_report(data, registry.jwks).valid
+    stranger = Registry(_folder(tmp_path / "stranger"))
+    assert failed(verify_report(data, stranger.jwks)) == ["signature"]
+    assert failed(verify_report(data, {"keys": []})) == ["signature"]
+    stranger.db.close()
+
+
+def test_no_character_of_the_jws_can_be_changed(registry: Registry) -> None:
+    text = carriers(registry)["jws"].decode()
+    keys = registry.jwks
+    for spot, old in enumerate(text):
+        new = "B" if old == "A" else "A"
+        found = verify_report((text[:spot] + new + text[spot + 1 :]).encode(), keys)
+        assert failed(found) == ["signature"], spot
+        assert found.document is None
+
+
+@pytest.mark.parametrize("form", ["json", "html"])
+def test_no_character_around_it_can_be_changed(registry: Registry, form: str) -> None:
+    data, keys = carriers(registry)[form], registry.jwks
+
+    @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(spot=st.integers(0, len(data) - 1), new=st.integers(0, 255))
+    def check(spot: int, new: int) -> None:
+        changed = data[:spot] + bytes([new]) + data[spot + 1 :]
+        found = verify_report(changed, keys)
+        if found.valid:  # JSON has more than one layout: what it says must then be the same
+            assert changed == data or (form == "json" and json.loads(changed) == json.loads(data))
+
+    check()
+
+
+def test_a_page_with_other_words_or_pictures_fails(registry: Registry) -> None:
+    page = carriers(registry)["html"]
+    for old, new, codes in (
+        (b"Mark found", b"Mark faked", ["page"]),
+        (b"Studio Nord", b"Studio West", ["page"]),
+        (base64.b64encode(PICTURES["suspect"]), base64.b64encode(PICTURES["heatmap"]), ["pictures"]),
+        (b"</main>", b"<p>This is void.</p></main>", ["page"]),
+        (b"\n", b"\r\n", ["page"]),
+    ):
+        assert old in page
+        found = verify_report(page.replace(old, new), registry.jwks)
+        assert failed(found) == codes
+        assert found.document is not None  # what is signed can still be read
+
+
+def test_a_document_beside_another_signature_fails(registry: Registry) -> None:
+    one = json.loads(carriers(registry)["json"])
+    two = json.loads(carriers(registry, reply("not_marked"), "job_2")["json"])
+    mixed = json.dumps({**one, "document": two["document"]}).encode()
+    assert failed(verify_report(mixed, registry.jwks)) == ["document"]
+    twice = carriers(registry)["json"].replace(b'{"document"', b'{"jws": "x", "document"', 1)
+    assert failed(verify_report(twice, registry.jwks)) == ["readable"]
+    more = json.dumps({**one, "verdict": "not_marked"}).encode()
+    assert failed(verify_report(more, registry.jwks)) == ["readable"]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"hello", b"\xff\xfe", b"{", b"{}", b"[" * 100_000, b"{" * 100_000, b'{"a":' * 50_000, b"<html>", b"<",
+     b"a.b.c",     b'{"document": {}, "jws": 5}', b'{"document": {"x": NaN}, "jws": "a.b.c"}',
+     b'{"document": {}, "jws": "a.b.c", "timestamp": "?"}', b"<pre id=jws>a</pre><pre id=jws>b</pre>"],
+)  # fmt: skip
+def test_rubbish_is_refused_in_words(registry: Registry, data: bytes) -> None:
+    found = verify_report(data, registry.jwks)
+    assert failed(found) in (["readable"], ["signature"])
+    assert found.checks[0].text
+
+
+def edit(*path: str | int, to: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        place: Any = document
+        for step in path[:-1]:
+            place = place[step]
+        place[path[-1]] = to
+
+    return change
+
+
+def relog(document: Document) -> None:
+    """Make the entry fit the document again, as somebody with the signing key might."""
+    entry = document["audit"]["entry"]
+    entry["payload"]["digest"] = claim_digest(document)
+    document["audit"]["proof"] = []
+    document["audit"]["root"] = leaf_hash(canonical(entry)).hex()
+
+
+SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
+    (edit("verdict", to="not_marked"), "arithmetic"),
+    (edit("log10_false_claim", to=-5000.5), "arithmetic"),
+    (edit("tries", to=1), "arithmetic"),
+    (edit("threshold", "z", to=1.0), "arithmetic"),
+    (edit("message", "bit_accuracy", to=0.5), "arithmetic"),
+    (edit("message", "reliability", to=[1.0]), "arithmetic"),
+    (edit("evidence", to=[]), "arithmetic"),
+    (edit("subject", "sha256", to=["34" * 32]), "log"),
+    (edit("copy", to="Studio West"), "log"),
+    (edit("audit", "proof", to=[]), "log"),
+    (edit("audit", "root", to="00" * 32), "log"),
+    (edit("audit", "root", to="xx"), "schema"),
+    (edit("audit", "index", to=0), "log"),
+    (edit("audit", "entry", "event", to="other"), "log"),
+    (edit("audit", "entry", "at", to="2020"), "log"),
+    (edit("audit", "registration", to=None), "registration"),
+    (edit("audit", "registration", "entry", "at", to="2020"), "registration"),
+    (edit("audit", "registration", "entry", "index", to=0), "registration"),
+    (edit("audit", "registration", "entry", "subject", to="as_2"), "registration"),
+    (edit("audit", "registration", "proof", to=["00" * 32]), "registration"),
+    (edit("registered_at", to="2020-01-01T00:00:00+00:00"), "registration"),
+    (edit("schema_version", to=2), "schema"),
+    (edit("schema_version", to="1"), "schema"),
+    (edit("confidence", to=1.5), "schema"),
+    (edit("confidence", to="high"), "schema"),
+    (edit("extra", to=1), "schema"),
+    (edit("audit", to=None), "schema"),
+    (edit("verdict", to="guilty"), "schema"),
+    (relog, "registration"),
+]
+
+
+@pytest.mark.parametrize(("forge", "code"), SIGNED_FORGERIES)
+def test_a_signature_does_not_make_a_contradiction_hold(
+    registry: Registry, forge: Callable[[Document], None], code: str
+) -> None:
+    document = copy.deepcopy(registry.issue().document)
+    forge(document)
+    found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
+    assert code in failed(found), found.checks
+    assert not found.valid
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"5", b"[]", b"null", b"{", b"{}", b'{"schema_version": 1}', b"\xff"]
+)
+def test_a_signed_something_is_no_claim(registry: Registry, payload: bytes) -> None:
+    assert failed(verify_report(registry.sign(payload).encode(), registry.jwks)) in (
+        ["schema"],
+        ["signature"],
+    )
+
+
+def test_a_later_version_is_not_called_a_forgery(registry: Registry) -> None:
+    document = registry.issue().document | {"schema_version": 2, "more": True}
+    found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
+    assert "a later version of this program" in found.checks[-1].text
+
+
+def test_another_layout_is_no_second_claim(registry: Registry) -> None:
+    spaced = json.dumps(registry.issue().document, sort_keys=True).encode()
+    found = verify_report(registry.sign(spaced).encode(), registry.jwks)
+    assert failed(found) == ["schema"]
+
+
+def test_a_stamp_of_something_else_fails(registry: Registry) -> None:
+    whole = json.loads(carriers(registry)["json"])
+    whole["timestamp"] = base64.b64encode(b"not a stamp").decode()
+    assert failed(verify_report(json.dumps(whole).encode(), registry.jwks)) == ["timestamp"]
+
+
+# --- the command ---------------------------------------------------------------------------------------------
+
+
+def test_the_command_answers_with_its_exit_code(
+    registry: Registry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys, claim = tmp_path / "jwks.json", tmp_path / "claim"
+    keys.write_text(json.dumps(registry.jwks))
+    for data in carriers(registry).values():
+        claim.write_bytes(data)
+        assert command.verify_report(claim, keys) == 0
+        said = capsys.readouterr().out
+        assert said.endswith("VALID\n")
+        assert "NOT VALID" not in said
+        assert "Studio Nord" in said
+    claim.write_bytes(carriers(registry)["jws"][:-2] + b"AA")
+    assert command.verify_report(claim, keys, json=True) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert (told["valid"], told["document"], told["checks"][0]["code"]) == (False, None, "signature")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"keys": []}', '{"keys": [5]}', '{"keys": 5}', "[]", "[" * 100_000]
+)
+def test_what_is_no_key_set_is_wrong_usage(registry: Registry, tmp_path: Path, text: str) -> None:
+    keys, claim = tmp_path / "jwks.json", tmp_path / "claim"
+    keys.write_text(text)
+    claim.write_bytes(carriers(registry)["jws"])
+    with pytest.raises(InputError, match="no set of public keys"):
+        command.verify_report(claim, keys)
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir()
+    return path

@@ -1,0 +1,115 @@
+"""The report: one page that needs nothing else, says what was signed, and cannot be made to say more."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.claims.report import report_html
+from service.claims.wording import bound, odds, percent, rate
+from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
+from tests.service.claims.conftest import Registry
+
+
+def page(registry: Registry, found: dict[str, Any] | None = None, job: str = "job_1") -> str:
+    claim = registry.issue(found, job)
+    return report_html(claim.document, claim.jws, PICTURES)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_page_stands_alone(registry: Registry, kind: str) -> None:
+    text = page(registry, reply(kind))
+    assert not re.search(r"<script|<link|@import|url\(|javascript:|\bon\w+=", text, re.IGNORECASE)
+    assert {match[:5] for match in re.findall(r'(?:src|href)="([^"]*)"', text)} == {"data:"}
+    assert "default-src &#39;none&#39;" in text or "default-src 'none'" in text
+    assert text.count("<img") == 3
+
+
+def test_the_same_claim_gives_the_same_page(registry: Registry) -> None:
+    assert page(registry) == page(registry)
+
+
+def test_each_verdict_has_its_words(registry: Registry) -> None:
+    marked, not_marked, undecided = (page(registry, reply(kind), f"job_{kind}") for kind in KINDS)
+    assert "<h1>Mark found</h1>" in marked
+    assert "32 of 32" in marked
+    assert "<h1>No mark</h1>" in not_marked
+    assert "not this copy&#39;s hidden mark" in not_marked
+    assert "(coins: 16)" in not_marked
+    assert "<h1>Undecided</h1>" in undecided
+    assert "No mark" not in undecided
+    assert "no view of this asset was recognised" in undecided
+    for text in (marked, not_marked, undecided):
+        assert "2⁻¹²⁸" in text
+        assert "mark3dgs verify-report claim.jws --jwks jwks.json" in text
+        assert "10⁻⁹" in text
+
+
+def test_a_claim_about_nothing_has_a_page(registry: Registry) -> None:
+    text = page(registry, nothing())
+    assert "nothing registered could be compared" in text
+    assert "bit by bit" not in text
+
+
+def test_names_from_outside_stay_text(registry: Registry) -> None:
+    evil = '"><script>alert(1)</script>{{ 7 * 7 }}'
+    registry.register(id="as_2", job="two", copy=evil)
+    text = page(registry, reply(asset="as_2"))
+    assert "<script" not in text
+    assert "&lt;script&gt;alert(1)" in text
+    assert "{{ 7 * 7 }}" in text
+
+
+@pytest.mark.parametrize("bits", [16, 32, 48, 256])
+def test_every_bit_is_drawn(registry: Registry, bits: int) -> None:
+    text = page(registry, reply("not_marked", bits))
+    assert text.count('class="cell') == 2 * bits
+    assert text.count('class="sure"') == bits
+    found = registry.issue().document["message"]
+    assert text.count('class="unlike"') == bits - found["matching"]
+    ones = [int(found[name], 16).bit_count() for name in ("hex", "registered")]
+    assert text.count('class="cell one"') == sum(ones)
+
+
+@pytest.mark.parametrize(
+    ("log10", "words", "as_odds"),
+    [
+        (0.0, "1: no evidence of the mark", "1 in 1"),
+        (-0.5, "0.32", "1 in 1"),
+        (-9.0, "10⁻⁹", "1 in 10⁹"),
+        (-9.99, "10⁻⁹", "1 in 10⁹"),
+        (-3772.66, "10⁻³⁷⁷²", "1 in 10³⁷⁷²"),
+    ],
+)
+def test_bounds_are_never_overstated(log10: float, words: str, as_odds: str) -> None:
+    assert bound(log10) == words
+    assert odds(log10) == as_odds
+
+
+def test_numbers_in_words() -> None:
+    assert (rate(1e-9), rate(2.5e-7)) == ("10⁻⁹", "2.5 · 10⁻⁷")
+    assert [percent(share) for share in (1.0, 0.9999, 0.3333, 0.5, 0.0)] == [
+        "100 %", "more than 99.9 %", "33.3 %", "50 %", "0 %",
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no Chromium on this machine")
+def test_the_page_fits_a_phone_and_asks_for_nothing(registry: Registry, tmp_path: Path) -> None:
+    sync_api = pytest.importorskip("playwright.sync_api")
+    (tmp_path / "report.html").write_text(page(registry, reply("not_marked", 256)), encoding="utf-8")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        tab = browser.new_page(viewport={"width": 360, "height": 700})
+        said, asked = [], []
+        tab.on("console", lambda message: said.append(message.text))
+        tab.on("request", lambda request: asked.append(request.url[:5]))
+        tab.goto((tmp_path / "report.html").as_uri())
+        width = tab.evaluate("document.documentElement.scrollWidth")
+        loaded = tab.evaluate("[...document.images].every((image) => image.naturalWidth === 8)")
+        browser.close()
+    assert (width, loaded, said) == (360, True, [])
+    assert set(asked) <= {"file:", "data:"}
