@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.rigs import make_rig
 from engine.raster import prepare_view, render, sh_colors
+
+__all__ = ["all_png", "choose_view", "draw_preview", "to_picture"]
 
 PREVIEW_SIZE = (396, 330)
 PREVIEW_GAP = 6
@@ -92,6 +93,3 @@ def all_png(pictures: dict[str, Image.Image], folder: Path) -> dict[str, str]:
     for name, picture in pictures.items():
         save_png(picture, folder / f"{name}.png")
     return {name: f"{name}.png" for name in pictures}
-
-
-__all__: Sequence[str] = ("all_png", "choose_view", "draw_preview", "save_png", "to_picture")
