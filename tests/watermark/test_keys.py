@@ -142,3 +142,13 @@ def test_keystream_is_rfc_8439() -> None:
         keystream(b"short", 1, "")
     with pytest.raises(ValueError, match="-1"):
         keystream(bytes(32), -1, "")
+
+
+def test_the_text_of_a_key_file_is_a_key(tmp_path: Path) -> None:
+    KEY.write(tmp_path / "owner.key")
+    text = (tmp_path / "owner.key").read_text()
+    assert OwnerKey.from_text(text) == KEY
+    with pytest.raises(KeyFileError, match="'upload' is no owner key file"):
+        OwnerKey.from_text("", "upload")
+    with pytest.raises(KeyFileError, match="was altered"):
+        OwnerKey.from_text(text.replace("0001", "0002"))
