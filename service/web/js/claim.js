@@ -32,7 +32,9 @@ function sentence(claim) {
   const copy = claim.copy ? `the copy made for ${claim.copy}` : "your registered model";
   if (claim.verdict === "marked") return `${subject} ${copy}, or something made from it.`;
   if (claim.verdict === "inconclusive") return claim.missing ? `Missing: ${claim.missing}.` : "The evidence is too weak for a yes or a no.";
-  if (claim.derived_but_unmarked) return "Parts of your model are in it, but not this copy’s mark.";
+  if (claim.derived_but_unmarked) {
+    return `${claim.derived_fraction > 0.95 ? "Your model is" : "Parts of your model are"} in it, but not this copy’s mark.`;
+  }
   return "Nothing of the mark that was looked for is there.";
 }
 
@@ -40,8 +42,11 @@ function sureness(claim) {
   const threshold = Math.log10(claim.threshold.false_claim_rate);
   return h("section", { class: "sure" },
     h("h2", {}, "How sure"),
-    h("p", {}, "Chance of a false claim: at most ", h("strong", { class: "figure" }, chance(claim.log10_false_claim)),
-      `, with ${claim.tries} ${claim.tries === 1 ? "try" : "tries"} counted.`),
+    claim.verdict === "marked"
+      ? h("p", {}, "Chance of a false claim: at most ", h("strong", { class: "figure" }, chance(claim.log10_false_claim)),
+        `, with ${claim.tries} ${claim.tries === 1 ? "try" : "tries"} counted.`)
+      : h("p", {}, `A claim would need a chance of error of ${chance(threshold)} or less. `,
+        claim.log10_false_claim < -1 ? `This evidence reaches ${chance(claim.log10_false_claim)}.` : "This evidence reaches none of it."),
     scale(claim.log10_false_claim, [
       [threshold, `needed: ${chance(threshold)}`],
       ...(DISHONEST < threshold - 1 ? [[DISHONEST, "against forgers: 1 in 2¹²⁸"]] : []),

@@ -39,5 +39,6 @@ function claimLine(claim) {
   const [words, tone] = VERDICTS[claim.verdict] ?? [claim.verdict, "plain"];
   return h("li", {}, h("a", { href: `#claim/${claim.id}` },
     h("strong", {}, h("span", { class: `dot ${tone}`, "aria-hidden": "true" }), words),
-    h("span", {}, `false claim: at most ${chance(claim.log10_false_claim)} · ${when(claim.created_at)}`)));
+    h("span", {}, claim.verdict === "marked" ? `false claim: at most ${chance(claim.log10_false_claim)} · ` : "",
+      when(claim.created_at))));
 }

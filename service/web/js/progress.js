@@ -13,6 +13,8 @@ export class Cancelled extends Error {}
 export class Progress {
   #stop = new AbortController();
   #job = null;
+  #cancelled = false;
+  #begins = false;
   #began = 0;
   #stage = null;
 
@@ -49,20 +51,28 @@ export class Progress {
   /** Start a job with `begin(signal)` and follow it to its end. */
   async run(begin) {
     this.#show("Waiting for its turn", null);
+    this.#begins = true;
     const job = await this.#stoppable(begin(this.#stop.signal));
     this.#job = job.id;
+    if (this.#cancelled) await this.#end();
     const ended = await this.#stoppable(follow(job.id, (now) => this.#tell(now), this.#stop.signal));
     if (ended.state === "cancelled") throw new Cancelled();
     this.#show("Done", 1);
     return ended;
   }
 
+  /** Stop: an upload is dropped at once; a job is ended by the service, which says when it has. */
   async cancel() {
     this.button.disabled = true;
     this.now.textContent = "Stopping";
-    // Before there is a job, the upload is dropped; after that, the service ends the job and says so.
-    if (this.#job) await cancel(this.#job).catch(() => this.#stop.abort());
-    else this.#stop.abort();
+    this.#cancelled = true;
+    if (this.#job) await this.#end();
+    else if (!this.#begins) this.#stop.abort();
+    // else the job is being made: it is ended once its name is known, or it would run unseen
+  }
+
+  async #end() {
+    await cancel(this.#job).catch(() => this.#stop.abort());
   }
 
   async #stoppable(promise) {
@@ -74,7 +84,7 @@ export class Progress {
   }
 
   #tell(job) {
-    if (job.cancelling) {
+    if (job.cancelling || this.#cancelled) {
       this.now.textContent = "Stopping";
       return;
     }

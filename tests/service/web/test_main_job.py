@@ -101,7 +101,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
 
     # 7. an original that was never marked
     assert check(page, PLANT) == "No mark of yours in it"
-    assert "Parts of your model are in it" in page.locator("#check-result").inner_text()
+    assert "Your model is in it, but not this copy’s mark" in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")
 
     # 8. a picture of it
