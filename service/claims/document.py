@@ -70,7 +70,9 @@ class Evidence(_Part):
     z: float = Field(description="The claim statistic as observed.")
     unmarked_z: float = Field(description="What is expected without a mark, with a standard deviation of 1.")
     expected_z: float = Field(description="What is expected of the mark at full strength.")
-    power: float = Field(description="Proven lower bound of the chance to see a mark worn to half strength.")
+    power: float = Field(
+        description="Least chance that a mark worn to half strength, or a piece of the model, would be seen."
+    )
 
 
 class Check(_Part):

@@ -86,7 +86,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "inconclusive":
         return f"There is too little evidence in {it} for a yes or a no."
     if document["derived_but_unmarked"]:
-        return f"Parts of the registered model are in {it}, but not this copy's hidden mark."
+        return f"The registered model, or part of it, is in {it}, but not this copy's hidden mark."
     return f"The hidden mark of {whose} is not in {it}."
 
 
@@ -110,7 +110,17 @@ def _says(document: Mapping[str, Any]) -> str:
             f" most {odds(document['log10_false_claim'])}; this is a proven bound, whatever the suspect is."
         )
     if document["verdict"] == "not_marked":
-        return "Had the suspect carried this copy's mark, even worn to half its strength, it would have been seen."
+        evidence = document["evidence"][0]
+        sure = percent(min(evidence["power"], 0.9999))
+        if evidence["expected_z"] == 0:  # nothing to measure: what is known is how well pieces are found
+            return (
+                "Nothing of the registered model was found in the suspect; in measurements, a piece that is there is"
+                f" found in {sure} of cases."
+            )
+        return (
+            "Had the suspect carried this copy's mark, even worn to half its strength, it would have been seen with"
+            f" a probability of at least {sure.removeprefix('more than ')}."
+        )
     return "Neither yes nor no: more pictures, or more of the model, can decide it."
 
 
