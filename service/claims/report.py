@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from service.claims.drawing import bit_lines, bound_scale
-from service.claims.wording import ROUTES, VERDICTS, facts, power_of_ten, sentence
+from service.claims.wording import ROUTES, VERDICTS, bound, facts, power_of_ten, rate, sentence, when
 from service.trust.timestamps import TimestampFault, stamped_at
 
 CHECKS = {
@@ -97,13 +96,7 @@ def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) ->
         with suppress(TimestampFault):  # the page shows what is signed; `verify-report` names the fault
             stamped = stamped_at(timestamp, jws)
             events.append((stamped, "Stamped by a time-stamping service", "RFC 3161, in this page"))
-    return [(_when(at), what, proof) for at, what, proof in events]
-
-
-def _when(at: str) -> str:
-    """2026-11-03T09:14:07.123456+00:00 as a person writes it."""
-    when = datetime.fromisoformat(at)
-    return f"{when.day} {when:%B %Y}, {when:%H:%M:%S} UTC"
+    return [(when(at), what, proof) for at, what, proof in events]
 
 
 def _pretty(document: Mapping[str, Any]) -> str:
@@ -118,5 +111,5 @@ def _template() -> Template:
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters.update(when=_when, power=power_of_ten)
+    environment.filters.update(bound=bound, power=power_of_ten, rate=rate, when=when)
     return environment.get_template("report.html")
