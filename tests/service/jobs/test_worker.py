@@ -200,6 +200,7 @@ def test_several_workers_run_every_job_once(workshop: Workshop) -> None:
         assert kinds(workshop.wrote(job_id)) == ALL_MARKS
 
 
+@ON_SQLITE
 def test_a_stopped_process_that_wakes_up_changes_nothing(workshop: Workshop) -> None:
     """Taken for dead, its job done by another: what it still says is not heard."""
     workshop.submit("a", "three")
