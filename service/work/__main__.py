@@ -12,9 +12,9 @@ def _tasks() -> Mapping[str, Task]:
 
 
 def _warm_up() -> None:
-    from engine.pipeline.warming import warm_up
+    from service.work.tasks import preload
 
-    warm_up("everything")
+    preload()
 
 
 if __name__ == "__main__":

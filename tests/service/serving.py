@@ -1,0 +1,94 @@
+"""`mark3dgs serve` as a user starts it, for tests and measurements."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass
+class Served:
+    """A running service."""
+
+    address: str
+    api_key: str
+    folder: Path
+    process: subprocess.Popen[bytes]
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Of a request by its administrator."""
+        return {"Authorization": f"Bearer {self.api_key}"}
+
+    def log(self) -> str:
+        """What it has said."""
+        return (self.folder / "log.txt").read_text()
+
+    def workers(self) -> list[int]:
+        """Process ids of its workers."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        return [pid for pid in map(int, children) if b"worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+    def stop(self) -> None:
+        """As Ctrl-C does."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise
+
+
+def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str) -> Served:
+    """Start a service in a folder, which may hold an earlier one's data; returns once it answers.
+
+    Parameters
+    ----------
+    folder : Path
+    workers : int
+    api_key : str
+        Of an earlier start; the first start prints its own.
+    settings
+        Environment variables without their prefix, such as TSA_URL.
+    """
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    log = folder / "log.txt"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("MARK3DGS_")}
+    environment |= {"MARK3DGS_DATA_DIR": str(folder / "data")}
+    environment |= {f"MARK3DGS_{name}": value for name, value in settings.items()}
+    with log.open("a") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--workers", str(workers)],
+            cwd=ROOT, env=environment, stdout=out, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    address = f"http://127.0.0.1:{port}"
+    wait_until_up(process, address, log)
+    if not api_key:
+        found = re.search(r"mk_\w+", log.read_text())
+        assert found, log.read_text()
+        api_key = found[0]
+    return Served(address, api_key, folder, process)
+
+
+def wait_until_up(process: subprocess.Popen[bytes], address: str, log: Path) -> None:
+    """Return once /healthz answers."""
+    for _ in range(600):
+        try:
+            urllib.request.urlopen(f"{address}/healthz", timeout=1).close()
+            return
+        except OSError:
+            assert process.poll() is None, log.read_text()
+            time.sleep(0.1)
+    raise AssertionError(f"not up within 60 s: {log.read_text()}")
