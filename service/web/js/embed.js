@@ -87,7 +87,7 @@ function request() {
     budget: number("budget"),
     format: value("format") || null,
     copy_name: value("copy"),
-    label: value("label"),
+    label: value("label") || $("#mark-file").files[0].name.slice(0, 200),
   };
 }
 
@@ -95,5 +95,5 @@ function request() {
 export function refusal(job) {
   if (job.state === "disputed") return { title: "This model is disputed", detail: job.result.text };
   const { title, detail, request_id: requestId } = job.problem ?? { title: "The job failed" };
-  return { title, detail, requestId };
+  return { title, detail, requestId, job: job.id };
 }

@@ -6,7 +6,13 @@ export function problemBox(problem) {
   return h("div", { class: "problem", role: "alert" },
     h("strong", {}, problem.title ?? "Something went wrong"),
     problem.detail && problem.detail !== problem.title ? h("p", {}, problem.detail) : null,
-    problem.requestId ? h("p", { class: "note" }, "Request ", h("code", {}, problem.requestId)) : null);
+    reference(problem));
+}
+
+/** What to name when asking the operator about it. */
+function reference({ requestId, job }) {
+  if (!requestId && !job) return null;
+  return h("p", { class: "note" }, requestId ? "Request " : "Job ", h("code", {}, requestId || job));
 }
 
 /** Show a problem in a place, and bring the reader to it. */

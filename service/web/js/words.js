@@ -12,7 +12,7 @@ const STAGES = {
   quantize: "Learning the code book",
   landmarks: "Noting landmarks, to recognise screenshots later",
   plan: "Planning a mark that nobody sees",
-  embed: "Placing the mark",
+  embed: "Getting the model ready",
   refine: "Refining the mark",
   record: "Sealing the record",
   write: "Writing the marked model",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import urllib.request
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,7 +44,7 @@ def test_a_file_that_is_no_model_is_refused_in_words(page: Page, tmp_path: Path)
     box = page.get_by_role("alert")
     box.wait_for(timeout=LONG)
     assert "The model cannot be read" in box.inner_text()
-    assert "Request" in box.inner_text()
+    assert re.search(r"Request [0-9a-f]{16}|Job job_\w+", box.inner_text())
     assert page.evaluate("document.activeElement.className") == "problem"
     assert page.get_by_role("button", name="Mark the model").is_visible(), "the form is there to try again"
     shoot(page, "mark-problem")
