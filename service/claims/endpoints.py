@@ -91,7 +91,9 @@ def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
 
     row = own(core, caller.tenant, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
-    return Response(report_html(json.loads(row.document), row.jws, pictures), media_type="text/html")
+    return Response(
+        report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html"
+    )
 
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())

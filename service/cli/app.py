@@ -6,9 +6,11 @@ from engine.cli.app import app, main, run
 from service.cli.admin import apikey, audit, rotate_signing_key
 from service.cli.openapi import openapi
 from service.cli.serve import serve, worker
+from service.cli.verify_report import verify_report
 
 app.command("serve")(serve)
 app.command("worker")(worker)
+app.command("verify-report")(verify_report)
 app.command("openapi")(openapi)
 app.add_typer(apikey, name="apikey")
 app.add_typer(audit, name="audit")

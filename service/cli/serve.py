@@ -42,7 +42,7 @@ def serve(
     Examples:
 
       mark3dgs serve
-      MARK3DGS_DATA_DIR=/srv/mark3dgs mark3dgs serve --host 0.0.0.0 --port 80
+      MARK3DGS_DATA_DIR=~/mark3dgs mark3dgs serve --host 0.0.0.0 --port 80
     """
     import uvicorn
 

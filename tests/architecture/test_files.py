@@ -44,7 +44,7 @@ VENDORED = {
     Path("service/web/viewer/supersplat"),
     Path("tests/service/web/axe"),
 }
-"""Folders of other people's files, kept as they came; a minified bundle holds strings such as `</root>`."""
+"""Folders of other people's files, kept as they came; a minified bundle holds closing tags that look like paths."""
 
 
 def faults(text: str) -> list[str]:
@@ -81,7 +81,12 @@ def test_no_machine_paths_and_no_registry_hosts() -> None:
             text = (ROOT / path).read_text(encoding="utf-8")
         except UnicodeDecodeError:  # a binary golden file
             continue
-        if bad := faults(text):
+        bad = faults(text)
+        if path.parts[0] == "docker" or path.parts[:2] == ("tests", "docker"):
+            bad = [
+                fault for fault in bad if not MACHINE_PATH.match(fault)
+            ]  # paths in a container are everywhere the same
+        if bad:
             found[str(path)] = bad
     assert not found
 
