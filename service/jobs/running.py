@@ -24,6 +24,9 @@ _UNAVAILABLE = frozenset({"unavailable"})
 _OUT_OF_REACH = _UNAVAILABLE | {"storage-full"}
 """A full disk fails the step that fills it; what the job's row must say waits for space."""
 
+MAX_KILLED = 3
+"""Runs of a task whose process is killed from outside. A task that is too large is killed each time."""
+
 _FIRST_WAIT_SECONDS, _LONGEST_WAIT_SECONDS = 0.5, 5.0
 
 _log = logging.getLogger(__name__)
@@ -120,7 +123,17 @@ class Runner:
                     raise
                 return True  # nobody can see how far it is, or ask it to stop, and the work goes on
 
-        run.work = lambda task, request: self._children.run(task, request, folder, go_on)
+        def work(task: str, request: Mapping[str, Any]) -> dict[str, Any]:
+            for _ in range(MAX_KILLED - 1):
+                try:
+                    return self._children.run(task, request, folder, go_on)
+                except Problem as problem:
+                    if problem.extra.get("signal") != "SIGKILL":
+                        raise
+                    _log.warning("job %s: the process of task %s was killed; once more", attempt.job.id, task)
+            return self._children.run(task, request, folder, go_on)
+
+        run.work = work
         folder.mkdir(parents=True)
         try:
             if not go_on(step.name, 0.0):

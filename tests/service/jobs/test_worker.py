@@ -120,6 +120,18 @@ def test_a_worker_that_comes_back_under_its_name_goes_on_at_once(workshop: Works
 
 
 @ON_SQLITE
+def test_a_task_killed_from_outside_runs_once_more(workshop: Workshop, tmp_path: Path) -> None:
+    workshop.task("a", "die_once", marker=str(tmp_path / "marker"))
+    workshop.task("b", "die", signal="SIGKILL")
+    workshop.start("one")
+    assert workshop.ended("a").state == State.SUCCEEDED
+    ended = workshop.ended("b")
+    assert ended.state == State.FAILED, "a task that is killed each time is given up"
+    assert ended.problem is not None
+    assert ended.problem["type"] == "urn:mark3dgs:problem:engine-limit"
+
+
+@ON_SQLITE
 def test_a_worker_told_to_stop_hands_its_job_back(workshop: Workshop, tmp_path: Path) -> None:
     workshop.task("a", "nap", pid_file=str(tmp_path / "pid"), seconds=1)
     first = workshop.start("one")

@@ -54,6 +54,15 @@ def die(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     return {}
 
 
+def die_once(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Killed from outside, as it were, the first time it runs."""
+    marker = Path(request["marker"])
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"ran": "again"}
+
+
 def leave(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     os._exit(0)
 
@@ -73,7 +82,9 @@ def fail(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     raise getattr(__builtins__, name, RuntimeError)(*kwargs.pop("args", []))
 
 
-TASKS = {f.__name__: f for f in (allocate, chat, die, echo, environment, fail, leave, nap, spin, write)}
+TASKS = {
+    f.__name__: f for f in (allocate, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)
+}
 
 if __name__ == "__main__":
     serve(lambda: TASKS, lambda: None)
