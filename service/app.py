@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -76,7 +77,7 @@ def make_app(service: Service) -> FastAPI:
     def docs() -> FileResponse:
         return FileResponse(WEB / "docs" / "index.html")
 
-    app.mount("/static", StaticFiles(directory=WEB, check_dir=False), name="static")
+    app.mount("/static", GZipMiddleware(StaticFiles(directory=WEB), minimum_size=4096), name="static")
     return app
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
+from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
 from service.http.answers import JobView, respond, submit
@@ -18,7 +19,7 @@ from service.http.forms import WHOLE, form_schema, read_form
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust.api_keys import Caller
-from service.trust.owner_keys import open_key
+from service.trust.owner_keys import list_keys, open_key, store
 from service.uploads.taking import expect, take, whole
 
 router = APIRouter(prefix="/v1", tags=["embed"])
@@ -36,7 +37,10 @@ class EmbedRequest(BaseModel):
         json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}},
     )
     upload_id: str = Field(min_length=1, max_length=64, description="A complete upload: the model.")
-    key_id: str = Field(min_length=1, max_length=64, description="Owner key of this tenant.")
+    key_id: str | None = Field(
+        None, min_length=1, max_length=64,
+        description="Owner key of this tenant; left out: its only one, which the first embed makes.",
+    )  # fmt: skip
     message: str | None = Field(
         None,
         pattern="^([0-9a-fA-F]{2}){2,32}$",
@@ -72,7 +76,7 @@ class EmbedRequest(BaseModel):
 
 
 FILES = {"model": ("The model.", False), "cameras": ("cameras.json or transforms.json.", False)}
-BODY = form_schema(EmbedRequest, FILES, ("upload_id", "cameras_upload_id"), ("model", "key_id"))
+BODY = form_schema(EmbedRequest, FILES, ("upload_id", "cameras_upload_id"), ("model",))
 
 
 @router.post("/embed", status_code=202, operation_id="embed", openapi_extra=BODY, response_model=JobView,
@@ -124,11 +128,28 @@ def _submit(
     unnamed = {name: value for name, value in values.items() if not name.endswith("upload_id")}
 
     def make() -> Job:
-        open_key(core.db, core.master, tenant, values["key_id"])  # or there is no such key
+        key_id = values["key_id"] or _usual_key(core, tenant)
+        open_key(core.db, core.master, tenant, key_id)  # or there is no such key
         spend(
             core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key"
         )
-        asked = {**unnamed, "model": model.sha256, "upload_id": model.id, "cameras": digests["cameras"]}
+        asked = {
+            **unnamed,
+            "key_id": key_id,
+            "model": model.sha256,
+            "upload_id": model.id,
+            "cameras": digests["cameras"],
+        }
         return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "embed", State.QUEUED, asked)
 
     return submit(core, tenant, retry_key, {"embed": unnamed, **digests}, make)
+
+
+def _usual_key(core: Service, tenant: str) -> str:
+    """The tenant's only key; made if there is none yet."""
+    keys = list_keys(core.db, tenant)
+    if len(keys) > 1:
+        raise Problem("invalid-request", "body.key_id: this tenant has several owner keys: name one")
+    if not keys:
+        return store(core.db, core.master, tenant, OwnerKey.generate(), "made by the first embed").id
+    return keys[0].id

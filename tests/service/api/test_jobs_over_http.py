@@ -142,6 +142,7 @@ def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
         ("/v1/embed", {"upload_id": "x", "key_id": "y", "bits": 32, "message": "c0ffee42"}, 422, "not both"),
         ("/v1/embed", {"upload_id": "x", "key_id": "y", "colour": 1}, 422, "colour"),
         ("/v1/embed", {"key_id": "y"}, 422, "upload_id"),
+        ("/v1/embed", {}, 422, "upload_id"),
         ("/v1/embed", {"upload_id": "x", "key_id": "y"}, 404, "'x'"),
         ("/v1/verify", {}, 422, "one suspect"),
         ("/v1/verify", {"upload_id": "x", "image_upload_ids": ["y"]}, 422, "one suspect"),
@@ -183,3 +184,12 @@ def test_the_key_is_shown_once_and_never_listed(api: Api) -> None:
 
 def _files(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_without_a_key_the_tenants_only_one_is_taken(api: Api) -> None:
+    body: dict[str, object] = {"upload_id": api.upload(SMALL.read_bytes())}
+    for _ in range(2):
+        assert api.client.post("/v1/embed", json=body).status_code == 202
+    assert len(api.client.get("/v1/keys").json()["items"]) == 1
+    api.key()
+    assert "several" in api.client.post("/v1/embed", json=body).json()["detail"]
