@@ -66,7 +66,9 @@ class EmbedRequest(BaseModel):
         max_length=64,
         description="cameras.json or transforms.json; views are generated if left out.",
     )
-    spz_frame: Literal["auto", "rub", "rdf"] = Field("auto", description="Axes of an .spz that does not say.")
+    spz_frame: Literal["auto", "spec", "ply"] = Field(
+        "auto", description="Axes of an .spz that does not say."
+    )
 
     @model_validator(mode="after")
     def _one_length(self) -> EmbedRequest:

@@ -63,7 +63,9 @@ class VerifyRequest(BaseModel):
         1e-9, gt=0, lt=1, description="Largest acceptable chance of a false claim."
     )
     route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
-    spz_frame: Literal["auto", "rub", "rdf"] = Field("auto", description="Axes of an .spz that does not say.")
+    spz_frame: Literal["auto", "spec", "ply"] = Field(
+        "auto", description="Axes of an .spz that does not say."
+    )
 
 
 FILES = {
