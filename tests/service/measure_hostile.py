@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.service import serving
-from tests.service.measure import client_of, resident_mb
+from tests.service.measuring import client_of, resident_mb
 from tests.service.serving import ROOT
 
 AT_ONCE = 2
