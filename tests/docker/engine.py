@@ -49,7 +49,9 @@ def docker_engine() -> Iterator[None]:
             del os.environ["DOCKER_HOST"]
         else:
             os.environ["DOCKER_HOST"] = before
-        shutil.rmtree(folder, ignore_errors=True)
+        for mount in (folder / "exec" / "netns").glob("*"):  # the engine leaves its network's name space mounted
+            subprocess.run(["umount", mount], capture_output=True)
+        shutil.rmtree(folder)
 
 
 def need(program: str, package: str) -> None:
