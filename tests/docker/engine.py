@@ -49,7 +49,8 @@ def docker_engine() -> Iterator[None]:
             del os.environ["DOCKER_HOST"]
         else:
             os.environ["DOCKER_HOST"] = before
-        for mount in (folder / "exec" / "netns").glob("*"):  # the engine leaves its network's name space mounted
+        # The engine leaves its network's name space mounted.
+        for mount in (folder / "exec" / "netns").glob("*"):
             subprocess.run(["umount", mount], capture_output=True)
         shutil.rmtree(folder)
 
