@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -49,6 +50,7 @@ def serve(
     from service.app import make_app
 
     console = Console(machine=False)
+    _check_free(host, port)
     settings, service = start(console)
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
@@ -114,6 +116,17 @@ def start(console: Console) -> tuple[Settings, Service]:
             "This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others."
         )
     return settings, service
+
+
+def _check_free(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened on, before anything is started."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise InputError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
 
 
 class Crew:

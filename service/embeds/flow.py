@@ -10,6 +10,7 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import assets, uploads
 from service.jobs.port import Flow, Job, Run, State, Step
+from service.registry import candidates
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
@@ -39,20 +40,11 @@ def _screen(service: Service, run: Run) -> dict[str, Any]:
         ).scalar()
     if not rows:
         return {"carries": [], "screened": 0}
-    candidates = [
-        {
-            "asset": row.id,
-            "record": str(service.blobs.local(row.record_sha256, run.folder)),
-            "sketch": str(service.blobs.local(row.sketch_sha256, run.folder)),
-            "key": open_key(service.db, service.master, row.tenant, row.owner_key).secret.hex(),
-        }
-        for row in rows.values()
-    ]
     found = run.work("inspect", {
         "model": str(service.blobs.local(run.job.request["model"], run.folder)),
         "spz_frame": run.job.request["spz_frame"],
         "sketch": str(service.blobs.local(sketch, run.folder)) if sketch else None,
-        "candidates": candidates,
+        "candidates": candidates(service, list(rows.values()), run.folder),
         "limit": SCREENED,
     })  # fmt: skip
     carries = [entry["asset"] for entry in found["carries"]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
@@ -10,7 +9,6 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import assets
 from service.http.budgets import spend
-from service.trust.owner_keys import open_key
 
 
 def asset_exists(core: Service, tenant: str, asset_id: str) -> bool:
@@ -27,16 +25,6 @@ def rows_to_try(core: Service, tenant: str, asset_id: str | None) -> list[Any]:
         query = query.where(assets.c.id == asset_id)
     with core.db.read() as connection:
         return list(connection.execute(query))
-
-
-def candidate(core: Service, row: Any, folder: Path) -> dict[str, Any]:
-    """An asset as the tasks take it: readable paths, and its owner key (which goes through a pipe only)."""
-    return {
-        "asset": row.id,
-        "record": str(core.blobs.local(row.record_sha256, folder)),
-        "sketch": str(core.blobs.local(row.sketch_sha256, folder)),
-        "key": open_key(core.db, core.master, row.tenant, row.owner_key).secret.hex(),
-    }
 
 
 def spend_subject(core: Service, asset_id: str) -> None:

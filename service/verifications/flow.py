@@ -8,7 +8,8 @@ from service.claims.issuing import issue
 from service.core import Service
 from service.jobs.port import Flow, Run, State, Step
 from service.problems import Problem
-from service.verifications.candidates import candidate, rows_to_try, spend_subject
+from service.registry import candidates
+from service.verifications.candidates import rows_to_try, spend_subject
 
 
 def verify_flow(service: Service) -> Flow:
@@ -24,11 +25,14 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
     rows = rows_to_try(service, run.job.tenant, asked["asset_id"])
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
+    known = candidates(service, rows, folder)
+    if not known:
+        raise Problem("conflict", "the owner key of every asset in question was erased: import it again")
     found = run.work("verify", {
         "model": str(service.blobs.local(asked["model"], folder)) if asked["model"] else None,
         "images": [str(service.blobs.local(digest, folder)) for digest in asked["images"]],
         "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
-        "candidates": [candidate(service, row, folder) for row in rows],
+        "candidates": known,
         "stop_at_first": True,
         **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
     })  # fmt: skip

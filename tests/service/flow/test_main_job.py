@@ -192,6 +192,23 @@ def test_a_tenant_without_assets(served: Served) -> None:
     assert answer["problem"]["status"] == 409
 
 
+def test_an_erased_owner_key(served: Served) -> None:
+    """Erasing is refused while assets need the key, unless it is meant; then nothing can be checked, and says so."""
+    dave = client_of(served, "dave")
+    key = dave.post("/v1/keys", json={"reveal": True}).json()
+    job = dave.embed(PLANT.read_bytes(), key_id=key["id"])
+    asset = job["result"]["asset_id"]
+    model = dave.get(f"/v1/assets/{asset}/model").content
+    assert dave.delete(f"/v1/keys/{key['id']}").status_code == 409
+    assert dave.delete(f"/v1/keys/{key['id']}", params={"force": True}).status_code == 204
+    gone = dave.verify(model)
+    assert (gone["state"], gone["problem"]["status"]) == ("failed", 409)
+    assert "erased" in gone["problem"]["detail"]
+    back = dave.post("/v1/keys", json={"key": key["key"].splitlines()[-1]}).json()
+    assert back["id"] == key["id"]
+    assert dave.verify(model, asset_id=asset)["result"]["verdict"] == "marked"
+
+
 def test_cancelling_kills_the_process(served: Served, alice: Client) -> None:
     key = alice.get("/v1/keys").json()["items"][0]["id"]
     form = {"key_id": key, "profile": "strong"}
