@@ -81,16 +81,16 @@ def verify_model(
     with clock.stage("register"):
         registration = register(opened.reference, suspect, seed=config.seed)
     best: Verification | None = None
-    for number, route in enumerate(
-        ("model", "render") if config.route == "auto" else (config.route,), start=1
-    ):
+    routes = ("model", "render") if config.route == "auto" else (config.route,)
+    for route in routes:
         with clock.stage(route):
             if route == "model":
                 evidence = _read_model(suspect, opened, registration)
             else:
                 evidence = _read_renders(suspect, opened, registration, clock)
-            # A try is a Z that was computed; the registration's hypotheses were weighed without the chips.
-            claim = judge(evidence, opened, route, number, config, registration)
+            # A try is a Z that may be computed: all of them count from the first on, or the rates of the routes would
+            # add up beyond the one asked for. The registration's hypotheses were weighed without the chips.
+            claim = judge(evidence, opened, route, len(routes), config, registration)
         if best is None or claim.verdict is Verdict.MARKED:
             best = Verification(claim, evidence, 0.0, {})
         if claim.verdict is not Verdict.INCONCLUSIVE:
