@@ -61,7 +61,6 @@ uploads = Table(
     _text("parts"),               # JSON list of [offset, length]
     _text("state"),               # open, complete
     _text("info", null=True),  # JSON: what the file is, once it was inspected
-    _text("sketch_sha256", null=True),
     _text("created_at", index=True),
 )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The steps of an embed job: screen the upload against the registry, mark it, register it."""
+"""The steps of an embed job: mark the upload unless it carries another's mark, and register it."""
 
 from __future__ import annotations
 
@@ -8,59 +8,30 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.core import Service
-from service.db.schema import assets, uploads
+from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.registry import candidates
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
 
-SCREENED = 8
-"""Registered assets that resemble an upload and are looked for in it, at most."""
+SCREENED = 32
+"""Registered assets that resemble an upload and are looked for in it, at most; each takes about a second."""
 
 
 def embed_flow(service: Service) -> Flow:
     """Steps of an embed job."""
     return (
-        Step("screen", lambda run: _screen(service, run)),
         Step("embed", lambda run: _embed(service, run)),
         Step("commit", lambda run: _commit(service, run)),
     )
 
 
-def _screen(service: Service, run: Run) -> dict[str, Any]:
-    """Does the upload carry a mark that is registered already? Then say so, and name nothing of other tenants."""
-    with service.db.read() as connection:
-        rows = {
-            row.id: row
-            for row in connection.execute(sa.select(assets).order_by(assets.c.registered_at.desc()))
-        }
-        sketch = connection.execute(
-            sa.select(uploads.c.sketch_sha256).where(uploads.c.id == run.job.request["upload_id"])
-        ).scalar()
-    if not rows:
-        return {"carries": [], "screened": 0}
-    found = run.work("inspect", {
-        "model": str(service.blobs.local(run.job.request["model"], run.folder)),
-        "spz_frame": run.job.request["spz_frame"],
-        "sketch": str(service.blobs.local(sketch, run.folder)) if sketch else None,
-        "candidates": candidates(service, list(rows.values()), run.folder),
-        "limit": SCREENED,
-    })  # fmt: skip
-    carries = [entry["asset"] for entry in found["carries"]]
-    return {
-        "own": [asset for asset in carries if rows[asset].tenant == run.job.tenant],
-        "foreign": sum(rows[asset].tenant != run.job.tenant for asset in carries),
-        "screened": found["screened"],
-    }
-
-
 def _embed(service: Service, run: Run) -> dict[str, Any]:
-    """Mark the model, and keep what came out by digest."""
-    if run.results["screen"].get("foreign"):
-        return {}
+    """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest."""
     asked, folder = run.job.request, run.folder
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
+    rows = _to_screen(service, run.job)
     made = run.work("embed", {
         "model": str(service.blobs.local(asked["model"], folder)),
         "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
@@ -68,16 +39,30 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
         "bits": asked["bits"] or 32,
         "copy": asked["copy_name"],
         "registered_at": run.job.created_at[:19] + "+00:00",
+        "candidates": candidates(service, rows, folder),
+        "limit": SCREENED,
+        "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
         **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
     })  # fmt: skip
-    kept = {name: service.blobs.put(folder / file) for name, file in made["files"].items()}
+    kept = {name: service.blobs.put(folder / file) for name, file in made.get("files", {}).items()}
     return {**{name: value for name, value in made.items() if name != "files"}, "kept": kept}
+
+
+def _to_screen(service: Service, job: Job) -> list[Any]:
+    """Assets whose mark the upload may carry, those of others first: nobody hides one behind copies of his own.
+
+    An asset made from this very file is left out: the file is its unmarked original.
+    """
+    query = sa.select(assets).where(assets.c.original_sha256 != job.request["model"])
+    foreign = sa.case((assets.c.tenant == job.tenant, 1), else_=0)
+    with service.db.read() as connection:
+        return list(connection.execute(query.order_by(foreign, assets.c.registered_at.desc())))
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:
     """Write everything the job made in one transaction; a second time changes nothing."""
-    job, screened = run.job, run.results["screen"]
-    if screened.get("foreign"):
+    job, made = run.job, run.results["embed"]
+    if not made["kept"]:
         with service.db.write() as connection:
             payload = {"original_sha256": job.request["model"]}
             if audit.find(connection, "embed.disputed", job.id) is None:
@@ -87,12 +72,12 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
             " made it, show your original and your earlier registration; the audit log holds the time of both."
         )
         return {"state": State.DISPUTED.value, "result": {"text": text}}
-    row = _row(job, run.results["embed"])
+    row = _row(job, made)
     with service.db.write() as connection:
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
             commit_asset(connection, row)
-    report = run.results["embed"]["report"]
+    report = made["report"]
     result = {
         "asset_id": row["id"],
         "record_id": row["record_id"],
@@ -101,7 +86,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         "ssim_worst_view": report["ssim_worst_view"],
         "gaussians": row["gaussians"],
         "seconds": report["seconds"],
-        "already_carries": screened.get("own", []),
+        "already_carries": [found["asset"] for found in made["screening"]["carries"]],
     }
     return {"state": State.SUCCEEDED.value, "result": result}
 

@@ -26,8 +26,8 @@ def inspect(service: Service, row: Any) -> Any:
         with path.open("rb") as file:
             kind = store.kind_of(file.read(16))
         if row.size > MOST_BYTES:
-            return store.note(service, row, {"kind": kind}, None)
-        request = {kind: str(path), "spz_frame": "auto", "candidates": [], "limit": 0}
+            return store.note(service, row, {"kind": kind})
+        request = {kind: str(path), "spz_frame": "auto"}
         task = "inspect" if kind == "model" else kind
         try:
             found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds)
@@ -36,9 +36,7 @@ def inspect(service: Service, row: Any) -> Any:
                 store.drop(service, row)
             raise
         if found is None:
-            return store.note(service, row, {"kind": kind}, None)
-        sketch = found.get("sketch")
-        digest = service.blobs.put(folder / sketch) if sketch else None
+            return store.note(service, row, {"kind": kind})
     names = ("format", "gaussians", "sh_degree", "repairs", "width", "height", "cameras")
     info = {"kind": kind, **{name: found[name] for name in names if name in found}}
-    return store.note(service, row, info, digest)
+    return store.note(service, row, info)

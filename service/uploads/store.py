@@ -71,14 +71,10 @@ def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -
     return get(service, row.tenant, row.id)
 
 
-def note(service: Service, row: Any, info: dict[str, Any], sketch_sha256: str | None) -> Any:
+def note(service: Service, row: Any, info: dict[str, Any]) -> Any:
     """What the inspection found."""
     with service.db.write() as connection:
-        connection.execute(
-            sa.update(uploads).where(uploads.c.id == row.id).values(
-                info=json.dumps(info), sketch_sha256=sketch_sha256
-            )
-        )  # fmt: skip
+        connection.execute(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
     return get(service, row.tenant, row.id)
 
 

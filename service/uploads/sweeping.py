@@ -52,7 +52,7 @@ def _sweep_blobs(service: Service, hours: float) -> int:
 def _named(service: Service) -> set[str]:
     """Digests that some row names."""
     columns = (
-        uploads.c.sha256, uploads.c.sketch_sha256, assets.c.original_sha256, assets.c.model_sha256,
+        uploads.c.sha256, assets.c.original_sha256, assets.c.model_sha256,
         assets.c.record_sha256, assets.c.preview_sha256, assets.c.sketch_sha256, conversions.c.sha256,
     )  # fmt: skip
     found: set[str] = set()

@@ -15,9 +15,10 @@ from engine.pipeline.profiles import EmbedConfig, profile
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from engine.watermark.sketch import make_sketch
-from service.work.inputs import load_cameras, load_model
+from service.work.inputs import load_cameras, load_candidates, load_model
 from service.work.pictures import draw_preview
 from service.work.process import Progress
+from service.work.screening import find_marks
 
 
 def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
@@ -34,6 +35,10 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     loaded = load_model(request)
     kind = request.get("format") or loaded.format
     read_seconds = time.perf_counter() - began
+    found = find_marks(loaded.model, load_candidates(request), int(request.get("limit") or 0), progress)
+    screen_seconds = time.perf_counter() - began - read_seconds
+    if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
+        return {"screening": found}
     made = embed(
         loaded.model, key, original_sha256=loaded.sha256, message=message, bits=bits, config=config,
         cameras=cameras, copy=request.get("copy") or "", registered_at=request.get("registered_at") or "",
@@ -68,12 +73,14 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "seconds": ended - began,
         "seconds_by_stage": {
             "read": read_seconds,
+            "screen": screen_seconds,
             **made.report["seconds_by_stage"],
             "write": drawing - started,
             "picture": ended - drawing,
         },
     }
     return {
+        "screening": found,
         "report": report,
         "record_id": made.report["record_id"],
         "message": made.report["message"],

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from engine.errors import FormatError
+from engine.errors import FormatError, RecordError
 from engine.model import GaussianModel
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import VerifyConfig, verify_model
+from engine.watermark.claim import Verdict
 from engine.watermark.sketch import ALIKE, Sketch, SuspectIndex
 from service.work.inputs import Candidate
 from service.work.process import Progress
@@ -55,3 +59,42 @@ def _resemblance(index: SuspectIndex, candidate: Candidate, seen: dict[Path, int
         except FormatError:
             seen[path] = ALIKE  # a damaged sketch must not hide an asset
     return seen[path]
+
+
+def find_marks(
+    model: GaussianModel, candidates: Sequence[Candidate], limit: int, progress: Progress
+) -> dict[str, Any]:
+    """Marks that a model carries already: `{"alike", "screened", "carries"}`, see docs/SERVICE.md.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    candidates : sequence of Candidate
+        Those that matter most first: at most `limit` of those alike are verified, in this order.
+    limit : int
+    progress : callable
+    """
+    alike = {each.candidate.asset for each in rank(model, candidates, progress) if each.alike}
+    chosen = [candidate for candidate in candidates if candidate.asset in alike][:limit]
+    carries = []
+    for number, candidate in enumerate(chosen):
+        progress("screen", number / len(chosen))
+        found = _carries(model, candidate, len(chosen))
+        carries += [found] if found is not None else []
+    return {"alike": len(alike), "screened": len(chosen), "carries": carries}
+
+
+def _carries(model: GaussianModel, candidate: Candidate, tries: int) -> dict[str, Any] | None:
+    """What the reply says of a candidate whose mark is there.
+
+    The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is
+    found by `verify`.
+    """
+    try:
+        opened = open_record(candidate.record.read_bytes(), candidate.key)
+    except RecordError:  # its owner learns that when verifying; somebody's upload must not fail for it
+        return None
+    claim = verify_model(model, opened, VerifyConfig(route="model", tries=tries)).claim
+    if claim.verdict is not Verdict.MARKED:
+        return None
+    return {"asset": candidate.asset, "log10_false_claim": claim.log10_false_claim, "z": claim.z}

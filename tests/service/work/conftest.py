@@ -69,7 +69,7 @@ def inspect(tmp_path: Path) -> Ask:
     """Ask the task `inspect`."""
 
     def ask(model: Path, **request: Any) -> dict[str, Any]:
-        usual = {"model": str(model), "spz_frame": "auto", "candidates": [], "limit": 8}
+        usual = {"model": str(model), "spz_frame": "auto"}
         return TASKS["inspect"](usual | request, tmp_path, silent)
 
     return ask

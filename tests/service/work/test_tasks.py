@@ -11,13 +11,15 @@ import pytest
 from PIL import Image
 
 from engine.errors import CapacityError, FormatError, InputError
-from engine.formats import read_model, write_model
+from engine.formats import read_model
 from engine.pipeline.sealing import open_record
 from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
-from engine.watermark.sketch import Sketch, SuspectIndex, make_sketch
+from engine.watermark.sketch import make_sketch
 from service.work.embedding import embed_mark
+from service.work.inputs import load_candidates
 from service.work.pictures import choose_view
+from service.work.screening import find_marks
 from service.work.tasks import TASKS
 from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, silent
 
@@ -100,31 +102,41 @@ def test_convert_writes_every_format(marked: Marked, tmp_path: Path) -> None:
         assert (loaded.format, len(loaded.model)) == (kind, marked.reply["report"]["gaussians_out"])
 
 
-def test_inspect_says_what_an_upload_is(inspect: Ask, tmp_path: Path) -> None:
+def test_inspect_says_what_an_upload_is(inspect: Ask) -> None:
     reply = inspect(FOREIGN)
     assert (reply["format"], reply["gaussians"], reply["sh_degree"]) == ("ply", 1000, 3)
     assert (reply["bytes"], reply["sha256"]) == (FOREIGN.stat().st_size, read_model(FOREIGN).sha256)
-    assert (reply["carries"], reply["screened"]) == ([], 0)
-    sketch = Sketch.from_bytes((tmp_path / reply["sketch"]).read_bytes())
-    assert SuspectIndex(read_model(FOREIGN).model).resemblance(sketch) > 100
-    assert inspect(FOREIGN, sketch=str(tmp_path / reply["sketch"]))["sketch"] is None
 
 
-def test_inspect_finds_a_registered_mark_and_only_that(inspect: Ask, marked: Marked, tmp_path: Path) -> None:
-    stolen = tmp_path / "stolen.spz"
+def test_a_registered_mark_is_found_and_only_that(marked: Marked) -> None:
     piece = model_attack("crop").apply(read_model(marked.path("model")).model, 0.3, rng=1)
-    write_model(model_attack("similarity").apply(piece, 3.0, rng=1), stolen)
-    candidates = [
-        marked.candidate("broken", record=FOREIGN),
-        marked.candidate("strange", key="33" * 16 + "44" * 16),
-        marked.candidate("mine"),
-    ]
-    reply = inspect(stolen, candidates=candidates)
-    assert [each["asset"] for each in reply["carries"]] == ["mine"]
-    assert (reply["alike"], reply["screened"]) == (3, 3)
-    assert reply["carries"][0]["log10_false_claim"] < -100
-    assert inspect(stolen, candidates=candidates, limit=2)["screened"] == 2
-    assert inspect(SCENE, candidates=candidates)["carries"] == []  # the original itself carries none
-    assert (
-        inspect(FOREIGN, candidates=candidates)["screened"] == 0
-    )  # and a foreign model costs no registration
+    stolen = model_attack("similarity").apply(piece, 3.0, rng=1)
+    request = {
+        "candidates": [
+            marked.candidate("broken", record=FOREIGN),
+            marked.candidate("strange", key="33" * 16 + "44" * 16),
+            marked.candidate("mine"),
+        ]
+    }
+    candidates = load_candidates(request)
+    found = find_marks(stolen, candidates, 8, silent)
+    assert [each["asset"] for each in found["carries"]] == ["mine"]
+    assert (found["alike"], found["screened"]) == (3, 3)
+    assert found["carries"][0]["log10_false_claim"] < -100
+    assert find_marks(stolen, candidates, 2, silent)["screened"] == 2
+    original, foreign = (read_model(path).model for path in (SCENE, FOREIGN))
+    assert find_marks(original, candidates, 8, silent)["carries"] == []
+    assert find_marks(foreign, candidates, 8, silent)["screened"] == 0, (
+        "a foreign model costs no registration"
+    )
+
+
+def test_a_model_with_anothers_mark_is_not_marked_again(marked: Marked, tmp_path: Path) -> None:
+    request = {
+        "model": str(marked.path("model")), "key": "55" * 16 + "66" * 16, "bits": 16, "profile": "fast",
+        "candidates": [marked.candidate("theirs")], "limit": 8, "disputes": ["theirs"],
+    }  # fmt: skip
+    reply = TASKS["embed"](request, tmp_path, silent)
+    assert [each["asset"] for each in reply["screening"]["carries"]] == ["theirs"]
+    assert set(reply) == {"screening"}
+    assert list(tmp_path.iterdir()) == []

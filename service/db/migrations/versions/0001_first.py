@@ -166,7 +166,6 @@ def upgrade() -> None:
         sa.Column("parts", sa.Text(), nullable=False),
         sa.Column("state", sa.Text(), nullable=False),
         sa.Column("info", sa.Text(), nullable=True),
-        sa.Column("sketch_sha256", sa.Text(), nullable=True),
         sa.Column("created_at", sa.Text(), nullable=False),
         sa.PrimaryKeyConstraint("id"),
     )
