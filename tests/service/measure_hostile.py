@@ -7,8 +7,10 @@ Each must be answered with a 4xx within 5 s, and the service must be alive after
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import random
 import shutil
 import subprocess
 import sys
@@ -29,6 +31,12 @@ AT_ONCE = 2
 
 def main() -> None:
     """Collect, send, and print what was found."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--most", type=int, default=0, help="send a random sample of so many; 0: all")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="mark3dgs-hostile-"))
     corpus = folder / "corpus"
     corpus.mkdir()
@@ -37,6 +45,9 @@ def main() -> None:
         cwd=ROOT, env={**os.environ, "MARK3DGS_REFUSED_DIR": str(corpus)}, check=True, stdout=sys.stderr,
     )  # fmt: skip
     files = sorted(corpus.iterdir())
+    collected = len(files)
+    if args.most and collected > args.most:
+        files = sorted(random.Random(args.seed).sample(files, args.most))
     served = serving.start(folder, workers=0)
     try:
         with client_of(served) as client:
@@ -59,7 +70,8 @@ def main() -> None:
     seconds = np.array([taken for _, taken in answers])
     odd = [path.name for path, (status, _) in zip(files, answers, strict=True) if not 400 <= status < 500]
     found = {
-        "files": len(files), "answers": dict(Counter(status for status, _ in answers)), "not_4xx": odd,
+        "collected": collected, "files": len(files),
+        "answers": dict(Counter(status for status, _ in answers)), "not_4xx": odd,
         "seconds_median": float(np.median(seconds)), "seconds_max": float(seconds.max()), "alive": alive,
         "api_mb_before": before, "api_mb_peak": peak,
     }  # fmt: skip
