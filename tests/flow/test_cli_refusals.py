@@ -73,9 +73,11 @@ def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
         "--profile",
         "strong",
     ]
+    # A shell that starts the tests in the background hands on SIGINT as ignored, and Python leaves it so.
     program = """
-import sys
+import signal, sys
 from engine.cli.app import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from engine.pipeline import embedding
 quantize = embedding.quantize
 def told(*given, **named):
