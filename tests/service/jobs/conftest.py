@@ -18,20 +18,9 @@ from service.db import Database
 from service.jobs.durable import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from service.settings import Settings
-from tests.service.postgres import Postgres
 
 REPOSITORY = Path(__file__).parents[3]
 _numbers = itertools.count()
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[Postgres]:
-    try:
-        server = Postgres()
-    except Exception as error:
-        pytest.skip(f"PostgreSQL does not start here: {error}")
-    yield server
-    server.close()
 
 
 def new_settings(database: str, request: pytest.FixtureRequest, folder: Path) -> Settings:

@@ -11,19 +11,8 @@ import pytest
 from service.db import Database
 from service.settings import Settings
 from service.trust.master import MasterKey
-from tests.service.postgres import Postgres
 
 _numbers = itertools.count()
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[Postgres]:
-    try:
-        server = Postgres()
-    except Exception as error:
-        pytest.skip(f"PostgreSQL does not start here: {error}")
-    yield server
-    server.close()
 
 
 @pytest.fixture(params=["sqlite", "postgres"])

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import re
 import shutil
-import signal
-import socket
-import subprocess
-import sys
-import time
-import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from tests.service import serving
+from tests.service.serving import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
@@ -26,56 +21,14 @@ SCREENSHOTS = Path(__file__).parents[3] / "out" / "screenshots"  # ignored by gi
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
 
 
-@dataclass(frozen=True)
-class Served:
-    """A running service."""
-
-    address: str
-    api_key: str
-
-
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """`mark3dgs serve` with one worker in an empty folder."""
     if CHROMIUM is None:
         pytest.skip("the page is tested in Chromium, which is not here (Debian: apt-get install chromium)")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    folder = tmp_path_factory.mktemp("served")
-    log = folder / "log.txt"
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("MARK3DGS_")}
-    environment |= {"MARK3DGS_DATA_DIR": str(folder / "data")}
-    with log.open("w") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", "serve", "--port", str(port)],
-            cwd=Path(__file__).parents[3], env=environment, stdout=out, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-    address = f"http://127.0.0.1:{port}"
-    try:
-        wait_until_up(process, address, log)
-        found = re.search(r"mk_\w+", log.read_text())
-        assert found, log.read_text()
-        yield Served(address, found[0])
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            raise
-
-
-def wait_until_up(process: subprocess.Popen[bytes], address: str, log: Path) -> None:
-    """Return once /healthz answers."""
-    for _ in range(300):
-        try:
-            urllib.request.urlopen(f"{address}/healthz", timeout=1).close()
-            return
-        except OSError:
-            assert process.poll() is None, log.read_text()
-            time.sleep(0.1)
-    raise AssertionError(f"not up within 30 s: {log.read_text()}")
+    made = serving.start(tmp_path_factory.mktemp("served"))
+    yield made
+    made.stop()
 
 
 @pytest.fixture(scope="session")

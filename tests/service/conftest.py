@@ -1,0 +1,20 @@
+"""What tests of several parts of the service need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.service.postgres import Postgres
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Postgres]:
+    """A server for the session; a test that stops it starts one of its own."""
+    try:
+        server = Postgres()
+    except Exception as error:
+        pytest.skip(f"PostgreSQL does not start here: {error}")
+    yield server
+    server.close()
