@@ -10,12 +10,13 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float32
 
-__all__ = ["difference_picture", "psnr", "ssim"]
+__all__ = ["difference_picture", "psnr", "ssim", "ssim_maps"]
 
 SSIM_RADIUS = 5
 """Half width of the 11-tap window of Wang et al."""
 SSIM_SIGMA = 1.5
-_C1, _C2 = 0.01**2, 0.03**2  # Wang et al., K1 and K2 at a data range of 1
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+"""Wang et al., K1 and K2 at a data range of 1."""
 
 
 def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
@@ -69,6 +70,27 @@ def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
     Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural
     similarity", IEEE TIP 13(4), 2004.
     """
+    structure, luminance = ssim_maps(a, b)
+    return float(np.mean(structure * luminance, dtype=np.float64))
+
+
+def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float32]:
+    """The two factors of SSIM at every place of its window: contrast times structure, and luminance.
+
+    Parameters
+    ----------
+    a, b : (H, W, C) or (H, W)
+        As for `ssim`.
+
+    Returns
+    -------
+    structure, luminance : (H - 10, W - 10, C) or (H - 10, W - 10) float32
+
+    Raises
+    ------
+    InputError
+        As for `ssim`.
+    """
     import cv2  # a heavy import that only image work pays for
 
     x, y = _pair(a, b)
@@ -90,11 +112,11 @@ def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
     cross = local_mean(x * y)
     product = mean_x * mean_y
     powers = mean_x * mean_x + mean_y * mean_y
-    structure = (2 * (cross - product) + _C2) / (square - powers + _C2)
+    structure: Float32 = (2 * (cross - product) + SSIM_C2) / (square - powers + SSIM_C2)
     # Back to means about black, where the luminance term is defined.
     total = mean_x + mean_y  # (m_x + 1/2)(m_y + 1/2) = m_x m_y + (m_x + m_y)/2 + 1/4
-    luminance = (2 * product + total + (0.5 + _C1)) / (powers + total + (0.5 + _C1))
-    return float(np.mean(structure * luminance, dtype=np.float64))
+    luminance: Float32 = (2 * product + total + (0.5 + SSIM_C1)) / (powers + total + (0.5 + SSIM_C1))
+    return structure, luminance
 
 
 def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:
