@@ -62,6 +62,8 @@ class Gradients:
         Through the normalisation: orthogonal to the quaternion.
     log_scales : (N, 3) float32
     opacity_logits : (N,) float32
+    centers : (2, N) float32
+        With respect to x and y of the projected centres, pixels, the projected shapes held.
     colors : (N, 3) float32
         With respect to the view-dependent colours.
     sh : (N, K, 3) float32
@@ -76,6 +78,7 @@ class Gradients:
     quats: Float32
     log_scales: Float32
     opacity_logits: Float32
+    centers: Float32
     colors: Float32
     sh: Float32
     viewmat: Float64
@@ -90,8 +93,8 @@ class Gradients:
             return np.empty(shape, dtype=np.float32)
 
         return cls(
-            rows(n, 3), rows(n, 4), rows(n, 3), rows(n), rows(n, 3), rows(n if with_sh else 0, k, 3),
-            np.zeros((4, 4)), np.zeros((3, 3)),
+            rows(n, 3), rows(n, 4), rows(n, 3), rows(n), rows(2, n), rows(n, 3),
+            rows(n if with_sh else 0, k, 3), np.zeros((4, 4)), np.zeros((3, 3)),
         )  # fmt: skip
 
 
@@ -219,11 +222,12 @@ def _geometry_gradients(
         full.means.reshape(-1), full.quats.reshape(-1), full.log_scales.reshape(-1), full.opacity_logits,
         pack_lens(view.camera, geometry.settings), sums, geometry.firsts, geometry.slots, toward,
         aligned((chunks, GRADIENT_SCRATCH)), into.means.reshape(-1), into.quats.reshape(-1),
-        into.log_scales.reshape(-1), into.opacity_logits, by_chunk,
+        into.log_scales.reshape(-1), into.opacity_logits, into.centers.reshape(-1), by_chunk,
     )  # fmt: skip
     if into is not result:
         for name in ("means", "quats", "log_scales", "opacity_logits"):
             getattr(result, name)[:] = getattr(into, name)[:n]
+        result.centers[:] = into.centers[:, :n]
     return np.asarray(by_chunk.sum(axis=0, dtype=np.float64))
 
 

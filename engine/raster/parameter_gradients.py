@@ -30,7 +30,7 @@ from engine.raster.projection import (
 
 __all__ = ["CAMERA_SUMS", "CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""
@@ -138,7 +138,7 @@ def add_row(own, row, g, mean, j0, t0, j1, t1, counted):
 @parallel_kernel
 def parameter_gradients(
     means, quats, log_scales, logits, lens, values, firsts, slots, toward, scratch,
-    d_means, d_quats, d_log_scales, d_logits, d_camera,
+    d_means, d_quats, d_log_scales, d_logits, d_centers, d_camera,
 ):  # fmt: skip
     """Gradients of N >= 16 Gaussians and of the camera.
 
@@ -150,6 +150,7 @@ def parameter_gradients(
     toward : flat (N, 3), dL/dmeans by way of the colours' viewing direction, or empty
     scratch : (chunks, GRADIENT_SCRATCH)
     d_means, d_quats, d_log_scales, d_logits : flat, out
+    d_centers : flat (2, N) out, by the projected centre, pixels
     d_camera : (chunks, 32) out, `CAMERA_SUMS` numbers a chunk
     """
     n = logits.shape[0]
@@ -189,6 +190,8 @@ def parameter_gradients(
             gb = load(own, _TURNED + 64) * minus_half
             gc = load(own, _TURNED + 80) * minus_half
             du, dv = ca * g1 + cb * g2, cb * g1 + cc * g2
+            store(d_centers, i, select(seen, du, zero))
+            store(d_centers, n + i, select(seen, dv, zero))
             h00, h01, h10, h11 = ca * ga + cb * gb, ca * gb + cb * gc, cb * ga + cc * gb, cb * gb + cc * gc
             e00, e01, e11 = -(h00 * ca + h01 * cb), -(h00 * cb + h01 * cc), -(h10 * cb + h11 * cc)
 

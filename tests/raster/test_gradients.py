@@ -43,6 +43,29 @@ def test_against_autograd_of_the_twin(count: int, coefficients: int) -> None:
         assert relative(getattr(gradients, name), p[name].grad.numpy()) <= TOLERANCE["typical gradient"], name
 
 
+@pytest.mark.parametrize("count", [200, 9])
+def test_projected_centres(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the projected shapes held, as densification wants it."""
+    kept = []
+
+    def project(*args, **options):
+        centres, *rest = original(*args, **options)
+        centres.retain_grad()
+        kept.append(centres)
+        return centres, *rest
+
+    original = twin.project
+    monkeypatch.setattr(twin, "project", project)
+    model, view_from = random_model(count, 50, 4), camera()
+    of_image, of_alpha = cotangents(view_from)
+    twin_loss(twin.parameters(model, view_from), view_from, of_image, of_alpha, background=0.4).backward()
+    expected = kept[0].grad.numpy().T
+    gradients = backward(draw(model, view_from, 0.4), of_image, of_alpha)
+    assert gradients.centers.shape == (2, count)
+    assert np.abs(expected).max() > 0.1
+    assert relative(gradients.centers, expected) <= TOLERANCE["typical gradient"]
+
+
 def test_where_thresholds_hold() -> None:
     """Opaque Gaussians: alpha is clamped, pixels end."""
     rng = np.random.default_rng(0)
