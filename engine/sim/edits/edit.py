@@ -1,0 +1,173 @@
+"""One edit as a value: which Gaussians, what was done to them, and how to take it back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
+from engine.numerics.similarity import transform_model
+from engine.numerics.umeyama import Similarity
+from engine.sim.model_placement import join
+
+__all__ = ["Action", "Attribute", "Edit", "Edited", "Recoloring"]
+
+Action = Literal["change", "delete", "duplicate"]
+Attribute = Literal["means", "log_scales", "quats", "opacity_logits", "sh"]
+
+
+@dataclass(frozen=True, eq=False)
+class Recoloring:
+    """new colour = gain * colour + tint, for every direction of view; before clipping.
+
+    Parameters
+    ----------
+    gain : (3,) float64
+        Factor on red, green and blue, >= 0.
+    tint : (3,) float64
+        Added, colours ranging 0 to 1.
+    """
+
+    gain: Float64
+    tint: Float64
+
+    @classmethod
+    def none(cls) -> Recoloring:
+        """The recolouring that changes nothing."""
+        return cls(np.ones(3), np.zeros(3))
+
+    @property
+    def offset(self) -> Float64:
+        """(3,) what is added to gain * DC, SH units: colour = 0.5 + SH_C0 * DC."""
+        return np.asarray((0.5 * (self.gain - 1.0) + self.tint) / SH_C0)
+
+    def apply(self, sh: Float32) -> Float32:
+        """(n, K, 3) SH recoloured."""
+        new = sh.astype(np.float64) * self.gain
+        new[:, 0] += self.offset
+        return new.astype(np.float32)
+
+
+class Edited(NamedTuple):
+    """What an operation gives back: the edited model, and the edit for an `EditTrack`."""
+
+    model: GaussianModel
+    edit: Edit
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """One local edit. It can be carried out again on another model of the same Gaussians, and taken back.
+
+    What is kept to *replay* an edit are its parameters (rows, similarity, recolouring), never the values it
+    gave: replayed on a record's unmarked reference it makes an edited reference in which no trace of a mark
+    is (DESIGN 4.9). What is kept to *take it back* are the values from before.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    action : {"change", "delete", "duplicate"}
+        `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved
+        and recoloured copies of them are appended.
+    count : int
+        Gaussians of the model before the edit.
+    rows : (n,) int64
+        The Gaussians concerned, ascending.
+    before : GaussianModel
+        Their values before.
+    similarity : Similarity
+        x_new = scale * R @ x + t.
+    recoloring : Recoloring
+    filling : GaussianModel, optional
+        New Gaussians appended by a deletion that fills its hole.
+    """
+
+    name: str
+    action: Action
+    count: int
+    rows: Int64
+    before: GaussianModel
+    similarity: Similarity
+    recoloring: Recoloring
+    filling: GaussianModel | None = None
+
+    def apply(self, model: GaussianModel, *, filling: bool = True) -> GaussianModel:
+        """The model after this edit; `filling` False leaves out what filled a hole.
+
+        Raises
+        ------
+        InputError
+            If the model has another number of Gaussians than the edit was made for.
+        """
+        _check_count(self.name, len(model), self.count)
+        if self.action == "change":
+            return _replaced(model, self.rows, self._changed(model.take(self.rows)))
+        if self.action == "duplicate":
+            return join(model, self._changed(model.take(self.rows)))
+        left = model.take(self._kept())
+        return join(left, self.filling) if filling and self.filling is not None else left
+
+    def undo(self, model: GaussianModel) -> GaussianModel:
+        """The model before this edit, bit for bit where nothing else has touched the rows since.
+
+        Raises
+        ------
+        InputError
+            If the model has another number of Gaussians than the edit left.
+        """
+        _check_count(f"undoing {self.name}", len(model), len(self.origin()))
+        if self.action == "change":
+            return _replaced(model, self.rows, self.before)
+        if self.action == "duplicate":
+            return model.take(np.arange(self.count))
+        both = join(model.take(np.arange(self.count - len(self.rows))), self.before)
+        place = np.empty(self.count, np.int64)
+        place[np.concatenate([self._kept(), self.rows])] = np.arange(self.count)
+        return both.take(place)
+
+    def origin(self) -> Int64:
+        """(M,) row before the edit of every Gaussian after it: a copy's is its source's, a filling's is -1."""
+        everyone = np.arange(self.count, dtype=np.int64)
+        if self.action == "change":
+            return everyone
+        if self.action == "duplicate":
+            return np.concatenate([everyone, self.rows])
+        filled = 0 if self.filling is None else len(self.filling)
+        return np.concatenate([self._kept(), np.full(filled, -1, np.int64)])
+
+    def delta(self, attribute: Attribute) -> npt.NDArray[np.float32]:
+        """(n, ...) what the edit added to an attribute of its rows (C'_k - C_k for "sh"); 0 for a deletion."""
+        old = getattr(self.before, attribute)
+        return np.asarray(getattr(self._changed(self.before), attribute) - old)
+
+    def _changed(self, part: GaussianModel) -> GaussianModel:
+        s = self.similarity
+        if not (s.scale == 1.0 and np.array_equal(s.R, np.eye(3)) and not s.t.any()):
+            part = transform_model(part, s.scale, s.R, s.t)
+        if (self.recoloring.gain != 1.0).any() or self.recoloring.tint.any():
+            part = part.with_(sh=self.recoloring.apply(part.sh))
+        return part
+
+    def _kept(self) -> Int64:
+        keep = np.ones(self.count, dtype=np.bool_)
+        keep[self.rows] = False
+        return np.flatnonzero(keep).astype(np.int64)
+
+
+def _replaced(model: GaussianModel, rows: Int64, part: GaussianModel) -> GaussianModel:
+    arrays = {}
+    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+        array = getattr(model, name).copy()
+        array[rows] = getattr(part, name)
+        arrays[name] = array
+    return GaussianModel(**arrays)
+
+
+def _check_count(what: str, count: int, expected: int) -> None:
+    if count != expected:
+        raise InputError(f"edit {what!r} is for a model of {expected} Gaussians, got {count}")

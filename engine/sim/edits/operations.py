@@ -1,0 +1,187 @@
+"""Local edits of a model: every one takes a model and a selection and gives the edited model and its `Edit`.
+
+Covariances and spherical harmonics turn with their Gaussians (quaternion product, Wigner-D), so a piece looks
+in its new place as it did in the old one. The model that was given is left as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from engine.errors import InputError
+from engine.model import Bool, Float64, GaussianModel
+from engine.numerics.umeyama import Similarity
+from engine.sim.attack import check_positive
+from engine.sim.edits.edit import Action, Edit, Edited, Recoloring
+from engine.sim.edits.selection import check_selection
+
+__all__ = ["delete", "duplicate", "move", "place", "recolor", "recolor_towards", "rotate", "scale"]
+
+
+def move(model: GaussianModel, selection: Bool, shift: npt.ArrayLike) -> Edited:
+    """Shift the selected Gaussians by (3,) scene units."""
+    return _edit("move", "change", model, selection, Similarity(1.0, np.eye(3), _triple(shift, "shift")))
+
+
+def rotate(
+    model: GaussianModel,
+    selection: Bool,
+    axis: npt.ArrayLike,
+    degrees: float,
+    about: npt.ArrayLike | None = None,
+) -> Edited:
+    """Turn the selected Gaussians.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    selection : (N,) bool
+    axis : (3,)
+        Of the rotation, any length but 0; right-handed.
+    degrees : float
+    about : (3,), optional
+        Point that stays where it is; the middle of the selection's bounding box by default.
+
+    Returns
+    -------
+    Edited
+
+    Raises
+    ------
+    InputError
+        If the selection is empty or unfit, the axis is zero or a number is not finite.
+    """
+    direction = _triple(axis, "axis")
+    length = float(np.linalg.norm(direction))
+    if length == 0:
+        raise InputError("the axis of a rotation must not be zero")
+    if not np.isfinite(degrees):
+        raise InputError(f"angle must be finite, got {degrees}")
+    R = Rotation.from_rotvec(np.radians(degrees) * direction / length).as_matrix()
+    return _edit("rotate", "change", model, selection, _about(model, selection, 1.0, R, about))
+
+
+def scale(model: GaussianModel, selection: Bool, factor: float, about: npt.ArrayLike | None = None) -> Edited:
+    """Scale the selected Gaussians by `factor` > 0 about a point (the middle of their box by default)."""
+    check_positive(factor, "scale factor")
+    return _edit("scale", "change", model, selection, _about(model, selection, factor, np.eye(3), about))
+
+
+def place(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edited:
+    """Move, turn and scale the selected Gaussians at once: x_new = scale * R @ x + t."""
+    return _edit("place", "change", model, selection, similarity)
+
+
+def recolor(
+    model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0, tint: npt.ArrayLike = 0.0
+) -> Edited:
+    """Multiply and shift the colours of the selected Gaussians, alike from every direction of view.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    selection : (N,) bool
+    gain : scalar or (3,)
+        Factor on red, green and blue, >= 0.
+    tint : scalar or (3,)
+        Added afterwards; colours range 0 to 1.
+
+    Returns
+    -------
+    Edited
+
+    Raises
+    ------
+    InputError
+        If the selection is empty or unfit, a gain is negative or a number is not finite.
+    """
+    change = Recoloring(_channels(gain, "gain"), _channels(tint, "tint"))
+    if (change.gain < 0).any():
+        raise InputError(f"gain must not be negative, got {change.gain.tolist()}")
+    return _edit("recolor", "change", model, selection, recoloring=change)
+
+
+def recolor_towards(
+    model: GaussianModel, selection: Bool, color: npt.ArrayLike, strength: float = 1.0
+) -> Edited:
+    """Paint the selected Gaussians: colour = (1 - strength) * colour + strength * target.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    selection : (N,) bool
+    color : scalar or (3,)
+        Target, range 0 to 1.
+    strength : float
+        0 to 1. At 1 the target is all that is left, and nothing of a mark.
+
+    Returns
+    -------
+    Edited
+
+    Raises
+    ------
+    InputError
+        If the selection is empty or unfit, or the strength is out of range.
+    """
+    if not 0 <= strength <= 1:
+        raise InputError(f"strength of a recolouring must lie in [0, 1], got {strength}")
+    change = Recoloring(np.full(3, 1.0 - strength), strength * _channels(color, "color"))
+    return _edit("recolor", "change", model, selection, recoloring=change)
+
+
+def delete(model: GaussianModel, selection: Bool) -> Edited:
+    """Remove the selected Gaussians; the hole stays (`inpaint` fills it)."""
+    rows = check_selection(model, selection)
+    if len(rows) == len(model):
+        raise InputError(f"deleting all {len(model)} Gaussians would leave no model")
+    return _edit("delete", "delete", model, selection)
+
+
+def duplicate(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edited:
+    """Append copies of the selected Gaussians, placed by x_new = scale * R @ x + t."""
+    return _edit("duplicate", "duplicate", model, selection, similarity)
+
+
+def _edit(
+    name: str,
+    action: Action,
+    model: GaussianModel,
+    selection: Bool,
+    similarity: Similarity | None = None,
+    recoloring: Recoloring | None = None,
+) -> Edited:
+    rows = check_selection(model, selection)
+    edit = Edit(
+        name, action, len(model), rows, model.take(rows), similarity or Similarity.identity(),
+        recoloring or Recoloring.none(),
+    )  # fmt: skip
+    return Edited(edit.apply(model), edit)
+
+
+def _about(
+    model: GaussianModel, selection: Bool, factor: float, R: Float64, about: npt.ArrayLike | None
+) -> Similarity:
+    """The similarity of that factor and rotation that leaves a point where it is."""
+    if about is None:
+        means = model.means[check_selection(model, selection)].astype(np.float64)
+        pivot = 0.5 * (means.min(axis=0) + means.max(axis=0))
+    else:
+        pivot = _triple(about, "about")
+    return Similarity(factor, R, pivot - factor * R @ pivot)
+
+
+def _triple(value: npt.ArrayLike, what: str) -> Float64:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{what} must be three finite numbers, got {value!r}")
+    return array
+
+
+def _channels(value: npt.ArrayLike, what: str) -> Float64:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape not in ((), (3,)) or not np.isfinite(array).all():
+        raise InputError(f"{what} must be one finite number or three, got {value!r}")
+    return np.broadcast_to(array, (3,)).copy()

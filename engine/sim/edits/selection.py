@@ -1,0 +1,161 @@
+"""Which Gaussians an edit is about: boolean selections from boxes, spheres and segments.
+
+A selection is a (N,) bool array; unite, intersect and invert them with NumPy's |, & and ~.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Bool, Float64, GaussianModel, Int32, Int64
+from engine.sim.attack import check_positive
+
+__all__ = ["check_selection", "segment", "segment_at", "select_box", "select_sphere"]
+
+SEGMENT_SAMPLE = 40_000
+"""Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once."""
+
+SEGMENT_ROUNDS = 20
+"""Lloyd iterations; the assignment of real scenes settles within 10 to 15."""
+
+
+def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
+    """(n,) ascending indices of the selected Gaussians; InputError unless (N,) bool with n >= 1."""
+    mask = np.asarray(selection)
+    if mask.dtype != np.bool_ or mask.shape != (len(model),):
+        raise InputError(
+            f"a selection must be bool of shape ({len(model)},), got {mask.dtype} of shape {mask.shape}"
+        )
+    rows = np.flatnonzero(mask)
+    if not len(rows):
+        raise InputError(f"the selection holds none of the {len(model)} Gaussians")
+    return rows.astype(np.int64)
+
+
+def select_box(
+    model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike, rotation: npt.ArrayLike | None = None
+) -> Bool:
+    """Gaussians whose centre lies in a box, faces included.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    low, high : (3,)
+        Opposite corners in the box's own axes, scene units; low <= high.
+    rotation : (3, 3), optional
+        Proper rotation from the box's axes to the scene's, about the box's centre. Default: the scene's axes.
+
+    Returns
+    -------
+    (N,) bool
+
+    Raises
+    ------
+    InputError
+        If the corners are not finite or out of order, or the rotation is none.
+    """
+    bottom, top = _triple(low, "low"), _triple(high, "high")
+    if (bottom > top).any():
+        raise InputError(f"a box needs low <= high, got {bottom.tolist()} and {top.tolist()}")
+    offset = model.means.astype(np.float64) - 0.5 * (bottom + top)
+    if rotation is not None:
+        R = np.asarray(rotation, dtype=np.float64)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-5) or np.linalg.det(R) < 0:
+            raise InputError(f"rotation of a box must be a proper (3, 3) rotation, got {R.tolist()}")
+        offset = offset @ R
+    return np.asarray((np.abs(offset) <= 0.5 * (top - bottom)).all(axis=1))
+
+
+def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) -> Bool:
+    """Gaussians whose centre lies within `radius` (scene units, > 0) of `center` (3,); (N,) bool."""
+    offset = model.means.astype(np.float64) - _triple(center, "center")
+    return np.asarray(np.einsum("ij,ij->i", offset, offset) <= check_positive(radius, "radius") ** 2)
+
+
+def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
+    """Segments by k-means over position and base colour.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    count : int
+        Number of segments, 1 to N.
+    color_weight : float
+        How much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by position
+        alone.
+    seed : int
+        Of the start (k-means++) and of the sample.
+
+    Returns
+    -------
+    (N,) int32
+        Segment of each Gaussian, 0 .. count-1, the most populous first. Segments may be empty where the model
+        holds fewer distinct Gaussians than asked for.
+
+    Raises
+    ------
+    InputError
+        If the count is out of range or the weight negative.
+    """
+    from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
+    from scipy.spatial import cKDTree
+
+    from engine.model import SH_C0
+    from engine.pipeline.rigs import measure_extent
+
+    if not 1 <= count <= len(model):
+        raise InputError(f"segments must number 1 to {len(model)}, got {count}")
+    check_positive(color_weight, "color weight", zero=True)
+    extent = measure_extent(model)
+    position = (model.means.astype(np.float64) - extent.center) / extent.radius
+    color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
+    # A floater at ten radii must not get a segment of its own: beyond two, distance grows as its logarithm.
+    distance = np.linalg.norm(position, axis=1, keepdims=True)
+    position = position * np.where(distance > 2.0, (2.0 + np.log(np.maximum(distance, 2.0) / 2.0)) / np.maximum(distance, 2.0), 1.0)  # fmt: skip  # noqa: E501
+    features = np.concatenate([position, color_weight * color], axis=1)
+    rng = np.random.default_rng(seed)
+    sample = features
+    if len(features) > SEGMENT_SAMPLE:
+        sample = features[np.sort(rng.choice(len(features), max(SEGMENT_SAMPLE, count), replace=False))]
+    centers, _ = kmeans2(sample, count, iter=SEGMENT_ROUNDS, minit="++", missing="warn", rng=rng)
+    _, labels = cKDTree(centers).query(features)
+    order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
+    rank = np.empty(count, np.int32)
+    rank[order] = np.arange(count, dtype=np.int32)
+    return np.asarray(rank[labels])
+
+
+def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bool:
+    """Gaussians of the segments in which points lie: (N,) bool.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    labels : (N,) int32
+        From `segment`.
+    points : (3,) or (n, 3)
+        Scene units; each speaks for the segment of the nearest Gaussian.
+
+    Raises
+    ------
+    InputError
+        If a shape is wrong or a point is not finite.
+    """
+    from scipy.spatial import cKDTree
+
+    if labels.shape != (len(model),):
+        raise InputError(f"labels must have shape ({len(model)},), got {labels.shape}")
+    at = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    if at.ndim != 2 or at.shape[1] != 3 or not np.isfinite(at).all():
+        raise InputError(f"points must be finite triples, got {points!r}")
+    _, nearest = cKDTree(model.means).query(at)
+    return np.isin(labels, labels[nearest])
+
+
+def _triple(value: npt.ArrayLike, what: str) -> Float64:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{what} must be three finite numbers, got {value!r}")
+    return array
