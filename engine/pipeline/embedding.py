@@ -25,6 +25,7 @@ from engine.pipeline.rigs import Extent, make_rig, measure_extent
 from engine.pipeline.scenes import look, worst_psnr_against
 from engine.pipeline.sealing import draw_spreading, make_record, plan_of
 from engine.pipeline.strength import Strength, add_dc, solve_strength
+from engine.pipeline.variant import PLAIN, Variant
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.landmarks import Landmarks, make_landmarks
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
@@ -68,6 +69,7 @@ def embed(
     copy: str = "",
     registered_at: str = "",
     progress: Progress | None = None,
+    variant: Variant = PLAIN,
 ) -> Embedding:
     """Mark a model.
 
@@ -89,6 +91,8 @@ def embed(
     registered_at : str
         Time of registration as the caller knows it; no clock is read here.
     progress : callable, optional
+    variant : Variant, optional
+        What is special about a model that moves, or brings its own codebook.
 
     Returns
     -------
@@ -108,11 +112,13 @@ def embed(
     if len(model) < 64:
         raise InputError(f"a mark needs at least 64 Gaussians, this model has {len(model)}")
     asset = bytes.fromhex(original_sha256)
+    keeps_rows = config.prune.budget_db is None and config.output == "fidelity"
+    variant.check(model, keeps_rows=keeps_rows, refines=config.refine.steps > 0)
 
     with clock.stage("look"):  # 1
         extent = measure_extent(model)
         key_cameras = _key_cameras(model, key, asset, config, cameras, extent)
-        original = look(model, key_cameras, clock.advance)
+        original = look(model, key_cameras, clock.advance, variant.at_view)
         impact = measure_impact(model, original.views, original.images)
     with clock.stage("prune"):  # 2
         slim, pruned = slim_down(model, original, impact, extent, config)
@@ -120,18 +126,19 @@ def embed(
         if len(slim) != len(model):
             fewer = look(slim, key_cameras, clock.advance)
             impact = measure_impact(slim, fewer.views, fewer.images)
-        stages = quantize(slim, color_weights(slim, impact), extent.radius, config.quantize)
+        weights = color_weights(slim, impact)
+        stages = variant.own_stages(slim, weights) or quantize(slim, weights, extent.radius, config.quantize)
         delivered, stages = unmarked_delivery(slim, stages, original, impact, config)
         reference_arrays = encode_reference(delivered)
         digest = reference_digest(reference_arrays)
     with clock.stage("landmarks"):
         landmarks = _landmarks(delivered, extent, config, clock)
     with clock.stage("plan"):  # 5, 6
-        views = look(delivered, key_cameras, clock.advance)
-        plan = make_plan(stages, impact, config.plan)
+        views = look(delivered, key_cameras, clock.advance, variant.at_view)
+        plan = make_plan(stages, impact, config.plan, variant.emphasis)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
-        committed = plan_of(layout, sign, key_cameras, landmarks)
+        committed = plan_of(layout, sign, key_cameras, landmarks, variant.commitments)
         spreading = draw_spreading(key, digest, copy, layout, committed)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
@@ -161,7 +168,7 @@ def embed(
             key, reference_arrays, committed, strength.factor, original_sha256=original_sha256, copy=copy,
             registered_at=registered_at, settings=config_dict(config),
         )  # fmt: skip
-        total = worst_psnr_against(original.images, key_cameras)(marked)
+        total = worst_psnr_against(original.images, key_cameras, variant.at_view)(marked)
     predicted = predict_z(plan.energies, strength.factor, spreading.bit_of, bits)
     report = {
         "gaussians_in": len(model),

@@ -7,8 +7,8 @@ strength) and the settings go beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,8 @@ class OpenedRecord:
     landmarks : Landmarks or None
     settings : dict
         Profile and configuration of the embedding.
+    commitments : dict of str to str
+        Digests of what verification relies on beside the record, such as a moving original.
     """
 
     header: RecordHeader
@@ -61,13 +63,20 @@ class OpenedRecord:
     cameras: list[Camera]
     landmarks: Landmarks | None
     settings: dict[str, Any]
+    commitments: dict[str, str] = field(default_factory=dict)
 
 
 def plan_of(
-    layout: Layout, message: Signs, cameras: Sequence[Camera], landmarks: Landmarks | None
+    layout: Layout,
+    message: Signs,
+    cameras: Sequence[Camera],
+    landmarks: Landmarks | None,
+    commitments: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, Any], Arrays]:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
-    plan = {"message": message_hex(message), "codes": list(layout.codes)}
+    plan: dict[str, Any] = {"message": message_hex(message), "codes": list(layout.codes)}
+    if commitments:
+        plan["commitments"] = dict(commitments)
     arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
     for number, (labels, directions) in enumerate(zip(layout.labels, layout.directions, strict=True)):
         arrays[f"labels/{number}"] = labels.astype(np.uint16 if layout.codes[number] <= 65536 else np.int32)
@@ -157,5 +166,5 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
         )
     return OpenedRecord(
         record.header, record.copy, reference, layout, float(record.extra["strength"]), message, spreading,
-        cameras, landmarks, dict(record.extra["settings"]),
+        cameras, landmarks, dict(record.extra["settings"]), dict(record.plan.get("commitments", {})),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from engine.compress.hvq import Stage
 from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
-from engine.model import SH_C0, Float64, Int32
+from engine.model import SH_C0, Float32, Float64, Int32
 from engine.watermark.carriers import make_carriers
 from engine.watermark.layout import MARK_SCALE, Layout
 
@@ -56,7 +56,12 @@ class Plan:
     energies: Float64
 
 
-def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None = None) -> Plan:
+def make_plan(
+    stages: Sequence[Stage],
+    impact: Impact,
+    config: PlanConfig | None = None,
+    emphasis: Float32 | Float64 | None = None,
+) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
     Parameters
@@ -66,6 +71,8 @@ def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None
     impact : Impact
         Over the key views.
     config : PlanConfig, optional
+    emphasis : (N,) float, optional
+        Factor on the amplitude of each Gaussian's code vector, averaged over its members.
 
     Returns
     -------
@@ -83,6 +90,9 @@ def make_plan(stages: Sequence[Stage], impact: Impact, config: PlanConfig | None
         # In the image a cell adds up over its members; a residual code's members are strangers to each other.
         reach = coverage if number == 0 else coverage * _incoherence(stage, impact, count)
         mask = _visual_mask(stage, impact, usage, count, config)
+        if emphasis is not None:
+            members = np.maximum(np.bincount(stage.labels, minlength=count), 1)
+            mask = mask * np.bincount(stage.labels, emphasis, count) / members
         if number == 0:
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
         carriers = make_carriers(stage.codebook, usage)

@@ -1,0 +1,76 @@
+"""What a model that is more than one plain file tells the embedding: a codebook of its own, motion, steadiness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from engine.compress.hvq import Stage, group_means
+from engine.errors import InputError
+from engine.model import Float32, Float64, GaussianModel, Int32
+
+AtView = Callable[[GaussianModel, int], GaussianModel]
+"""From the model (or the same model with other colours) and the number of a key view to what that view sees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """What an embedding does not do as it does with a plain model; the default is the plain model.
+
+    Parameters
+    ----------
+    labels : (N,) int32, optional
+        Colour code of each Gaussian, from 0 on, where the file has a codebook: its codes become the mark's code
+        vectors in place of cells of our own.
+    at_view : callable, optional
+        The model as key view k sees it, for instance at its moment: the same Gaussians in the same order,
+        elsewhere. Impact, strength and the report then follow what the views really show.
+    emphasis : (N,) float, optional
+        Factor on the displacement of each Gaussian's code vector (mean over the members), 0 exclusive to 1.
+    commitments : mapping of str to str
+        Digests of what verification will rely on beside the record. They enter its plan, so that the chips are
+        drawn after them (DESIGN 4.9).
+    """
+
+    labels: Int32 | None = None
+    at_view: AtView | None = None
+    emphasis: Float32 | Float64 | None = None
+    commitments: Mapping[str, str] = field(default_factory=dict)
+
+    def check(self, model: GaussianModel, *, keeps_rows: bool, refines: bool) -> None:
+        """Refuse what does not fit the model or the configuration.
+
+        Raises
+        ------
+        InputError
+            A length differs from the model's, a value is out of its range, the rows are to change (pruning, the
+            compact output), or a moving model is to be refined.
+        """
+        for name, values in (("labels", self.labels), ("emphasis", self.emphasis)):
+            if values is not None and values.shape != (len(model),):
+                raise InputError(f"{name} has shape {values.shape}, the model {len(model)} Gaussians")
+        if self.labels is not None and int(self.labels.min()) < 0:
+            raise InputError(f"labels must not be negative, got {int(self.labels.min())}")
+        if self.emphasis is not None and not (self.emphasis.min() > 0 and self.emphasis.max() <= 1):
+            low, high = float(self.emphasis.min()), float(self.emphasis.max())
+            raise InputError(f"emphasis must lie in (0, 1], got {low:g} to {high:g}")
+        special = self.labels is not None or self.at_view is not None or self.emphasis is not None
+        if special and not keeps_rows:
+            raise InputError("a variant is marked as it is: no pruning budget and output 'fidelity'")
+        if self.at_view is not None and refines:
+            raise InputError(
+                "refinement sees one moment only: a moving model is marked with refine.steps = 0"
+            )
+
+    def own_stages(self, model: GaussianModel, weights: Float64) -> tuple[Stage, ...] | None:
+        """The one stage of the file's own codes, or None where there are none."""
+        if self.labels is None:
+            return None
+        labels = np.ascontiguousarray(self.labels, dtype=np.int32)
+        return (Stage(group_means(model.sh.reshape(len(model), -1), labels, weights), labels),)
+
+
+PLAIN = Variant()
+"""A plain model."""
