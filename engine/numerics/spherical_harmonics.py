@@ -84,18 +84,18 @@ def _probe() -> tuple[Float64, tuple[Float64, ...]]:
 
 
 def sh_rotation(R: npt.ArrayLike, degree: int) -> Float64:
-    """Matrix that turns SH coefficients with the scene (real Wigner D-matrices, one block per degree).
+    """Matrices that turn SH coefficients with the scene (real Wigner D-matrices, one block per degree).
 
     Parameters
     ----------
-    R : (3, 3)
-        Proper rotation, x_new = R @ x.
+    R : (..., 3, 3)
+        Proper rotations, x_new = R @ x.
     degree : int
         Highest degree, 0 to 3.
 
     Returns
     -------
-    (K, K) float64
+    (..., K, K) float64
         ``sh_new = sh_rotation(R, degree) @ sh``, so that the new colour from direction R @ d is the old
         colour from direction d.
 
@@ -109,8 +109,8 @@ def sh_rotation(R: npt.ArrayLike, degree: int) -> Float64:
     # Y(d) D = Y(R^T d) on the fixed directions; each degree is closed under rotation, so the least-squares
     # solution is exact.
     turned = sh_basis(directions @ rotation, degree)
-    out = np.zeros((turned.shape[-1], turned.shape[-1]))
+    out = np.zeros((*rotation.shape[:-2], turned.shape[-1], turned.shape[-1]))
     for l in range(degree + 1):
         block = slice(l * l, (l + 1) ** 2)
-        out[block, block] = inverses[l] @ turned[:, block]
+        out[..., block, block] = inverses[l] @ turned[..., block]
     return out

@@ -12,6 +12,7 @@ from typing import Any
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
 from engine.sim import image_attacks as on_image
+from engine.sim import model_deformation as deformation
 from engine.sim import model_placement as placement
 from engine.sim import model_population as population
 from engine.sim import model_values as values
@@ -89,6 +90,18 @@ _MODEL_ATTACKS = (
     _model(
         "convert", "write in a trade format and read back",
         Reading(values.convert, "format", "splat", ("ply", "spz", "compressed.ply", "sog", "splat")),
+    ),
+    _model(
+        "bend", "bend the model to an arc, random side",
+        Reading(deformation.bend, "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90)),
+    ),
+    _model(
+        "twist", "turn the two ends of the model against each other",
+        Reading(deformation.twist, "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90, 180)),
+    ),
+    _model(
+        "squash", "press the model together along its length, its middle bulging",
+        Reading(deformation.squash, "lost share of the length", 0.2, (0.01, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)),
     ),
 )  # fmt: skip
 

@@ -27,6 +27,9 @@ MODEL_NAMES = [
     "quantize",
     "merge_into",
     "convert",
+    "bend",
+    "twist",
+    "squash",
 ]
 IMAGE_NAMES = ["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"]
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -98,6 +101,7 @@ RANDOM = [
     "noise_colors",
     "noise_all",
     "merge_into",
+    "bend",
     "noise_image",
     "crop_image",
 ]
@@ -151,7 +155,8 @@ OUT_OF_RANGE = {
     "rotate": float("nan"), "scale": 0.0, "translate": float("inf"), "similarity": 0.9, "shuffle": 1.1,
     "crop": 0.0, "prune_random": 1.0, "prune_opacity": -0.1, "prune_low_impact": 1.0, "clone": 1.5,
     "noise_means": -1.0, "noise_colors": float("nan"), "noise_all": float("inf"), "drop_sh": 4, "quantize": 0,
-    "merge_into": 0.0, "convert": "ksplat", "jpeg": 0, "noise_image": -0.1, "blur": -1.0,
+    "merge_into": 0.0, "convert": "ksplat", "bend": float("nan"),
+    "twist": float("inf"), "squash": 1.0, "jpeg": 0, "noise_image": -0.1, "blur": -1.0,
     "rotate_image": float("nan"), "scale_image": 0.0, "crop_image": 1.0, "brightness": -1.0,
 }  # fmt: skip
 

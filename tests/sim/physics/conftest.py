@@ -1,0 +1,38 @@
+"""A small solid ball of Gaussians with directional colour, and the real plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.formats import read_model
+from engine.model import GaussianModel
+
+DATA = Path(__file__).parents[2] / "data"
+
+
+@pytest.fixture(scope="session")
+def ball() -> GaussianModel:
+    """600 overlapping Gaussians filling a ball of radius 0.5 about (0.2, 0.6, -0.1), SH degree 3."""
+    rng = np.random.default_rng(3)
+    n = 600
+    directions = rng.standard_normal((n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    means = np.array([0.2, 0.6, -0.1]) + 0.5 * np.cbrt(rng.random((n, 1))) * directions
+    quats = rng.standard_normal((n, 4))
+    sh = 0.12 * rng.standard_normal((n, 16, 3))
+    sh[:, 0] = 0.8 * np.sin(4 * means + [0, 1, 2])
+    return GaussianModel(
+        means.astype(np.float32),
+        np.log(rng.uniform(0.01, 0.08, (n, 3))).astype(np.float32),
+        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        rng.normal(2.0, 1.0, n).astype(np.float32),
+        sh.astype(np.float32),
+    )
+
+
+@pytest.fixture(scope="session")
+def plant() -> GaussianModel:
+    return read_model(DATA / "plant.splat").model
