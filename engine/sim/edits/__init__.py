@@ -1,7 +1,10 @@
 """Dynamic operations on models: select, edit, track the edits, place many objects in one scene."""
 
+from engine.sim.edits.bvh import BoxTree
 from engine.sim.edits.edit import Edit, Edited, Recoloring
 from engine.sim.edits.masks import lift_masks, mask_shares, project_selection
+from engine.sim.edits.object_verification import ObjectFinding, verify_objects
+from engine.sim.edits.objects import FlatScene, PlacedObject, Scene, model_box
 from engine.sim.edits.operations import (
     delete,
     duplicate,
@@ -16,15 +19,21 @@ from engine.sim.edits.selection import segment, segment_at, select_box, select_s
 from engine.sim.edits.tracking import EditTrack, edited_record, verify_edited
 
 __all__ = [
+    "BoxTree",
     "Edit",
     "EditTrack",
     "Edited",
+    "FlatScene",
+    "ObjectFinding",
+    "PlacedObject",
     "Recoloring",
+    "Scene",
     "delete",
     "duplicate",
     "edited_record",
     "lift_masks",
     "mask_shares",
+    "model_box",
     "move",
     "place",
     "project_selection",
@@ -37,4 +46,5 @@ __all__ = [
     "select_box",
     "select_sphere",
     "verify_edited",
+    "verify_objects",
 ]

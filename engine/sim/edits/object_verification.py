@@ -1,0 +1,151 @@
+"""Which records a file of many objects carries, and where: nothing but the flat file is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Float64, GaussianModel, Int32, Int64
+from engine.numerics.umeyama import Similarity
+from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.sealing import OpenedRecord
+from engine.sim.edits.objects import FlatScene
+from engine.watermark.claim import Claim
+from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.registration import Registration, register
+from engine.watermark.registration_index import ReferenceIndex
+
+__all__ = ["ObjectFinding", "verify_objects"]
+
+LEAST_PIECE = 64
+"""Gaussians below which a further instance of an object is not looked for: embedding asks for as many."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectFinding:
+    """One record, looked for in a file: found or not, marked or not, and where.
+
+    Parameters
+    ----------
+    record : str
+        Name the caller gave the record.
+    instance : int
+        0 for the first place at which the record's asset was found, then 1, ...
+    claim : Claim
+    rows : (n,) int64
+        Gaussians of the file that are the asset's; empty if nothing of it was found.
+    file_share, asset_share : float
+        n over the file's Gaussians; share of the asset's Gaussians found.
+    placement : Similarity or None
+        x_file = scale * R @ x_asset + t.
+    low, high : (3,) float64 or None
+        Box that holds the 1 % to 99 % quantiles of the matched centres.
+    objects : tuple of (str, float)
+        With a known scene: its objects that hold those Gaussians, and their shares of them, largest first.
+    """
+
+    record: str
+    instance: int
+    claim: Claim
+    rows: Int64
+    file_share: float
+    asset_share: float
+    placement: Similarity | None
+    low: Float64 | None
+    high: Float64 | None
+    objects: tuple[tuple[str, float], ...]
+
+
+def verify_objects(
+    suspect: GaussianModel | FlatScene,
+    records: Mapping[str, OpenedRecord],
+    config: VerifyConfig | None = None,
+    *,
+    instances: int = 1,
+) -> list[ObjectFinding]:
+    """Look for every record in a file that may hold many objects, moved, turned and scaled each in its own way.
+
+    Parameters
+    ----------
+    suspect : GaussianModel or FlatScene
+        A FlatScene adds which of its objects the finds lie in; the search is the same.
+    records : mapping of str to OpenedRecord
+        By any name.
+    config : VerifyConfig, optional
+        Route "auto" or "model": pieces of a file are read by their Gaussians.
+    instances : int
+        Times one asset is looked for in the file; a search that finds nothing ends the record's list.
+
+    Returns
+    -------
+    list of ObjectFinding
+        In the order of the records; one for every record at least. Every claim counts
+        len(records) * instances tries.
+
+    Raises
+    ------
+    InputError
+        If the suspect is empty, no record was given, or the route reads pictures.
+    """
+    config = config or VerifyConfig()
+    model = suspect.model if isinstance(suspect, FlatScene) else suspect
+    if not len(model):
+        raise InputError("the suspect model is empty")
+    if not records:
+        raise InputError("no record was given")
+    if config.route not in ("auto", "model"):
+        raise InputError(f"route {config.route!r} sees the whole file; objects are read by 'model'")
+    if instances < 1:
+        raise InputError(f"an asset is looked for at least once, got instances {instances}")
+    tries = len(records) * instances
+    findings = []
+    for name, opened in records.items():
+        index = ReferenceIndex(opened.reference)
+        left = np.arange(len(model), dtype=np.int64)
+        for instance in range(instances):
+            # What earlier instances matched is set aside by geometry and unmarked looks alone: no chip enters.
+            part = model.take(left) if instance else model
+            found = register(index, part, seed=config.seed)
+            if instance and not found.found:
+                break
+            claim = _claim(part, opened, found, tries, config)
+            rows = left[found.matches >= 0]
+            finding = _finding(name, instance, claim, found, rows, model)
+            if isinstance(suspect, FlatScene):
+                finding = replace(finding, objects=_shares(suspect.owner[rows], suspect.names))
+            findings.append(finding)
+            left = left[found.matches < 0]
+            if not found.found or len(left) < LEAST_PIECE:
+                break
+    return findings
+
+
+def _claim(
+    part: GaussianModel, opened: OpenedRecord, found: Registration, tries: int, config: VerifyConfig
+) -> Claim:
+    evidence = gather_model_evidence(
+        opened.layout, opened.reference.sh[:, 0], part.sh[:, 0], found.matches, found.match_quality
+    )
+    evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
+    return judge(evidence, opened, "model", tries, config, found)
+
+
+def _finding(
+    name: str, instance: int, claim: Claim, found: Registration, rows: Int64, model: GaussianModel
+) -> ObjectFinding:
+    if not len(rows):
+        return ObjectFinding(name, instance, claim, rows, 0.0, 0.0, None, None, None, ())
+    low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
+    return ObjectFinding(
+        name, instance, claim, rows, len(rows) / len(model), found.derived_fraction,
+        found.similarity.inverse(), low, high, (),
+    )  # fmt: skip
+
+
+def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
+    counts = np.bincount(owner, minlength=len(names))
+    order = np.argsort(-counts, kind="stable")
+    return tuple((names[k], float(counts[k] / counts.sum())) for k in order if counts[k])
