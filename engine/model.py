@@ -20,6 +20,14 @@ SH_C0 = 0.28209479177387814
 """Y_00: a DC coefficient c shows as colour 0.5 + SH_C0 * c."""
 
 
+DISC_THICKNESS = 1e-6
+"""A 2DGS disc has two scales; its third becomes this times the smaller of them. Any similarity of the scene
+keeps the ratio, and its square, 1e-12, is far below what float32 resolves in a covariance matrix."""
+
+_FLAT = 1e-5  # third over smaller scale of a disc: ten times the above, so that rounding and noise keep a disc one
+_FLAT_SHARE = 0.99  # of a model's rows, so that a few absurd ones do not change how the others are drawn
+
+
 @dataclass(frozen=True, eq=False)
 class GaussianModel:
     """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute.
@@ -29,7 +37,8 @@ class GaussianModel:
     means : (N, 3)
         Centres, scene units.
     log_scales : (N, 3)
-        Natural logarithm of the standard deviations, scene units. A 2DGS disc has a third scale of about 0.
+        Natural logarithm of the standard deviations, scene units. A 2DGS disc has a third scale of
+        `DISC_THICKNESS` times the smaller of the others.
     quats : (N, 4)
         Rotation as unit quaternion w, x, y, z.
     opacity_logits : (N,)
@@ -75,6 +84,15 @@ class GaussianModel:
     def opacities(self) -> Float32:
         """(N,) opacity in (0, 1)."""
         return (1.0 / (1.0 + np.exp(-self.opacity_logits.astype(np.float64)))).astype(np.float32)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether these are the discs of 2DGS: hardly any has a third scale above 1e-5 of the others."""
+        for rows, share in ((self.log_scales[:256], 0.5), (self.log_scales, _FLAT_SHARE)):
+            thin = rows[:, 2] - np.minimum(rows[:, 0], rows[:, 1]) <= np.log(_FLAT)
+            if np.count_nonzero(thin) < max(share * len(thin), 1):  # most models tell by their first rows
+                return False
+        return True
 
     def take(self, index: npt.NDArray[Any]) -> GaussianModel:
         """The Gaussians at an integer index or under a boolean mask, in that order."""

@@ -1,4 +1,5 @@
-"""Gaussian models as INRIA's PLY: every variant met in the wild is read, the 62-float layout is written."""
+"""Gaussian models as INRIA's PLY: every variant met in the wild is read; written with three scales, or two for
+2DGS."""
 
 from __future__ import annotations
 
@@ -12,11 +13,7 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.ply_body import read_tables
 from engine.formats.ply_header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
-from engine.model import Float32, GaussianModel
-
-DISC_THICKNESS = 1e-6
-"""A 2DGS disc has two scales; its third becomes this times the smaller of them. Any similarity of the scene
-keeps the ratio, and its square, 1e-12, is far below what float32 resolves in a covariance matrix."""
+from engine.model import DISC_THICKNESS, Float32, GaussianModel
 
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
@@ -74,6 +71,8 @@ def read_ply(
 def write_ply(model: GaussianModel) -> Iterator[bytes]:
     """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals.
 
+    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them.
+
     Parameters
     ----------
     model : GaussianModel
@@ -86,7 +85,8 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     rest = 3 * (model.sh.shape[1] - 1)
     names = ["x", "y", "z", *_NORMALS, "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{i}" for i in range(rest)]
-    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
+    names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
     lines += [f"property float {name}" for name in names]
     yield ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")

@@ -42,7 +42,7 @@ __all__ = [
     "pair_width",
 ]  # fmt: skip
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 _f = np.float32
 _i = np.int32
@@ -96,7 +96,7 @@ def write_sums(own, rows, count, spare, out, to):
 
 @parallel_kernel
 def pair_colors(
-    records, channel_tuple, pair_tuple, ids, starts, width, height, tiles_x, limits, impact, cotangent, out,
+    records, discs, channel_tuple, pair_tuple, ids, starts, width, height, tiles_x, limits, impact, cotangent, out,
     scratch, items, counter,
 ):  # fmt: skip
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
@@ -135,6 +135,7 @@ def pair_colors(
                     stage,
                     list_,
                     records,
+                    discs,
                     cotangent,
                     0,
                     ids,
@@ -153,7 +154,7 @@ def pair_colors(
                     from_ = stage + j * STAGE_ROW
                     dx = load(own, GRID_X + place) - own[from_]
                     dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy)
+                    q = log2_alpha(own, from_, dx, dy, discs)
                     a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         to = rows + (j * pair + channel) * 16
@@ -172,6 +173,7 @@ def pair_colors(
 @parallel_kernel
 def pair_weights(
     records,
+    discs,
     ids,
     starts,
     width,
@@ -218,6 +220,7 @@ def pair_weights(
                     stage,
                     list_,
                     records,
+                    discs,
                     pixel_map,
                     0,
                     ids,
@@ -236,7 +239,7 @@ def pair_weights(
                     from_ = stage + j * STAGE_ROW
                     dx = load(own, GRID_X + place) - own[from_]
                     dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy)
+                    q = log2_alpha(own, from_, dx, dy, discs)
                     a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * (WEIGHT_SUMS * 16)
                     w2 = w * w

@@ -9,8 +9,9 @@ import numpy as np
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.raster.gradients import backward, draw
 from engine.raster.pictures import render, render_depth
+from engine.raster.settings import RasterSettings
 from engine.raster.spherical_harmonics import sh_colors, sh_colors_backward
-from engine.raster.view import prepare_view
+from engine.raster.view import View, prepare_view
 
 __all__ = ["warm_up"]
 
@@ -27,6 +28,10 @@ def warm_up(progress: Callable[[float], None] | None = None) -> None:
     view = prepare_view(model, camera)
     colors = np.zeros((len(model), 1), dtype=np.float32)
     rendering = draw(model, camera)
+
+    def discs() -> View:
+        return prepare_view(model, camera, RasterSettings(kernel="disc"))
+
     steps: list[Callable[[], object]] = [
         lambda: render(model, camera),
         lambda: render_depth(model, camera),
@@ -38,6 +43,11 @@ def warm_up(progress: Callable[[float], None] | None = None) -> None:
             sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3)
         ),
         lambda: backward(rendering, rendering.image),
+        lambda: discs().render(colors),
+        lambda: discs().render(rendering.colors),
+        lambda: discs().backward_colors(rendering.image[..., :1]),
+        lambda: discs().backward_colors(rendering.image),
+        lambda: discs().weights(),
     ]
     for done, step in enumerate(steps):
         if progress is not None:

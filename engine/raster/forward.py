@@ -30,7 +30,7 @@ from engine.raster.tiles import (
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 _f = np.float32
 _i = np.int32
@@ -43,7 +43,7 @@ def forward_scratch(channels: int) -> int:
 
 @parallel_kernel
 def blend_tiles(
-    records, colors, channel_tuple, ids, starts, width, height, tiles_x, limits, background, impact,
+    records, discs, colors, channel_tuple, ids, starts, width, height, tiles_x, limits, background, impact,
     image, alpha, scratch, items, counter, evaluated,
 ):  # fmt: skip
     """Image and accumulated alpha.
@@ -51,6 +51,7 @@ def blend_tiles(
     Parameters
     ----------
     records, colors : flat, `RECORD` and C numbers a Gaussian
+    discs : flat, `RECORD` numbers a disc (2DGS), or None for Gaussians
     channel_tuple : tuple of length C: the number of channels is part of the compiled type
     ids, starts : the tiles' lists
     limits : float32 (log2 of the smallest alpha, largest alpha, transmittance that ends a pixel, tau of Eq 8)
@@ -89,6 +90,7 @@ def blend_tiles(
                     stage,
                     list_,
                     records,
+                    discs,
                     colors,
                     channels,
                     ids,
@@ -107,7 +109,7 @@ def blend_tiles(
                     from_ = stage + np.int64(item >> _i(4)) * STAGE_ROW
                     dx = load(own, GRID_X + place) - own[from_]
                     dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy)
+                    q = log2_alpha(own, from_, dx, dy, discs)
                     a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         field = FIELDS + channel * FIELD + place

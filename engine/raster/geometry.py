@@ -10,6 +10,7 @@ from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
 from engine.numerics.jit import thread_count
 from engine.raster.binning import list_pairs, list_starts, place_pairs
+from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
@@ -38,6 +39,8 @@ class Geometry:
         Gaussians in the model, N.
     records : flat (at least N * RECORD,)
         See `engine.raster.projection`; only the visible rows are written.
+    discs : flat (at least N * RECORD,) or None
+        See `engine.raster.disc_projection`; None where Gaussians are drawn.
     visible : (V,) int32
         Indices of the visible Gaussians, nearest first.
     ids : (P,) int32
@@ -52,6 +55,7 @@ class Geometry:
     settings: RasterSettings
     count: int
     records: Float32
+    discs: Float32 | None
     visible: Int32
     ids: Int32
     starts: Int64
@@ -129,6 +133,7 @@ def build_geometry(
     def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:
         return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
 
+    flat = settings.kernel == "disc" or (settings.kernel == "auto" and model.is_flat)
     model = padded(model)
     rows = len(model)
     workers = thread_count()
@@ -137,11 +142,13 @@ def build_geometry(
     depths, index = work.array("depths", (rows,)), work.array("index", (rows,), np.int32)
     chunk = -(-rows // (_CHUNKS * _LANES)) * _LANES
     counts = np.zeros(-(-rows // chunk), dtype=np.int64)
-    project(
-        model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits,
-        pack_lens(camera, settings), chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)),
-        records, extents, rects, depths, index, counts,
-    )  # fmt: skip
+    raw = (model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits)
+    lens, found = pack_lens(camera, settings), (extents, rects, depths, index, counts)
+    discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else None
+    if discs is None:
+        project(*raw, lens, chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)), records, *found)
+    else:
+        project_discs(*raw, lens, chunk, records, discs, *found)
 
     order = work.array("order b", (rows,), np.int32)
     seen = sort_by_depth(
@@ -182,4 +189,4 @@ def build_geometry(
         np.cumsum(sizes, out=firsts[1:])
     place_pairs(noted, owners, counts, histograms, ids, firsts, slots)
     visible = order[:seen].copy() if keep else order[:seen]
-    return Geometry(camera, settings, n, records, visible, ids, starts, firsts, slots), sizes[:n]
+    return Geometry(camera, settings, n, records, discs, visible, ids, starts, firsts, slots), sizes[:n]

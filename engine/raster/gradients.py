@@ -152,10 +152,14 @@ def backward(
     Raises
     ------
     InputError
-        If a shape is wrong.
+        If a shape is wrong, or discs were drawn.
     """
     model, view = rendering.model, rendering.view
     camera = view.camera
+    if view.geometry.discs is not None:
+        raise InputError(
+            "discs (2DGS) have no gradients of geometry here; View.backward_colors has the colours'"
+        )
     cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
     if cotangent.shape != rendering.image.shape:
         raise InputError(f"cotangent has shape {cotangent.shape}, expected {rendering.image.shape}")

@@ -40,7 +40,7 @@ from engine.raster.tiles import (
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
@@ -117,7 +117,7 @@ def pair_moments(
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own, stage, list_, records, colors, channels, ids, at, size, end, _f(x0), _f(y0), alive,
+                    own, stage, list_, records, None, colors, channels, ids, at, size, end, _f(x0), _f(y0), alive,
                     log2_skip,
                 )  # fmt: skip
                 for t in range(count):
@@ -127,7 +127,7 @@ def pair_moments(
                     from_ = stage + j * STAGE_ROW
                     dx = load(own, GRID_X + place) - own[from_]
                     dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy)
+                    q = log2_alpha(own, from_, dx, dy, None)
                     raw, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * rows_each * 16
                     u = load(own, alpha_field + place)  # dL/dw: cotangent . color

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from engine.errors import InputError
 
-__all__ = ["ALPHA_SKIP", "BLOCK", "MAX_SIGMA_PX", "TILE", "RasterSettings"]
+__all__ = ["ALPHA_SKIP", "BLOCK", "KERNELS", "MAX_SIGMA_PX", "TILE", "RasterSettings"]
 
 TILE = 16
 """Side of a tile, pixels. A Gaussian's list entry is one (tile, Gaussian) pair."""
@@ -17,6 +17,8 @@ BLOCK = 4
 
 ALPHA_SKIP = 1.0 / 255.0
 """An alpha below one grey level of an 8-bit image is not blended (gsplat's ALPHA_THRESHOLD)."""
+
+KERNELS = ("auto", "gaussian", "disc")
 
 MAX_SIGMA_PX = 1e6
 """A Gaussian wider than this on the image plane is not drawn: float32 can no longer place it."""
@@ -46,6 +48,10 @@ class RasterSettings:
     impact_stop : float or None
         The paper's Eq 8: end a pixel as soon as the sum of alpha * W_j^freq over the Gaussians blended there
         reaches this (tau, paper 0.95). Needs `impact` in `prepare_view`. Default None: off.
+    kernel : {"auto", "gaussian", "disc"}
+        What is drawn: Gaussians, or the discs of 2DGS, which rays meet exactly in perspective and which have a
+        low pass of their own in place of `eps2d` (`engine.raster.disc_projection`). Discs have the first two
+        scales. Default "auto": discs where the model is flat (`GaussianModel.is_flat`), else Gaussians.
     """
 
     eps2d: float = 0.3
@@ -54,6 +60,7 @@ class RasterSettings:
     alpha_skip: float = ALPHA_SKIP
     transmittance_stop: float = 1e-4
     impact_stop: float | None = None
+    kernel: str = "auto"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.eps2d <= 100.0:
@@ -66,6 +73,8 @@ class RasterSettings:
             )
         if not 0.0 < self.transmittance_stop < 1.0:
             raise InputError(f"transmittance_stop is {self.transmittance_stop}, expected 0 to 1")
+        if self.kernel not in KERNELS:
+            raise InputError(f"kernel must be one of {', '.join(KERNELS)}, got {self.kernel!r}")
         if self.impact_stop is not None and not 0.0 < self.impact_stop < math.inf:
             raise InputError(f"impact_stop (tau of Eq 8) is {self.impact_stop}, expected more than 0")
 

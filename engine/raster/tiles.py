@@ -16,9 +16,12 @@ branch.
 # mypy: allow-untyped-defs, allow-untyped-calls
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from engine.numerics.jit import inlined
+from engine.raster.disc_projection import LOW_PASS
 from engine.raster.lane_math import exp2
 from engine.raster.lane_memory import append_set_bits, count_bits, load, lowest_bit, prefetch, store
 from engine.raster.lanes import (
@@ -46,7 +49,8 @@ FIELD = TILE * TILE
 STATE, GRID_X, GRID_Y, OCCLUSION, FIELDS = 0, FIELD, 2 * FIELD, 3 * FIELD, 4 * FIELD
 
 STAGE_ROW = 24
-"""Floats per staged Gaussian: its record (u, v relative to the tile) at 0, its colours from `RECORD` on."""
+"""Floats per staged Gaussian: its record or disc (u, v relative to the tile) at 0, its colours from `RECORD`
+on."""
 
 ITEMS = BATCH * 16 + 16
 """Length of the item list (int32 each: 16 * place in the batch + block)."""
@@ -54,6 +58,7 @@ ITEMS = BATCH * 16 + 16
 _f = np.float32
 _i = np.int32
 _AHEAD = 24
+_HALF_LOG2_E = _f(-0.5 * math.log2(math.e))
 
 _block_left = constant_lanes([BLOCK * (block % 4) + 0.5 for block in range(16)])
 _block_top = constant_lanes([BLOCK * (block // 4) + 0.5 for block in range(16)])
@@ -124,20 +129,32 @@ def reached_blocks(records, o, gx, gy, log2_skip):
 
 
 @inlined
-def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):
-    """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items."""
+def stage_batch(
+    own, stage, items, records, discs, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip
+):
+    """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items.
+
+    `discs` is None for Gaussians; for discs (2DGS) they are what is staged, and `records` only find the blocks.
+    """
     count = np.int64(0)
     for j in range(size):
         if at + j + _AHEAD < end:
             ahead = np.int64(ids[at + j + _AHEAD])
             prefetch(records, ahead * RECORD)
+            if discs is not None:
+                prefetch(discs, ahead * RECORD)
             if channels > 0:
                 prefetch(colors, ahead * channels)
         i = np.int64(ids[at + j])
         o, row = i * RECORD, stage + j * STAGE_ROW
         gx, gy = records[o] - x0, records[o + 1] - y0
-        store(own, row, load(records, o))  # reads on into the next record; the array ends with spare room
-        own[row], own[row + 1] = gx, gy
+        if discs is None:
+            store(own, row, load(records, o))  # reads on into the next record; the array ends with spare room
+            own[row], own[row + 1] = gx, gy
+        else:
+            store(own, row, load(discs, o))
+            own[row] -= x0
+            own[row + 1] -= y0
         for channel in range(channels):
             own[row + RECORD + channel] = colors[i * channels + channel]
         reached = reached_blocks(records, o, gx, gy, log2_skip) & alive
@@ -147,8 +164,20 @@ def stage_batch(own, stage, items, records, colors, channels, ids, at, size, end
 
 
 @inlined
-def log2_alpha(own, row, dx, dy):
-    """q of a staged Gaussian at offsets (dx, dy) from its centre: alpha = 2^q."""
+def disc_log2_alpha(own, row, dx, dy):
+    """q of a staged disc: where the ray meets it, or the low pass if that is more. See `disc_projection`."""
+    p0, p1 = dx * own[row + 2], fma(dx, own[row + 3], dy * own[row + 4])
+    g = _f(1.0) - p0 * own[row + 5] - p1 * own[row + 6]
+    met = select(g > _f(0.0), fma(p0, p0, p1 * p1) / (g * g), spread(_f(np.inf)))
+    near = fma(dx, dx, dy * dy) * _f(LOW_PASS)
+    return minimum(met, near) * _HALF_LOG2_E + own[row + 7]  # a NaN is no smaller: then the low pass counts
+
+
+@inlined
+def log2_alpha(own, row, dx, dy, discs):
+    """q of a staged Gaussian or disc at offsets (dx, dy) from its centre: alpha = 2^q."""
+    if discs is not None:
+        return disc_log2_alpha(own, row, dx, dy)
     return fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
 
 

@@ -61,8 +61,8 @@ def blend_colors(
     alpha = np.empty((camera.height, camera.width), dtype=np.float32)
     evaluated = work.array("evaluated", (len(geometry.starts) - 1,), np.int64)
     blend_tiles(
-        geometry.records, colors.reshape(-1), (0,) * channels, geometry.ids, geometry.starts, camera.width,
-        camera.height, geometry.tiles_x, geometry.limits, background, impact, image.reshape(-1),
+        geometry.records, geometry.discs, colors.reshape(-1), (0,) * channels, geometry.ids, geometry.starts,
+        camera.width, camera.height, geometry.tiles_x, geometry.limits, background, impact, image.reshape(-1),
         alpha.reshape(-1), work.array("forward", (workers, forward_scratch(channels))), work.array("items",
         (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64), evaluated,
     )  # fmt: skip
@@ -181,8 +181,8 @@ class View:
                 pair = pair_width(width)
                 sums = work.array("pairs", (len(geometry.ids) * pair,))
                 pair_colors(
-                    geometry.records, (0,) * width, (0,) * pair, geometry.ids, geometry.starts, camera.width,
-                    camera.height, geometry.tiles_x, geometry.limits, self.impact,
+                    geometry.records, geometry.discs, (0,) * width, (0,) * pair, geometry.ids, geometry.starts,
+                    camera.width, camera.height, geometry.tiles_x, geometry.limits, self.impact,
                     widened(cotangent, first, last, width).reshape(-1), sums,
                     work.array("backward", (workers, backward_scratch(width, pair))),
                     work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
@@ -239,7 +239,7 @@ class View:
         with parallel_section(), borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
             pair_weights(
-                geometry.records, geometry.ids, geometry.starts, camera.width, camera.height,
+                geometry.records, geometry.discs, geometry.ids, geometry.starts, camera.width, camera.height,
                 geometry.tiles_x, geometry.limits, self.impact, pixel_map.reshape(-1), sums, maxima,
                 work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))), work.array("items",
                 (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),

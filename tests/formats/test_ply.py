@@ -13,8 +13,8 @@ import pytest
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
-from engine.formats.ply import DISC_THICKNESS, read_ply, write_ply
-from engine.model import GaussianModel
+from engine.formats.ply import read_ply, write_ply
+from engine.model import DISC_THICKNESS, GaussianModel
 from tests.formats.models import (
     ATTRIBUTES,
     DATA,

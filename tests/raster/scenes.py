@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.model import DISC_THICKNESS, Camera, Float32, GaussianModel, look_at
 
 TOLERANCE = {
     "pixel": 3e-3,  # a pixel where float32 falls on the other side of a threshold (1/255, the pixel's end)
@@ -30,6 +30,14 @@ def random_model(count: int, seed: int, coefficients: int = 16) -> GaussianModel
         normal(0.0, 1.0, count, 3), normal(-2.2, 0.9, count, 3), normal(0.0, 1.0, count, 4),
         normal(0.0, 2.0, count), normal(0.0, 0.4, count, coefficients, 3),
     )  # fmt: skip
+
+
+def random_discs(count: int, seed: int, coefficients: int = 16) -> GaussianModel:
+    """The same as discs of 2DGS: the third scale next to nothing."""
+    model = random_model(count, seed, coefficients)
+    log_scales = model.log_scales.copy()
+    log_scales[:, 2] = log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS)
+    return model.with_(log_scales=log_scales)
 
 
 def camera(width: int = 53, height: int = 47, focal: float = 60.0) -> Camera:

@@ -11,15 +11,17 @@ from engine.errors import InputError
 from engine.model import Camera, GaussianModel, look_at
 from engine.raster import backward, draw, prepare_view, render, render_depth
 from engine.raster.settings import MAX_SIGMA_PX
-from tests.raster.scenes import camera, random_model
+from tests.raster.scenes import camera, random_discs, random_model
 
 
 def check(model: GaussianModel, view_from: Camera) -> np.ndarray:
     """Draw and differentiate; everything must come out finite. Returns the image."""
     rendering = draw(model, view_from, 0.25)
-    gradients = backward(rendering, np.ones_like(rendering.image), np.ones_like(rendering.alpha))
-    for name in ("means", "quats", "log_scales", "opacity_logits", "sh", "colors", "viewmat", "K"):
-        assert np.isfinite(getattr(gradients, name)).all(), name
+    assert np.isfinite(rendering.view.backward_colors(np.ones_like(rendering.image))).all()
+    if not model.is_flat:  # discs have gradients of colours alone
+        gradients = backward(rendering, np.ones_like(rendering.image), np.ones_like(rendering.alpha))
+        for name in ("means", "quats", "log_scales", "opacity_logits", "sh", "colors", "viewmat", "K"):
+            assert np.isfinite(getattr(gradients, name)).all(), name
     assert np.isfinite(rendering.image).all()
     assert rendering.alpha.min() >= 0.0
     assert rendering.alpha.max() <= 1.0
@@ -32,6 +34,7 @@ def check(model: GaussianModel, view_from: Camera) -> np.ndarray:
 @pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 33])
 def test_any_number_of_gaussians(count: int) -> None:
     image = check(random_model(count, 1, 4), camera())
+    check(random_discs(count, 1, 4), camera())
     assert count > 0 or (image == 0.25).all()
 
 
@@ -56,12 +59,16 @@ def test_nothing_in_sight() -> None:
 def test_camera_inside() -> None:
     inside = look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 30.0, 60, 50)
     check(random_model(400, 4, 4), inside)
+    check(random_discs(400, 4, 4), inside)
 
 
 @pytest.mark.parametrize("log_scales", [(-40.0, -40.0, -40.0), (-88.0, -3.0, -3.0), (-20.0, -20.0, 2.0), (5.0, 5.0, 5.0), (40.0, 0.0, -40.0), (80.0, 80.0, 80.0)])  # fmt: skip # noqa: E501
 def test_tiny_huge_and_needle_gaussians(log_scales: tuple[float, float, float]) -> None:
     model = random_model(50, 5, 4)
-    check(model.with_(log_scales=np.tile(np.float32(log_scales), (50, 1))), camera())
+    alike = np.tile(np.float32(log_scales), (50, 1))
+    check(model.with_(log_scales=alike), camera())
+    alike[:, 2] = alike[:, :2].min(axis=1) - 12.0
+    check(model.with_(log_scales=alike), camera())
 
 
 def test_wider_than_float32_can_place_is_not_drawn() -> None:
@@ -81,6 +88,10 @@ def test_zero_quaternions_and_far_coordinates() -> None:
     check(model.with_(quats=np.zeros((50, 4), np.float32)), camera())
     check(model.with_(means=model.means * 1e6), camera())
     check(model.with_(means=model.means * 0.0), camera())
+    discs = random_discs(50, 8, 4)
+    check(discs.with_(quats=np.zeros((50, 4), np.float32)), camera())
+    check(discs.with_(means=discs.means * 1e6), camera())
+    check(discs.with_(means=discs.means * 0.0), camera())
 
 
 @settings(max_examples=40, deadline=None)
@@ -99,6 +110,12 @@ def test_anything(
         rng.normal(size=(n, 4)).astype(np.float32), (opacity + rng.normal(size=n)).astype(np.float32),
         rng.normal(size=(n, 4, 3)).astype(np.float32),
     )  # fmt: skip
+    flat = model.log_scales.copy()
+    flat[:, 2] = flat[:, :2].min(axis=1) - 12.0
+    check(
+        model.with_(log_scales=flat),
+        look_at((0.1, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), focal, 37, 21),
+    )
     check(model, look_at((0.1, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), focal, 37, 21))
 
 
