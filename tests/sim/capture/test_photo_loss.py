@@ -8,6 +8,7 @@ import torch
 
 from engine.errors import InputError
 from engine.numerics.image_metrics import ssim
+from engine.sim.capture import photo_loss as module
 from engine.sim.capture.photo_loss import photo_loss
 from tests.reference import training as twin
 
@@ -51,3 +52,20 @@ def test_refusals() -> None:
         photo_loss(image, photo, 2.0)
     with pytest.raises(InputError, match="at least 11x11 pixels, got 19x8"):
         photo_loss(image[:8], photo[:8])
+
+
+def test_compiled_equals_python() -> None:
+    image, photo = pair(13, 12)
+    x, y = image.reshape(13, -1), photo.reshape(13, -1)
+    weights = np.full(11, 1 / 11, np.float32)
+    results = []
+    for unwrap in (lambda f: f, lambda f: f.py_func):
+        across, slopes = np.empty((13, 4, 6), np.float32), np.empty((3, 3, 6), np.float32)
+        gradient, sums = np.empty_like(x), np.zeros((13, 2))
+        unwrap(module._filter_across)(x, y, weights, 3, across)
+        unwrap(module._compare_windows)(across, weights, slopes, sums)
+        numbers = np.float32(0.1), np.float32(0.05)
+        unwrap(module._pull_back)(x, y, weights, 3, slopes, *numbers, gradient, sums)
+        results.append((gradient, sums))
+    for compiled, plain in zip(*results, strict=True):
+        np.testing.assert_allclose(compiled, plain, rtol=1e-4, atol=1e-5)

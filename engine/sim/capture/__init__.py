@@ -1,0 +1,1 @@
+"""Capture: from photos and point clouds to Gaussian models."""

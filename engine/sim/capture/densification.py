@@ -1,0 +1,164 @@
+"""Adaptive density control (Kerbl et al. 2023, section 5.2): where training adds Gaussians and takes them away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Bool, Float32, GaussianModel, Int32
+from engine.numerics.similarity import quaternion_to_rotation
+from engine.sim.capture.parameters import Parameters
+
+__all__ = ["CenterGradients", "DensifyConfig", "densify"]
+
+_SPLIT_SHRINK = 1.6
+"""A split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)."""
+
+RESET_OPACITY = 0.01
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """Knobs of the density control; at 30,000 steps the defaults are INRIA's.
+
+    Parameters
+    ----------
+    first, last : float
+        When it begins and ends, parts of the training: steps 500 and 15,000 of 30,000.
+    every : int
+        Steps between two rounds.
+    gradient : float
+        Gaussians whose centre is pulled more strongly than this across the image are cloned or split: mean over
+        the views of the norm of dL/d(centre), in half images.
+    split_size : float
+        Larger ones are split, smaller ones cloned; largest standard deviation, part of the extent of the cameras.
+    min_opacity : float
+        Fainter ones are removed.
+    max_size : float
+        Larger ones are removed after the first opacity reset, part of the extent. INRIA's bound in pixels is
+        left out, as gsplat leaves it out: it depends on the size of the photos.
+    reset : float
+        Opacities are brought down to 0.01 so often, part of the training: every 3,000 steps of 30,000.
+    most : int
+        No more Gaussians than this: those pulled most come first.
+    """
+
+    first: float = 500 / 30_000
+    last: float = 0.5
+    every: int = 100
+    gradient: float = 2e-4
+    split_size: float = 0.01
+    min_opacity: float = 0.005
+    max_size: float = 0.1
+    reset: float = 0.1
+    most: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.first <= self.last <= 1.0:
+            raise InputError(f"need 0 <= first <= last <= 1, got {self.first} and {self.last}")
+        if self.every < 1 or self.most < 1:
+            raise InputError(f"every and most must be at least 1, got {self.every} and {self.most}")
+        if not 0.0 < self.reset <= 1.0:
+            raise InputError(f"reset is {self.reset}, expected a part of the training in (0, 1]")
+        sizes = (self.gradient, self.split_size, self.max_size)
+        if min(sizes) <= 0.0 or not 0.0 <= self.min_opacity < RESET_OPACITY:
+            raise InputError(
+                f"gradient, split_size and max_size must be positive and min_opacity below {RESET_OPACITY}, got "
+                f"{', '.join(f'{v:g}' for v in sizes)} and {self.min_opacity:g}"
+            )
+
+
+class CenterGradients:
+    """Mean pull on every centre across the image, over the views that saw the Gaussian.
+
+    Parameters
+    ----------
+    count : int
+        Gaussians.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.sums = np.zeros(count, dtype=np.float64)
+        self.views = np.zeros(count, dtype=np.int32)
+
+    def add(self, centers: Float32, visible: Int32, width: int, height: int) -> None:
+        """One view: centers (2, N) is dL/d(projected centre) in pixels, `visible` who was seen."""
+        x, y = centers[0, visible] * (0.5 * width), centers[1, visible] * (0.5 * height)
+        self.sums[visible] += np.hypot(x, y)
+        self.views[visible] += 1
+
+    @property
+    def mean(self) -> Float32:
+        """(N,) mean norm, in half images; 0 for those that no view saw."""
+        return (self.sums / np.maximum(self.views, 1)).astype(np.float32)
+
+
+def densify(
+    parameters: Parameters,
+    pull: Float32,
+    extent: float,
+    config: DensifyConfig,
+    rng: np.random.Generator,
+    *,
+    prune_large: bool,
+) -> None:
+    """One round: clone and split where the centres are pulled, remove what is faint or too large.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Changed in place.
+    pull : (N,) float32
+        See `CenterGradients.mean`.
+    extent : float
+        Of the cameras, scene units.
+    config : DensifyConfig
+    rng : numpy.random.Generator
+        Places the parts of split Gaussians.
+    prune_large : bool
+        Whether Gaussians beyond `max_size` go.
+    """
+    model = parameters.model
+    sizes = model.log_scales.max(axis=1)
+    pulled = _strongest(pull, config.gradient, config.most - len(model))
+    large = sizes > np.log(config.split_size * extent)
+    cloned, split = np.flatnonzero(pulled & ~large), np.flatnonzero(pulled & large)
+    faint = model.opacities < config.min_opacity
+    gone = faint | (sizes > np.log(config.max_size * extent)) if prune_large else faint
+    kept = ~gone
+    kept[split] = False
+    new = [model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng)]
+    joined = GaussianModel(
+        *(
+            np.concatenate([getattr(part, name) for part in new])
+            for name in GaussianModel.__dataclass_fields__
+        )
+    )
+    if prune_large:
+        joined = joined.take(joined.log_scales.max(axis=1) <= np.log(config.max_size * extent))
+    if kept.any() or len(joined):
+        parameters.regroup(np.flatnonzero(kept), joined)
+
+
+def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
+    """Those above the threshold, at most as many as there is room for; each adds one Gaussian."""
+    chosen = pull > threshold
+    if np.count_nonzero(chosen) > max(room, 0):
+        order = np.argsort(-pull, kind="stable")[: max(room, 0)]
+        chosen = np.zeros(len(pull), dtype=np.bool_)
+        chosen[order] = True
+    return chosen
+
+
+def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
+    """Two smaller Gaussians for each, at places drawn from it."""
+    twice = model.take(np.repeat(np.arange(len(model)), 2))
+    steps = rng.standard_normal((len(twice), 3)) * twice.scales
+    lengths = np.maximum(np.linalg.norm(twice.quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    turns = quaternion_to_rotation(twice.quats / lengths).reshape(-1, 3, 3)
+    return twice.with_(
+        means=twice.means + np.einsum("nij,nj->ni", turns, steps).astype(np.float32),
+        log_scales=twice.log_scales - np.float32(np.log(_SPLIT_SHRINK)),
+    )

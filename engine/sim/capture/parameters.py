@@ -1,0 +1,79 @@
+"""The arrays under training, each with its Adam moments; the only mutable thing of a training."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float32, GaussianModel
+from engine.numerics.adam import AdamMoments, adam_step
+from engine.raster import Gradients
+
+__all__ = ["NAMES", "Parameters"]
+
+NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
+
+
+class Parameters:
+    """All parameters of a model under training; copies, so that the model given stays as it is.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    """
+
+    def __init__(self, model: GaussianModel) -> None:
+        self.arrays: dict[str, Float32] = {name: getattr(model, name).copy() for name in NAMES}
+        self.moments = {name: AdamMoments.zeros(array) for name, array in self.arrays.items()}
+
+    def __len__(self) -> int:
+        return len(self.arrays["means"])
+
+    @property
+    def model(self) -> GaussianModel:
+        """The parameters as they are now: a view, which the next step changes."""
+        return GaussianModel(**self.arrays)
+
+    def finished(self) -> GaussianModel:
+        """A model of its own, with unit quaternions."""
+        arrays = {name: array.copy() for name, array in self.arrays.items()}
+        quats = arrays["quats"]
+        quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+        return GaussianModel(**arrays)
+
+    def step(self, gradients: Gradients, rates: dict[str, float], number: int) -> None:
+        """One Adam step of every parameter that has a rate; higher SH bands move at a twentieth (INRIA)."""
+        for name, rate in rates.items():
+            adam_step(
+                self.arrays[name], getattr(gradients, name), self.moments[name], rate, number,
+                rate_rest=rate / 20.0 if name == "sh" else None,
+            )  # fmt: skip
+
+    def regroup(self, kept: npt.NDArray[np.int64], new: GaussianModel) -> None:
+        """The Gaussians at `kept` with their moments, then the new ones, which start without any."""
+        for name in NAMES:
+            fresh: Float32 = getattr(new, name)
+            self.arrays[name] = np.concatenate([self.arrays[name][kept], fresh])
+            empty = np.zeros_like(fresh)
+            old = self.moments[name]
+            self.moments[name] = AdamMoments(
+                np.concatenate([old.first[kept], empty]), np.concatenate([old.second[kept], empty])
+            )
+
+    def raise_degree(self, coefficients: int) -> None:
+        """More SH coefficients a channel; the new ones are 0 and have no moments."""
+        missing = coefficients - self.arrays["sh"].shape[1]
+
+        def grown(array: Float32) -> Float32:
+            return np.concatenate([array, np.zeros((len(array), missing, 3), np.float32)], axis=1)
+
+        old = self.moments["sh"]
+        self.arrays["sh"] = grown(self.arrays["sh"])
+        self.moments["sh"] = AdamMoments(grown(old.first), grown(old.second))
+
+    def cap_opacity(self, opacity: float) -> None:
+        """No Gaussian more opaque than this, and no moments left of it."""
+        logit = np.float32(np.log(opacity / (1.0 - opacity)))
+        logits = self.arrays["opacity_logits"]
+        np.minimum(logits, logit, out=logits)
+        self.moments["opacity_logits"] = AdamMoments.zeros(logits)
