@@ -111,19 +111,19 @@ def make_rig(
         shell = (k + u[k, 1]) / count  # stratified: the elevations of a rig cover their range
         if extent.is_room:
             elevation = np.radians(-20.0 + 40.0 * shell)
-            toward = _direction(azimuth[k], elevation)
+            toward = direction(azimuth[k], elevation)
             eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
             target = extent.center + extent.radius * toward
         else:
             elevation = np.radians(lowest + (55.0 - lowest) * shell)
             fit = 1.06 * extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
-            eye = extent.center + _direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
-            target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * _direction(azimuth[k] + 1.0, 0.0)
+            eye = extent.center + direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
+            target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * direction(azimuth[k] + 1.0, 0.0)
         cameras.append(look_at(eye, target, UP, focal, width, height))
     return cameras
 
 
-def _direction(azimuth: float, elevation: float) -> Float64:
+def direction(azimuth: float, elevation: float) -> Float64:
     """Unit vector; positive elevations lie towards UP."""
     flat = np.array([np.cos(azimuth), 0.0, np.sin(azimuth)]) * np.cos(elevation)
     return np.asarray(flat + UP * np.sin(elevation))
