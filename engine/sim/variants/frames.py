@@ -1,0 +1,126 @@
+"""A dynamic scene as one exported model per moment: how deformation-network models (4DGS) come out of their tools.
+
+Wu et al., "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering" (CVPR 2024) deform the positions, scales and
+rotations of one set of Gaussians; colours and opacities stay as they are in its published settings.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.formats import read_model
+from engine.model import Float32, GaussianModel
+
+__all__ = ["FrameSequence", "read_frames"]
+
+COLOR_TOLERANCE = 1e-3
+"""Largest difference of a colour coefficient between frames: more is a scene whose colours change with time."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSequence:
+    """T exported models of the same N Gaussians, row by row.
+
+    Parameters
+    ----------
+    frames : sequence of GaussianModel
+        At least one; equally long, with equal colours.
+    times : (T,) sequence of float
+        Moment of each, ascending.
+
+    Raises
+    ------
+    InputError
+        If the frames do not belong together.
+    """
+
+    frames: Sequence[GaussianModel]
+    times: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if not self.frames or len(self.frames) != len(self.times):
+            raise InputError(f"{len(self.frames)} frames but {len(self.times)} times")
+        if not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
+            raise InputError("the times of frames must be finite and ascending")
+        first = self.frames[0]
+        for number, frame in enumerate(self.frames):
+            if len(frame) != len(first) or frame.sh.shape != first.sh.shape:
+                raise InputError(
+                    f"frame {number} has {len(frame)} Gaussians of degree {frame.sh_degree}, frame 0 has "
+                    f"{len(first)} of degree {first.sh_degree}: a sequence needs the same ones in every frame"
+                )
+            gap = float(np.abs(frame.sh - first.sh).max())
+            if gap > COLOR_TOLERANCE:
+                raise InputError(f"the colours of frame {number} differ by {gap:g} from those of frame 0")
+
+    def __len__(self) -> int:
+        return len(self.frames[0])
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last moment."""
+        return float(self.times[0]), float(self.times[-1])
+
+    def at(self, time: float) -> GaussianModel:
+        """The frame nearest in time, with the colours of the first."""
+        nearest = int(np.abs(np.asarray(self.times) - time).argmin())
+        return self.frames[nearest].with_(sh=self.frames[0].sh)
+
+    def canonical(self) -> GaussianModel:
+        """The frame in the middle of the sequence."""
+        return self.at(float(self.times[len(self.times) // 2]))
+
+    def persistence(self) -> Float32:
+        """(N,) mean opacity over the frames against the largest one, 0 to 1."""
+        opacities = np.stack([frame.opacities for frame in self.frames])
+        mean: Float32 = opacities.mean(axis=0) / np.maximum(opacities.max(axis=0), 1e-12)
+        return mean
+
+    def displaced(self, dc: Float32) -> FrameSequence:
+        """A copy with the DC coefficients of every frame moved by dc (N, 3)."""
+        return FrameSequence([f.with_dc(f.sh[:, 0] + dc) for f in self.frames], self.times)
+
+    def digest(self) -> str:
+        """SHA-256 over times and all arrays of all frames, hexadecimal."""
+        whole = hashlib.sha256(b"frames 1" + np.asarray(self.times, dtype="<f8").tobytes())
+        for frame in self.frames:
+            for array in (frame.means, frame.log_scales, frame.quats, frame.opacity_logits, frame.sh):
+                whole.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
+        return whole.hexdigest()
+
+
+def read_frames(
+    source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], times: Sequence[float] | None = None
+) -> FrameSequence:
+    """Read a folder, or a list, of exported models.
+
+    Parameters
+    ----------
+    source : path or sequence of path
+        A folder's ``.ply`` files are taken in the order of their names.
+    times : sequence of float, optional
+        Moment of each; evenly from 0 to 1 where not given.
+
+    Raises
+    ------
+    InputError
+        If there are no files, or they do not belong together; FormatError if one cannot be read.
+    """
+    if isinstance(source, str | os.PathLike):
+        folder = Path(source)
+        if not folder.is_dir():
+            raise InputError(f"{source}: is no folder")
+        paths: list[str | os.PathLike[str]] = [*sorted(folder.glob("*.ply"))]
+    else:
+        paths = list(source)
+    if not paths:
+        raise InputError(f"{source}: holds no .ply files")
+    moments = np.linspace(0.0, 1.0, len(paths)).tolist() if times is None else list(times)
+    return FrameSequence([read_model(path).model for path in paths], moments)

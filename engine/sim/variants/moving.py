@@ -1,0 +1,271 @@
+"""Marking what moves: one record for a whole clip, verified as the 4-D file, as any moment's export, as pictures.
+
+The mark displaces colours that do not change with time, planned on the canonical model (each Gaussian once, where it
+is most opaque); what is short-lived carries less; impact and strength are measured at moments spread over the clip.
+
+**Why verification at a moment stays a theorem (DESIGN 4.9).** A model exported at time t is compared with the
+unmarked reference moved to t by the owner's own original. That original is committed to: its digest is part of the
+record's plan, and the chips are drawn from a hash of that plan. So the motion cannot be chosen after the chips, and
+the moved reference, the matches and the weights know nothing of them. Which moment a suspect shows is chosen by
+geometry alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, GaussianModel
+from engine.pipeline.embedding import LANDMARK_SIZE, Embedding, embed
+from engine.pipeline.judging import VerifyConfig
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Progress
+from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig
+from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.variant import Variant
+from engine.pipeline.verification import Verification, verify_images
+from engine.watermark.keys import OwnerKey
+from engine.watermark.landmarks import make_landmarks
+from engine.watermark.layout import Layout
+from engine.watermark.messages import Signs
+from engine.watermark.registration import register
+
+__all__ = ["Moving", "embed_moving", "find_time", "key_times", "move_record", "verify_moving_images"]
+
+COMMITMENT = "moving"
+"""Name under which a record's plan holds the digest of the moving original."""
+
+VISIBLE = 1.0 / 255.0
+"""Least opacity that a renderer blends; what lies below at a moment is in no export and no picture of it."""
+
+LEAST_EMPHASIS = 0.2
+"""Share of the full displacement that the most short-lived Gaussians still carry."""
+
+
+class Moving(Protocol):
+    """The same Gaussians over time; `SpacetimeModel` and `FrameSequence` are such."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last moment."""
+
+    def __len__(self) -> int: ...
+
+    def at(self, time: float) -> GaussianModel:
+        """All Gaussians at a moment, always the same rows."""
+
+    def canonical(self) -> GaussianModel:
+        """Each Gaussian where it is most opaque."""
+
+    def persistence(self) -> Float32:
+        """(N,) how lasting each Gaussian is, 0 to 1."""
+
+    def displaced(self, dc: Float32) -> Self:
+        """A copy with the DC coefficients moved by (N, 3), at all times."""
+
+    def digest(self) -> str:
+        """SHA-256 of everything, hexadecimal."""
+
+
+M = TypeVar("M", bound=Moving)
+
+
+def key_times(moving: Moving, count: int) -> list[float]:
+    """Moments of the key views, spread over the clip so that views next to each other are far apart in time."""
+    low, high = moving.span
+    turns = (0.5 + GOLDEN_ANGLE / (2 * np.pi) * np.arange(count)) % 1.0
+    return [float(low + (high - low) * turn) for turn in turns]
+
+
+def embed_moving(
+    moving: M,
+    key: OwnerKey,
+    *,
+    original_sha256: str | None = None,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: EmbedConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    copy: str = "",
+    registered_at: str = "",
+    progress: Progress | None = None,
+) -> tuple[M, Embedding]:
+    """Mark a dynamic scene.
+
+    Parameters
+    ----------
+    moving : Moving
+        The unmarked original; the owner keeps it for verification.
+    key : OwnerKey
+    original_sha256 : str, optional
+        Digest of the owner's file; that of the arrays where not given.
+    message, bits, cameras, copy, registered_at, progress
+        As for `engine.pipeline.embedding.embed`.
+    config : EmbedConfig, optional
+        The landmark bank is left out: a canonical model is nothing a picture shows. `move_record` makes one.
+
+    Returns
+    -------
+    marked : Moving
+        Of the same kind.
+    embedding : Embedding
+        Its model is the marked canonical one; its record commits to the original.
+
+    Raises
+    ------
+    CapacityError, InputError
+        As `embed`.
+    """
+    config = replace(config or EmbedConfig(), landmark_views=0)
+    canonical = moving.canonical()
+    times = key_times(moving, config.views)
+    digest = moving.digest()
+    variant = Variant(
+        at_view=lambda model, k: moving.at(times[k]).with_(sh=model.sh),
+        emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
+        commitments={COMMITMENT: digest},
+    )
+    result = embed(
+        canonical, key, original_sha256=original_sha256 or digest, message=message, bits=bits, config=config,
+        cameras=cameras, copy=copy, registered_at=registered_at, progress=progress, variant=variant,
+    )  # fmt: skip
+    return moving.displaced(result.model.sh[:, 0] - canonical.sh[:, 0]), result
+
+
+def move_record(
+    opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0
+) -> OpenedRecord:
+    """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
+
+    Parameters
+    ----------
+    opened : OpenedRecord
+        Of `embed_moving`.
+    original : Moving
+        The very original that was marked.
+    time : float
+    landmark_views : int
+        Views of a landmark bank of that moment, for pictures whose camera is not known; 0 makes none.
+
+    Returns
+    -------
+    OpenedRecord
+        For `verify_model` and `verify_images`. Of the Gaussians that are not visible then, nothing is left.
+
+    Raises
+    ------
+    InputError
+        If the record does not commit to this original, or nothing is visible at that moment.
+    """
+    committed = opened.commitments.get(COMMITMENT)
+    if committed is None:
+        raise InputError("this record is of a scene that stands still: it commits to no moving original")
+    if committed != original.digest():
+        raise InputError(f"this is not the original the record commits to: {original.digest()[:16]}... given")
+    posed = original.at(time).with_(sh=opened.reference.sh)
+    rows = np.flatnonzero(posed.opacities >= VISIBLE)
+    if len(rows) < 3:
+        raise InputError(f"only {len(rows)} Gaussians are visible at time {time:g}")
+    layout = Layout(
+        tuple(np.ascontiguousarray(labels[rows]) for labels in opened.layout.labels),
+        opened.layout.codes, opened.layout.directions, opened.layout.amplitudes,
+    )  # fmt: skip
+    reference = posed.take(rows)
+    landmarks = None
+    if landmark_views:
+        landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
+    return replace(opened, reference=reference, layout=layout, landmarks=landmarks)
+
+
+def find_time(
+    suspect: GaussianModel,
+    opened: OpenedRecord,
+    original: Moving,
+    *,
+    count: int = 9,
+    rounds: int = 3,
+    seed: int = 0,
+) -> float | None:
+    """The moment at which the original looks most like a model exported from it.
+
+    Only geometry and the registration's unmarked features decide, so the search is no further try of a claim.
+
+    Parameters
+    ----------
+    suspect : GaussianModel
+    opened : OpenedRecord
+    original : Moving
+    count : int
+        Moments tried over the whole clip.
+    rounds : int
+        Times the search narrows down to the neighbours of the best moment.
+    seed : int
+        Of the registration's trials.
+
+    Returns
+    -------
+    float or None
+        None where no moment of the original is found in the suspect.
+    """
+
+    def score(time: float) -> float:
+        found = register(move_record(opened, original, time).reference, suspect, seed=seed)
+        return float(found.match_quality.sum())
+
+    low, high = original.span
+    step = (high - low) / max(count - 1, 1)
+    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, count)}
+    for _ in range(rounds):
+        best = max(scores, key=lambda t: (scores[t], -t))
+        if scores[best] == 0.0:
+            return None
+        step *= 0.5
+        scores |= {t: score(t) for t in (best - step, best + step) if low <= t <= high and t not in scores}
+    return max(scores, key=lambda t: (scores[t], -t))
+
+
+def verify_moving_images(
+    images: Sequence[Float32],
+    opened: OpenedRecord,
+    original: Moving,
+    times: Sequence[float],
+    config: VerifyConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    landmark_views: int = 24,
+) -> tuple[Verification, float]:
+    """Do these pictures of one moment show the marked scene?
+
+    Parameters
+    ----------
+    images : sequence of (h, w, 3) float32
+        All of the same moment.
+    opened : OpenedRecord
+    original : Moving
+    times : sequence of float
+        The moments it may be; each is a try of the claim, and all are counted.
+    config : VerifyConfig, optional
+    cameras : sequence of Camera, optional
+        One for each picture, where known.
+    landmark_views : int
+        Of the bank by which unknown cameras are found.
+
+    Returns
+    -------
+    verification : Verification
+        The best one, its bound multiplied by the number of moments.
+    time : float
+        Its moment.
+    """
+    if not times:
+        raise InputError("no moment was given")
+    config = config or VerifyConfig()
+    config = replace(config, tries=max(config.tries or 1, len(times)))
+    found: list[tuple[Verification, float]] = []
+    for time in times:
+        moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
+        found.append((verify_images(images, moved, config, cameras), time))
+    return min(found, key=lambda pair: pair[0].claim.log10_false_claim)
