@@ -16,7 +16,9 @@ from engine.model import Camera
 MAX_CAMERA_BYTES = 1 << 28
 """A COLMAP images.txt of a thousand photos has 100 MB, nearly all of it points."""
 
-_SUBFOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
+SUBFOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
+"""Where a COLMAP model usually lies within what the user calls its folder."""
+
 _JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 
 
@@ -100,7 +102,7 @@ def write_cameras(cameras: Sequence[Camera], path: str | os.PathLike[str]) -> in
 
 
 def _read_folder(folder: Path) -> list[Camera]:
-    for subfolder in _SUBFOLDERS:
+    for subfolder in SUBFOLDERS:
         for suffix in (".bin", ".txt"):
             if all(file.is_file() for file in _colmap_files(folder / subfolder, suffix)):
                 return _read_colmap(folder / subfolder, suffix)
@@ -121,12 +123,14 @@ def _read_colmap(folder: Path, suffix: str) -> list[Camera]:
     from engine.formats.cameras_colmap import read_colmap  # scipy costs 0.2 s, and most callers read JSON
 
     cameras, images = _colmap_files(folder, suffix)
-    return read_colmap(_read(cameras), _read(images), str(cameras), str(images), binary=suffix == ".bin")
+    return read_colmap(
+        read_limited(cameras), read_limited(images), str(cameras), str(images), binary=suffix == ".bin"
+    )
 
 
 def _read_json(path: Path) -> list[Camera]:
     try:
-        content: Any = json.loads(_read(path))
+        content: Any = json.loads(read_limited(path))
     except (ValueError, RecursionError) as error:
         where = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise CameraError(f"{path}: is no JSON{where}") from None
@@ -137,7 +141,8 @@ def _read_json(path: Path) -> list[Camera]:
     raise CameraError(f"{path}: is neither a list of cameras (INRIA) nor holds a list 'frames' (NeRF)")
 
 
-def _read(path: Path) -> bytes:
+def read_limited(path: Path) -> bytes:
+    """A regular file of at most `MAX_CAMERA_BYTES`, whole."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is no regular file")
     if (size := path.stat().st_size) > MAX_CAMERA_BYTES:

@@ -35,12 +35,31 @@ _LARGEST = 1e15  # in pixels and scene units; also false for what is no number
 _NAMES = {lens.number: name for name, lens in _LENSES.items()}
 
 
+@dataclass(frozen=True, eq=False)
+class PosedPhoto:
+    """A photo of a reconstruction: where it was taken from, and through which lens.
+
+    Parameters
+    ----------
+    name : str
+        Of the file, as the reconstruction gives it; may hold folders. Not to be trusted as a path.
+    camera : Camera
+        The lens without its distortion.
+    distortion : (4,) floats
+        OpenCV's k1, k2, p1, p2; zeros for a pinhole.
+    """
+
+    name: str
+    camera: Camera
+    distortion: tuple[float, float, float, float]
+
+
 @dataclass(frozen=True)
 class _Intrinsics:
     K: Float64
     width: int
     height: int
-    distorted: bool
+    distortion: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -55,7 +74,21 @@ class _Image:
 def read_colmap(
     cameras: bytes, images: bytes, cameras_file: str, images_file: str, *, binary: bool
 ) -> list[Camera]:
-    """Cameras of all images, in the order of the images' names.
+    """Cameras of all images, in the order of the images' names; says so where it ignores lens distortion.
+
+    Parameters and errors as for `read_photos`.
+    """
+    photos = read_photos(cameras, images, cameras_file, images_file, binary=binary)
+    distorted = sum(any(photo.distortion) for photo in photos)
+    if distorted:
+        warn_of_distortion(cameras_file, distorted)
+    return [photo.camera for photo in photos]
+
+
+def read_photos(
+    cameras: bytes, images: bytes, cameras_file: str, images_file: str, *, binary: bool
+) -> list[PosedPhoto]:
+    """All images with their cameras and distortion, in the order of their names.
 
     Parameters
     ----------
@@ -68,7 +101,7 @@ def read_colmap(
 
     Returns
     -------
-    list of Camera
+    list of PosedPhoto
 
     Raises
     ------
@@ -79,7 +112,7 @@ def read_colmap(
     posed = (_binary_images if binary else _text_images)(images, images_file)
     if not posed:
         raise CameraError(f"{images_file}: holds no images")
-    result, distorted = [], 0
+    result = []
     for image in sorted(posed, key=lambda image: image.name):
         lens = lenses.get(image.camera)
         if lens is None:
@@ -89,10 +122,8 @@ def read_colmap(
             raise CameraError(f"{image.where}: the pose is no rotation and translation")
         to_camera = quaternion_to_rotation(np.array(image.quat) / norm).reshape(3, 3)
         position = -to_camera.T @ np.array(image.t)
-        result.append(make_camera(to_camera.T, position, lens.K, lens.width, lens.height, image.where))
-        distorted += lens.distorted
-    if distorted:
-        warn_of_distortion(cameras_file, distorted)
+        camera = make_camera(to_camera.T, position, lens.K, lens.width, lens.height, image.where)
+        result.append(PosedPhoto(image.name, camera, lens.distortion))
     return result
 
 
@@ -112,7 +143,8 @@ def _intrinsics(model: str, width: int, height: int, parameters: list[float], wh
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if not (all(abs(value) < _LARGEST for value in parameters) and fx > 0 and fy > 0):
         raise CameraError(f"{where}: the parameters are no focal length and principal point")
-    return _Intrinsics(K, width, height, any(parameters[lens.focals + 2 :]))
+    k1, k2, p1, p2 = (*parameters[lens.focals + 2 :], 0.0, 0.0, 0.0, 0.0)[:4]
+    return _Intrinsics(K, width, height, (k1, k2, p1, p2))
 
 
 def _text_cameras(data: bytes, file: str) -> dict[int, _Intrinsics]:

@@ -1,0 +1,150 @@
+"""Photos to what a pinhole would have seen: lens distortion undone, brought to the size of training."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import CameraError, InputError
+from engine.formats.cameras_colmap import PosedPhoto
+from engine.model import Camera, Float32, Float64
+
+__all__ = ["read_photo", "undistort"]
+
+_MAX_ZOOM = 4.0
+_ASPECT_TOLERANCE = 0.01
+
+
+def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray[np.uint8]:
+    """Pixels of a photo of a reconstruction.
+
+    Parameters
+    ----------
+    folder : path
+        Where the photos lie.
+    photo : PosedPhoto
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        As stored: structure from motion does not turn photos by their EXIF entry either.
+
+    Raises
+    ------
+    InputError
+        If the name leads out of the folder, there is no such picture, or it has another shape than its camera.
+    """
+    from PIL import Image
+
+    root = Path(folder).resolve()
+    path = (root / photo.name).resolve()
+    if "\0" in photo.name or not path.is_relative_to(root):
+        raise InputError(f"photo {photo.name!r} of the reconstruction lies outside {folder}")
+    try:
+        with Image.open(path) as picture:
+            pixels = np.asarray(picture.convert("RGB"))
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: cannot be read as a picture: {error}") from None
+    height, width = pixels.shape[:2]
+    camera = photo.camera
+    if abs(width * camera.height / (height * camera.width) - 1.0) > _ASPECT_TOLERANCE:
+        raise InputError(f"{path}: is {width}x{height}, its camera {camera.width}x{camera.height}")
+    return pixels
+
+
+def undistort(
+    pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None = None
+) -> tuple[Camera, Float32]:
+    """A photo as a pinhole camera at its place would have taken it.
+
+    The focal length grows just as far as is needed to leave no empty border.
+
+    Parameters
+    ----------
+    pixels : (H, W, 3) uint8
+        The photo, also a smaller copy of it.
+    photo : PosedPhoto
+        Its camera and distortion.
+    size : int, optional
+        Longest side of the result, pixels; never larger than the photo. Default: as it is.
+
+    Returns
+    -------
+    camera : Camera
+    image : (H, W, 3) float32
+        0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the size is less than 1.
+    CameraError
+        If the lens bends so strongly that no pinhole picture fits into the photo.
+    """
+    import cv2  # a heavy import that only image work pays for
+
+    if size is not None and size < 1:
+        raise InputError(f"size is {size}, expected at least 1 pixel")
+    height, width = pixels.shape[:2]
+    camera = photo.camera.resized(width, height)
+    if any(photo.distortion):
+        zoom = _zoom(camera, photo)
+        new = camera.K.copy()
+        new[0, 0] *= zoom
+        new[1, 1] *= zoom
+        maps = cv2.initUndistortRectifyMap(
+            _opencv(camera.K), np.array(photo.distortion), None, _opencv(new), (width, height), cv2.CV_32FC1
+        )
+        pixels = cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        camera = Camera(camera.viewmat, new, width, height)
+    image = pixels.astype(np.float32) / np.float32(255.0)
+    factor = min(1.0, size / max(width, height)) if size is not None else 1.0
+    if factor < 1.0:
+        small = max(1, round(width * factor)), max(1, round(height * factor))
+        image = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
+        camera = camera.resized(*small)
+    return camera, np.ascontiguousarray(image, dtype=np.float32)
+
+
+def _opencv(K: Float64) -> Float64:
+    """Intrinsics in OpenCV's pixels, whose centres lie at whole numbers."""
+    moved = K.copy()
+    moved[:2, 2] -= 0.5
+    return moved
+
+
+def _zoom(camera: Camera, photo: PosedPhoto) -> float:
+    """Smallest factor >= 1 on the focal length at which the whole picture comes from inside the photo."""
+    if _inside(camera, photo, 1.0):
+        return 1.0
+    low, high = 1.0, _MAX_ZOOM
+    if not _inside(camera, photo, high):
+        raise CameraError(f"photo {photo.name!r}: distortion {photo.distortion} is too strong to be undone")
+    while high - low > 1e-4:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _inside(camera, photo, middle) else (middle, high)
+    return high
+
+
+def _inside(camera: Camera, photo: PosedPhoto, zoom: float) -> bool:
+    """Do all pixels of the border of the zoomed picture come from inside the photo, and none from the far side of
+    a lens polynomial that has turned back?"""
+    w, h = camera.width, camera.height
+    x, y = np.arange(w) + 0.5, np.arange(h) + 0.5
+    border = np.concatenate(
+        [np.stack([x, np.full(w, v)], 1) for v in (0.5, h - 0.5)]
+        + [np.stack([np.full(h, u), y], 1) for u in (0.5, w - 0.5)]
+    )
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    a, b = (border[:, 0] - cx) / (fx * zoom), (border[:, 1] - cy) / (fy * zoom)
+    k1, k2, p1, p2 = photo.distortion
+    r2 = a * a + b * b
+    radial = 1.0 + k1 * r2 + k2 * r2 * r2
+    u = fx * (a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)) + cx
+    v = fy * (b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b) + cy
+    outward = np.linspace(0.0, 1.0, 64)[:, None] * r2
+    rising = 1.0 + 3.0 * k1 * outward + 5.0 * k2 * outward * outward > 0.0
+    return bool(((u >= 0) & (u <= w) & (v >= 0) & (v <= h)).all() and rising.all())
