@@ -1,0 +1,231 @@
+"""A body: a model embedded in elastic tetrahedra, with a position and a velocity for every lattice point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Bool, Float64, GaussianModel
+from engine.numerics.jit import parallel_section
+from engine.sim.physics.binding_kernels import interpolate
+from engine.sim.physics.deforming import deform_model
+from engine.sim.physics.lattice import Binding, Lattice, build_lattice
+
+__all__ = [
+    "Body",
+    "Material",
+    "color_by_strain",
+    "deformation_gradients",
+    "kernel_strains",
+    "kernel_velocities",
+    "make_body",
+    "pose",
+    "strain_norms",
+]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a body is made of. One scene unit is one metre, one unit of mass a kilogram.
+
+    Parameters
+    ----------
+    compliance : float
+        Of the edges: 1 / Young's modulus, 1/Pa, at least 0. Whatever the resolution.
+    volume_compliance : float
+        Of the tetrahedra's volumes: 1 / bulk modulus, 1/Pa, at least 0.
+    shape_rate : float
+        How fast points are drawn to the best rigid placement of their cluster, 1/s; 0 matches no shape.
+    shape_cluster : int
+        Side of a cluster in cells; 0 makes one cluster of the whole body, so that a high rate makes it rigid.
+    damping : float
+        Time in which edges and volumes lose their rate of strain, seconds, at least 0. Rigid motion is not
+        damped.
+    """
+
+    compliance: float = 2e-5
+    volume_compliance: float = 5e-6
+    shape_rate: float = 0.0
+    shape_cluster: int = 0
+    damping: float = 2e-3
+
+    def __post_init__(self) -> None:
+        for name in ("compliance", "volume_compliance", "shape_rate", "shape_cluster", "damping"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{name} of a material must be finite and not negative, got {value}")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A model and the state of the matter it sits in.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        N Gaussians at rest.
+    lattice : Lattice
+        P points at rest.
+    binding : Binding
+        Where the Gaussians sit.
+    material : Material
+    masses : (P,) float64
+        Of the points, kg, positive.
+    pinned : (P,) bool
+        Points that nothing moves (inverse mass zero).
+    positions : (P, 3) float64
+        Now, scene units.
+    velocities : (P, 3) float64
+        Now, scene units per second.
+    """
+
+    model: GaussianModel
+    lattice: Lattice
+    binding: Binding
+    material: Material
+    masses: Float64
+    pinned: Bool
+    positions: Float64
+    velocities: Float64
+
+    @property
+    def inverse_masses(self) -> Float64:
+        """(P,) 1/kg, zero where pinned."""
+        return np.where(self.pinned, 0.0, 1.0 / self.masses)
+
+
+def make_body(
+    model: GaussianModel,
+    *,
+    resolution: int = 16,
+    density: float = 200.0,
+    material: Material | None = None,
+    pinned: npt.NDArray[np.bool_] | None = None,
+    velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Body:
+    """Fill a model with matter.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        N Gaussians; they keep their number, order and opacity whatever happens.
+    resolution : int
+        Voxels along the longest robust extent, 2 to 96; each holds six tetrahedra.
+    density : float
+        kg per cubic scene unit, positive.
+    material : Material, optional
+    pinned : (N,) bool, optional
+        Gaussians that must stay where they are: the corners of their tetrahedra never move.
+    velocity : (3,), optional
+        At the start, scene units per second.
+
+    Returns
+    -------
+    Body
+        At rest shape, moving with the velocity.
+
+    Raises
+    ------
+    InputError
+        If the model is empty, or a number or shape is unusable.
+    """
+    if not (np.isfinite(density) and density > 0):
+        raise InputError(f"density must be positive and finite, got {density}")
+    start = np.asarray(velocity, dtype=np.float64)
+    if start.shape != (3,) or not np.isfinite(start).all():
+        raise InputError(f"velocity must be three finite numbers, got {velocity!r}")
+    lattice, binding = build_lattice(model, resolution)
+    fixed = np.zeros(len(lattice.points), dtype=bool)
+    if pinned is not None:
+        if pinned.shape != (len(model),) or pinned.dtype != bool:
+            raise InputError(f"pinned must be {len(model)} booleans, got {pinned.dtype} {pinned.shape}")
+        fixed[lattice.tets[binding.tet[pinned]]] = True
+    share = density * lattice.tet_volume / 4.0
+    masses: Float64 = share * np.bincount(lattice.tets.ravel(), minlength=len(lattice.points))
+    velocities: Float64 = np.where(fixed[:, None], 0.0, start)
+    return Body(
+        model, lattice, binding, material or Material(), masses, fixed, lattice.points.copy(), velocities
+    )
+
+
+def pose(body: Body) -> GaussianModel:
+    """The deformed model: a model as any other, to be rendered, written, verified.
+
+    Parameters
+    ----------
+    body : Body
+
+    Returns
+    -------
+    GaussianModel
+        Means by barycentric interpolation; covariances F Sigma F^T and SH turned by the rotation part of F,
+        F being the deformation gradient of the Gaussian's tetrahedron (Eq 12).
+    """
+    return deform_model(
+        body.model, kernel_means(body).astype(np.float32), deformation_gradients(body), body.binding.tet
+    )
+
+
+def kernel_means(body: Body) -> Float64:
+    """(N, 3) where the Gaussians' centres are now, scene units."""
+    return _interpolated(body, body.positions)
+
+
+def kernel_velocities(body: Body) -> Float64:
+    """(N, 3) velocities of the Gaussians, scene units per second."""
+    return _interpolated(body, body.velocities)
+
+
+def deformation_gradients(body: Body) -> Float64:
+    """(T, 3, 3) deformation gradients F = Ds Dm^-1 of the tetrahedra (Eq 12)."""
+    corners = body.positions[body.lattice.tets]  # (T, 4, 3)
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)  # columns are edges
+    return np.asarray(edges @ body.lattice.inverse_rest)
+
+
+def kernel_strains(body: Body) -> Float64:
+    """(N, 3, 3) Green strain (F^T F - 1) / 2 of the Gaussians' surroundings."""
+    F = deformation_gradients(body)
+    strains = 0.5 * (F.transpose(0, 2, 1) @ F - np.eye(3))
+    return np.asarray(strains[body.binding.tet])
+
+
+def strain_norms(body: Body) -> Float64:
+    """(N,) Frobenius norms of the Gaussians' Green strains: 0 for any rigid motion."""
+    return np.asarray(np.linalg.norm(kernel_strains(body), axis=(1, 2)))
+
+
+def color_by_strain(body: Body, full: float = 0.5) -> GaussianModel:
+    """The deformed model with its strain as colour: dark blue for none, yellow from a norm of `full` on.
+
+    Parameters
+    ----------
+    body : Body
+    full : float
+        Positive.
+
+    Returns
+    -------
+    GaussianModel
+        SH of degree 0, matplotlib's "viridis".
+    """
+    from matplotlib import colormaps
+
+    from engine.model import SH_C0
+
+    if not (np.isfinite(full) and full > 0):
+        raise InputError(f"the strain of full colour must be positive and finite, got {full}")
+    colors: npt.NDArray[Any] = colormaps["viridis"](np.clip(strain_norms(body) / full, 0.0, 1.0))[:, :3]
+    posed = pose(replace(body, model=body.model.with_(sh=body.model.sh[:, :1])))
+    return posed.with_dc(((colors - 0.5) / SH_C0).astype(np.float32))
+
+
+def _interpolated(body: Body, values: Float64) -> Float64:
+    out = np.empty((len(body.model), 3))
+    with parallel_section():
+        interpolate(values, body.lattice.tets, body.binding.tet, body.binding.weights, out)
+    return out

@@ -1,0 +1,203 @@
+"""Contacts: planes and spheres that points must stay out of, and points that must stay out of each other's way.
+
+What a point moved *into* an obstacle within the substep is undone and so taken from its velocity: contacts are
+inelastic. What it was inside already is resolved by moving its past along, which gives no velocity: bodies that
+start overlapped come apart without bursting.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from engine.numerics.jit import inlined, kernel
+
+_KERNEL_VERSION = 1
+
+RELIEF = 0.2
+"""Share of an old overlap between points that is resolved in one substep."""
+
+
+@inlined
+def _slide(x, x_prev, w, i, normal, flow, depth, friction):  # type: ignore[no-untyped-def]
+    """Coulomb friction on positions: the step along a surface that moves by `flow`, less friction * depth."""
+    slip = 0.0
+    along = np.empty(3)
+    across = 0.0
+    for k in range(3):
+        along[k] = x[i, k] - x_prev[i, k] - flow[k]
+        across += along[k] * normal[k]
+    for k in range(3):
+        along[k] -= across * normal[k]
+        slip += along[k] * along[k]
+    slip = math.sqrt(slip)
+    if slip <= 0.0:
+        return
+    share = min(1.0, friction * depth / slip)
+    for k in range(3):
+        x[i, k] -= share * along[k]
+
+
+@inlined
+def _keep_out(x, x_prev, w, i, normal, flow, before, now, friction):  # type: ignore[no-untyped-def]
+    """Point i is `now` deep (scene units) in an obstacle and was `before` deep, along a normal pointing out."""
+    old = min(max(before, 0.0), now)
+    for k in range(3):
+        x[i, k] += now * normal[k]
+        x_prev[i, k] += old * normal[k]
+    _slide(x, x_prev, w, i, normal, flow, now - old, friction)
+
+
+@kernel
+def collide_planes(x, x_prev, w, normals, points, flows, frictions):  # type: ignore[no-untyped-def]
+    """Keep points (P, 3) on the side of each plane its unit normal (Q, 3) shows to.
+
+    `points` (Q, 3) lie on the planes at the end of the substep; the planes moved by `flows` (Q, 3) in it.
+    """
+    normal, flow = np.empty(3), np.empty(3)
+    for q in range(len(normals)):
+        for k in range(3):
+            normal[k], flow[k] = normals[q, k], flows[q, k]
+        for i in range(len(x)):
+            if w[i] <= 0.0:
+                continue
+            now, before = 0.0, 0.0
+            for k in range(3):
+                now += (points[q, k] - x[i, k]) * normal[k]
+                before += (points[q, k] - flow[k] - x_prev[i, k]) * normal[k]
+            if now > 0.0:
+                _keep_out(x, x_prev, w, i, normal, flow, before, now, frictions[q])
+
+
+@kernel
+def collide_spheres(x, x_prev, w, centers, radii, flows, frictions):  # type: ignore[no-untyped-def]
+    """Keep points out of spheres, which moved by `flows` (Q, 3) in the substep and end it at `centers`."""
+    normal, flow = np.empty(3), np.empty(3)
+    for q in range(len(centers)):
+        for k in range(3):
+            flow[k] = flows[q, k]
+        for i in range(len(x)):
+            if w[i] <= 0.0:
+                continue
+            square, before = 0.0, 0.0
+            for k in range(3):
+                normal[k] = x[i, k] - centers[q, k]
+                square += normal[k] * normal[k]
+                before += (x_prev[i, k] - centers[q, k] + flow[k]) ** 2
+            if square >= radii[q] * radii[q]:
+                continue
+            distance = math.sqrt(square)
+            if distance <= 0.0:  # at the very centre any way out is as good
+                normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+            else:
+                for k in range(3):
+                    normal[k] /= distance
+            depth = radii[q] - distance
+            _keep_out(x, x_prev, w, i, normal, flow, radii[q] - math.sqrt(before), depth, frictions[q])
+
+
+@inlined
+def _bucket(a, b, c, mask):  # type: ignore[no-untyped-def]
+    return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & mask
+
+
+@kernel
+def find_pairs(x, rest, surface, body, radii, reach):  # type: ignore[no-untyped-def]
+    """Pairs (M, 2) of points i < j closer than the sum of their radii, in a fixed order.
+
+    A hash of cells of `reach` (the largest sum of two radii) over the points of `surface` (S,). Points of one
+    body that are near each other at rest are the elastic's business and left out.
+    """
+    count = len(surface)
+    size = 16
+    while size < 2 * count:
+        size *= 2
+    cells = np.empty((count, 3), np.int64)
+    bucket = np.empty(count, np.int64)
+    starts = np.zeros(size + 1, np.int64)
+    for s in range(count):
+        for k in range(3):
+            cells[s, k] = np.int64(math.floor(x[surface[s], k] / reach))
+        bucket[s] = _bucket(cells[s, 0], cells[s, 1], cells[s, 2], size - 1)
+        starts[bucket[s] + 1] += 1
+    for slot in range(size):
+        starts[slot + 1] += starts[slot]
+    fill = starts[:size].copy()
+    order = np.empty(count, np.int64)
+    for s in range(count):
+        order[fill[bucket[s]]] = s
+        fill[bucket[s]] += 1
+    pairs = np.empty((max(64, 4 * count), 2), np.int64)
+    found = 0
+    for s in range(count):
+        i = surface[s]
+        for cell in range(13, 27):  # its own cell and one of each pair of opposite neighbours
+            a, b, c = cells[s, 0] + cell // 9 - 1, cells[s, 1] + cell // 3 % 3 - 1, cells[s, 2] + cell % 3 - 1
+            slot = _bucket(a, b, c, size - 1)
+            for at in range(starts[slot], starts[slot + 1]):
+                other = order[at]
+                if cells[other, 0] != a or cells[other, 1] != b or cells[other, 2] != c:
+                    continue
+                if cell == 13 and other <= s:
+                    continue
+                j = surface[other]
+                least = radii[i] + radii[j]
+                square, at_rest = 0.0, 0.0
+                for k in range(3):
+                    square += (x[i, k] - x[j, k]) ** 2
+                    at_rest += (rest[i, k] - rest[j, k]) ** 2
+                if square >= least * least or (body[i] == body[j] and at_rest < 4.0 * least * least):
+                    continue
+                if found == len(pairs):
+                    larger = np.empty((2 * found, 2), np.int64)
+                    larger[:found] = pairs
+                    pairs = larger
+                pairs[found, 0], pairs[found, 1] = min(i, j), max(i, j)
+                found += 1
+    return pairs[:found]
+
+
+@kernel
+def collide_pairs(x, x_prev, w, pairs, radii):  # type: ignore[no-untyped-def]
+    """Move the points of each pair apart along their line, all pairs at once (Jacobi).
+
+    Both points of a pair use the same divisor, the larger of their numbers of pairs, so that momentum stays.
+    """
+    crowd = np.zeros(len(x), np.int64)
+    for p in range(len(pairs)):
+        crowd[pairs[p, 0]] += 1
+        crowd[pairs[p, 1]] += 1
+    shift = np.zeros((len(x), 3))
+    past = np.zeros((len(x), 3))
+    line = np.empty(3)
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        weight = w[i] + w[j]
+        if weight <= 0.0:
+            continue
+        square, before = 0.0, 0.0
+        for k in range(3):
+            line[k] = x[i, k] - x[j, k]
+            square += line[k] * line[k]
+            before += (x_prev[i, k] - x_prev[j, k]) ** 2
+        distance = math.sqrt(square)
+        if distance <= 0.0:
+            line[0], line[1], line[2], distance = 0.0, 0.0, 1.0, 1.0
+            square = 0.0
+        for k in range(3):
+            line[k] /= distance
+        now = radii[i] + radii[j] - math.sqrt(square)
+        old = min(max(radii[i] + radii[j] - math.sqrt(before), 0.0), now)
+        apart = (now - old + RELIEF * old) / (weight * max(crowd[i], crowd[j]))
+        silent = RELIEF * old / (weight * max(crowd[i], crowd[j]))
+        for k in range(3):
+            shift[i, k] += w[i] * apart * line[k]
+            shift[j, k] -= w[j] * apart * line[k]
+            past[i, k] += w[i] * silent * line[k]
+            past[j, k] -= w[j] * silent * line[k]
+    for i in range(len(x)):
+        if crowd[i] > 0:
+            for k in range(3):
+                x[i, k] += shift[i, k]
+                x_prev[i, k] += past[i, k]
