@@ -1,0 +1,134 @@
+"""Collusion: several recipients put their copies of one asset together (Boneh and Shaw; Wu, Trappe, Wang and Liu).
+
+Copies of one asset differ in their marks alone, so the colluders need no registration: Gaussian i of one copy is
+Gaussian i of another. The rules are the linear and order-statistic ones of H. V. Zhao et al., "Forensic analysis of
+nonlinear collusion attacks for multimedia fingerprinting" (IEEE TIP 14(5), 2005), applied to every colour
+coefficient, and two that mix whole Gaussians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Float32, GaussianModel
+
+__all__ = ["RULES", "collude"]
+
+_COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
+
+_Rule = Callable[[Float32, np.random.Generator], Float32]
+
+
+def collude(
+    model: GaussianModel,
+    strength: str,
+    rng: np.random.Generator,
+    *,
+    others: Sequence[GaussianModel] = (),
+) -> GaussianModel:
+    """One model out of several copies.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The first copy.
+    strength : str
+        What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
+        of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
+        Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
+    rng : numpy.random.Generator
+    others : sequence of GaussianModel
+        The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
+        geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
+
+    Returns
+    -------
+    GaussianModel
+
+    Raises
+    ------
+    InputError
+        If the rule is unknown, there is no other copy, or the copies differ in shape.
+    """
+    if strength not in RULES:
+        raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")
+    if not others:
+        raise InputError("collusion needs the models of the other copies: others=[...]")
+    for number, other in enumerate(others, start=2):
+        if other.sh.shape != model.sh.shape:
+            raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
+    copies = [model, *others]
+    if strength in _MIXERS:
+        source = _MIXERS[strength](model, len(copies), rng)
+        return model.with_(sh=np.stack([copy.sh for copy in copies])[source, np.arange(len(model))])
+    rule, sh = _VALUE_RULES[strength], np.empty_like(model.sh)
+    rows = max(1, _COEFFICIENTS_AT_A_TIME // (len(copies) * max(1, model.sh[0].size)))
+    for start in range(0, len(model), rows):
+        part = slice(start, start + rows)
+        sh[part] = rule(np.stack([copy.sh[part] for copy in copies]), rng)
+    return model.with_(sh=sh)
+
+
+def _mean(values: Float32, rng: np.random.Generator) -> Float32:
+    return np.asarray(values.mean(axis=0, dtype=np.float64), dtype=np.float32)
+
+
+def _median(values: Float32, rng: np.random.Generator) -> Float32:
+    return np.asarray(np.median(values, axis=0), dtype=np.float32)
+
+
+def _minmax(values: Float32, rng: np.random.Generator) -> Float32:
+    return np.asarray(np.float32(0.5) * (values.min(axis=0) + values.max(axis=0)))
+
+
+def _modneg(values: Float32, rng: np.random.Generator) -> Float32:
+    return np.asarray(values.min(axis=0) + values.max(axis=0) - _median(values, rng))
+
+
+def _randneg(values: Float32, rng: np.random.Generator) -> Float32:
+    coin = rng.random(values.shape[1:]) < 0.5
+    return np.asarray(np.where(coin, values.min(axis=0), values.max(axis=0)))
+
+
+_VALUE_RULES: dict[str, _Rule] = {
+    "mean": _mean,
+    "median": _median,
+    "min": lambda values, rng: np.asarray(values.min(axis=0)),
+    "max": lambda values, rng: np.asarray(values.max(axis=0)),
+    "minmax": _minmax,
+    "modneg": _modneg,
+    "randneg": _randneg,
+}
+
+
+def _any_copy(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """(N,) source of each Gaussian."""
+    return rng.integers(copies, size=len(model))
+
+
+PATCHES = 256
+"""Connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene."""
+
+
+def _patches(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """(N,) source of each Gaussian; those nearest to the same random Gaussian share one."""
+    from scipy.spatial import cKDTree
+
+    count = min(PATCHES, len(model))
+    seeds = model.means[rng.choice(len(model), count, replace=False)]
+    patch = cKDTree(seeds).query(model.means, workers=2)[1]
+    # Dealt, not drawn: with few patches every copy takes part all the same.
+    return np.asarray(rng.permutation(np.arange(count) % copies)[patch])
+
+
+_MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArray[np.int64]]] = {
+    "interleave": _any_copy,
+    "patches": _patches,
+}
+
+RULES = (*_VALUE_RULES, *_MIXERS)
+"""Names of the rules."""

@@ -1,0 +1,147 @@
+"""Collusion names: every copy that took part, and no other, whatever the colluders do with their copies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.marked_scene import bench_key
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import OpenedRecord, draw_spreading, open_record, plan_of
+from engine.pipeline.tracing import trace_images, trace_model
+from engine.pipeline.verification import VerifyConfig, verify_model
+from engine.raster import render
+from engine.sim.adversaries.collusion import collude
+from engine.sim.attacks import model_attack
+from engine.watermark.copies import CopyMark, copies_z
+from engine.watermark.messages import derive_message
+from engine.watermark.statistics import z_threshold
+
+CONFIG = profile("fast", landmark_views=0, views=3, view_size=160)
+INNOCENT = 2000
+MODEL = VerifyConfig(route="model")
+
+
+@dataclass(frozen=True)
+class Copies:
+    models: list[GaussianModel]
+    opened: list[OpenedRecord]
+    others: list[OpenedRecord]
+
+    def together(self, count: int, rule: str = "mean") -> GaussianModel:
+        return collude(self.models[0], rule, np.random.default_rng(1), others=self.models[1:count])
+
+
+@pytest.fixture(scope="module")
+def copies(small_plant: GaussianModel) -> Copies:
+    """Five copies of one asset, and the records of copies that nobody leaked."""
+    key = bench_key(5)
+    made = [
+        embed(small_plant, key, original_sha256="11" * 32, bits=16, config=CONFIG, copy=f"buyer {i}")
+        for i in range(5)
+    ]
+    opened = [open_record(m.record.to_bytes(key), key) for m in made]
+    first = opened[0]
+    digest = bytes.fromhex(first.header.reference_digest)
+
+    def innocent(number: int) -> OpenedRecord:
+        name = f"innocent {number}"
+        message = derive_message(key, 16, digest + name.encode())
+        plan = plan_of(first.layout, message, first.cameras, None)
+        header = replace(first.header, record_id=f"{number:032x}")
+        chips = draw_spreading(key, digest, name, first.layout, plan)
+        return replace(first, header=header, copy=name, message=message, spreading=chips)
+
+    return Copies([m.model for m in made], opened, [innocent(i) for i in range(INNOCENT)])
+
+
+@pytest.mark.parametrize(
+    "rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"]
+)
+def test_each_of_five_is_named_and_no_innocent(copies: Copies, rule: str) -> None:
+    answer = trace_model(copies.together(5, rule), [*copies.others, *copies.opened], MODEL)
+    assert {f.copy for f in answer.named} == {f"buyer {i}" for i in range(5)}
+    assert all(f.log10_false_claim <= -9 for f in answer.named)
+    assert max(f.z for f in answer.findings if not f.named) < 5
+
+
+def test_one_reading_gives_what_single_verifications_give(copies: Copies) -> None:
+    suspect = model_attack("similarity").apply(copies.together(3), 4.0, rng=2)
+    answer = trace_model(suspect, copies.opened, MODEL)
+    z = {f.copy: f.z for f in answer.findings}
+    for opened in copies.opened:
+        assert z[opened.copy] == pytest.approx(verify_model(suspect, opened, MODEL).claim.z, rel=1e-9)
+    assert [f.copy for f in answer.named] == [f.copy for f in answer.findings[:3]]
+    assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
+    assert all(f.derived_fraction > 0.9 for f in answer.findings)
+
+
+def test_every_record_and_route_is_a_try(copies: Copies) -> None:
+    alone = trace_model(copies.models[0], copies.opened[:1], MODEL)
+    among = trace_model(copies.models[0], copies.opened + copies.others, VerifyConfig(route="auto"))
+    assert (alone.tries, among.tries) == (1, 2 * (5 + INNOCENT))
+    assert among.z_threshold == z_threshold(1e-9, among.tries) > alone.z_threshold
+    assert among.named[0].log10_false_claim == pytest.approx(
+        alone.named[0].log10_false_claim + np.log10(among.tries)
+    )
+    counted = trace_model(copies.models[0], copies.opened, VerifyConfig(route="model", tries=10**6))
+    assert counted.tries == 10**6
+
+
+def test_an_unmarked_model_names_nobody_by_any_route(copies: Copies, small_plant: GaussianModel) -> None:
+    answer = trace_model(small_plant, copies.opened + copies.others)
+    assert answer.named == ()
+    assert "render" in answer.seconds_by_stage
+
+
+def test_pictures_of_an_average_name_each_copy(copies: Copies) -> None:
+    cameras = [c.resized(256, 256) for c in copies.opened[0].cameras]
+    pictures = [to_8_bit(render(copies.together(3), c)) for c in cameras]
+    answer = trace_images(pictures, copies.opened + copies.others, cameras=cameras)
+    assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
+    assert answer.tries == 5 + INNOCENT
+
+
+def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: GaussianModel) -> None:
+    key = bench_key(5)
+    other = small_plant.with_(means=small_plant.means[:, [1, 0, 2]] * [1, 2, 1])
+    record = embed(other, key, original_sha256="22" * 32, bits=16, config=CONFIG, copy="elsewhere").record
+    elsewhere = open_record(record.to_bytes(key), key)
+    answer = trace_model(copies.models[2], [elsewhere, *copies.opened], MODEL)
+    assert [f.copy for f in answer.named] == ["buyer 2"]
+    assert answer.tries == 6
+
+
+def test_what_cannot_be_traced_is_refused(copies: Copies) -> None:
+    picture = np.zeros((64, 64, 3), np.float32)
+    with pytest.raises(InputError, match="no record"):
+        trace_model(copies.models[0], [])
+    with pytest.raises(InputError, match="given twice"):
+        trace_model(copies.models[0], [copies.opened[0], copies.opened[0]])
+    with pytest.raises(InputError, match="empty"):
+        trace_model(copies.models[0].take(np.arange(0)), copies.opened)
+    with pytest.raises(InputError, match="takes pictures"):
+        trace_model(copies.models[0], copies.opened, VerifyConfig(route="image"))
+    with pytest.raises(InputError, match="takes a model"):
+        trace_images([picture], copies.opened, MODEL)
+    with pytest.raises(InputError, match="no picture"):
+        trace_images([], copies.opened)
+
+
+def test_z_of_a_copy_does_not_depend_on_who_else_is_asked() -> None:
+    rng = np.random.default_rng(0)
+    y, w = rng.standard_normal(999), rng.random(999)
+    marks = [CopyMark(f"{i}", "", rng.choice([-1, 1], 999).astype(np.int8)) for i in range(600)]
+    together = copies_z(y, w, marks)
+    assert [copies_z(y, w, [mark])[0] for mark in marks[250:260]] == list(together[250:260])
+    direct = [float((w * y) @ mark.signs / np.linalg.norm(w * y)) for mark in marks]
+    np.testing.assert_allclose(together, direct, atol=1e-12)
+    assert not copies_z(np.zeros(999), w, marks).any()
+    with pytest.raises(ValueError, match="999"):
+        copies_z(y, w, [CopyMark("", "", np.ones(5, np.int8))])
