@@ -2,6 +2,7 @@
 
 from engine.sim.edits.bvh import BoxTree
 from engine.sim.edits.edit import Edit, Edited, Recoloring
+from engine.sim.edits.inpainting import InpaintConfig, inpaint
 from engine.sim.edits.masks import lift_masks, mask_shares, project_selection
 from engine.sim.edits.object_verification import ObjectFinding, verify_objects
 from engine.sim.edits.objects import FlatScene, PlacedObject, Scene, model_box
@@ -24,6 +25,7 @@ __all__ = [
     "EditTrack",
     "Edited",
     "FlatScene",
+    "InpaintConfig",
     "ObjectFinding",
     "PlacedObject",
     "Recoloring",
@@ -31,6 +33,7 @@ __all__ = [
     "delete",
     "duplicate",
     "edited_record",
+    "inpaint",
     "lift_masks",
     "mask_shares",
     "model_box",

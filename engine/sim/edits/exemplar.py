@@ -1,0 +1,193 @@
+"""Exemplar-based completion of a grid of colours: every missing cell is told which known cell to copy.
+
+Criminisi, Perez, Toyama, "Region filling and object removal by exemplar-based inpainting", IEEE TIP 2004: the
+hole closes from its rim, and each patch on the rim is completed from the known patch that fits it best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.model import Bool, Float64, Int64
+
+__all__ = ["complete_cells", "enclosed", "harmonic_fill", "smooth"]
+
+SIDES = (7, 5, 3, 1)
+"""Patch sides, cells; smaller ones serve where no larger known patch exists."""
+
+MOST_SOURCES = 6000
+"""Source patches compared with each patch of the rim; more are thinned out evenly."""
+
+REUSE = 0.15
+"""Cost of each earlier use of a source patch, in units of the median patch distance: spreads the sources."""
+
+
+def complete_cells(colors: Float64, known: Bool, wanted: Bool) -> tuple[Int64, Bool]:
+    """Source cell of every wanted cell.
+
+    Parameters
+    ----------
+    colors : (H, W, 3) float64
+        Meaningful where known.
+    known : (H, W) bool
+        Cells that can be copied and matched.
+    wanted : (H, W) bool
+        Cells to complete; none of them known.
+
+    Returns
+    -------
+    source : (H, W, 2) int64
+        Row and column of the cell to copy, where completed.
+    done : (H, W) bool
+        The wanted cells that were completed: all, unless nothing is known.
+    """
+    source = np.zeros((*wanted.shape, 2), np.int64)
+    image, filled = np.where(known[..., None], colors, 0.0), known.copy()
+    if not known.any():
+        return source, np.zeros_like(wanted)
+    sources = _source_patches(image, known)
+    half = sources.side // 2
+    used = np.zeros(len(sources.at))
+    scale = max(float(np.median(np.var(sources.patches, axis=0))), 1e-12)
+    offsets = np.indices((sources.side, sources.side)).reshape(2, -1).T - half
+    padded = ((half, half), (half, half))
+    left = wanted & ~filled
+    while left.any():
+        # The rim cell with most known cells about it is the surest to complete.
+        votes = _box_sum(filled, half)
+        rim = np.where(left & (votes > 0), votes, -1)
+        row, column = divmod(int(np.argmax(rim)), rim.shape[1])
+        if rim[row, column] <= 0:  # wanted cells out of the reach of all known ones: nearest known cell
+            row, column = _nearest_left(left, filled)
+        window = np.pad(filled, padded)[row : row + sources.side, column : column + sources.side].reshape(-1)
+        target = np.pad(image, (*padded, (0, 0)))[row : row + sources.side, column : column + sources.side]
+        seen = np.flatnonzero(window)
+        if len(seen):
+            gap = sources.patches[:, seen] - target.reshape(-1, 3)[seen]
+            cost = np.einsum("npc,npc->n", gap, gap) / len(seen)
+        else:
+            cost = np.zeros(len(sources.at))
+        best = int(np.argmin(cost + REUSE * scale * used))
+        used[best] += 1
+        cells = offsets + np.array([row, column])
+        inside = ((cells >= 0) & (cells < wanted.shape)).all(axis=1)
+        cells, origin = cells[inside], (offsets + sources.at[best])[inside]
+        fresh = left[cells[:, 0], cells[:, 1]]
+        cells, origin = cells[fresh], origin[fresh]
+        source[cells[:, 0], cells[:, 1]] = origin
+        image[cells[:, 0], cells[:, 1]] = image[origin[:, 0], origin[:, 1]]
+        filled[cells[:, 0], cells[:, 1]] = True
+        left[cells[:, 0], cells[:, 1]] = False
+    return source, wanted & filled
+
+
+def enclosed(known: Bool, cells: Bool, least: int = 6) -> Bool:
+    """The given cells from which at least `least` of 8 directions lead to a known cell, (H, W) bool.
+
+    What stood out beyond the rim of a surface is no hole in it.
+    """
+    met = np.zeros(known.shape, np.int64)
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        reached = known.copy()
+        for _ in range(max(known.shape)):
+            moved = reached | _shifted(reached, down, right)
+            if (moved == reached).all():
+                break
+            reached = moved
+        met += reached
+    return np.asarray(cells & (met >= least))
+
+
+def harmonic_fill(values: Float64, known: Bool, wanted: Bool) -> Float64:
+    """(H, W, C) values continued into the wanted cells by Laplace's equation, unknown cells insulating.
+
+    Wanted cells that no known cell borders on, even through others, keep the mean of the known.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import spsolve
+
+    out = np.where(known[..., None], values, 0.0)
+    cells = np.argwhere(wanted)
+    if not len(cells) or not known.any():
+        return out
+    number = np.full(wanted.shape, -1)
+    number[tuple(cells.T)] = np.arange(len(cells))
+    mean = values[known].mean(axis=0)
+    # A breath of the mean keeps islands solvable without moving the others.
+    diagonal, right = np.full(len(cells), 1e-6), np.tile(1e-6 * mean, (len(cells), 1))
+    rows, columns = [], []
+    for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        near = cells + step
+        inside = ((near >= 0) & (near < wanted.shape)).all(axis=1)
+        here, there = np.flatnonzero(inside), near[inside]
+        fixed = known[tuple(there.T)]
+        right[here[fixed]] += values[tuple(there[fixed].T)]
+        diagonal[here[fixed]] += 1.0
+        free = number[tuple(there.T)] >= 0
+        diagonal[here[free]] += 1.0
+        rows.append(here[free])
+        columns.append(number[tuple(there[free].T)])
+    i, j = np.concatenate([*rows, np.arange(len(cells))]), np.concatenate([*columns, np.arange(len(cells))])
+    weights = np.concatenate([np.full(len(i) - len(cells), -1.0), diagonal])
+    matrix = coo_matrix((weights, (i, j)), shape=(len(cells), len(cells))).tocsc()
+    solved = np.stack([spsolve(matrix, right[:, c]) for c in range(right.shape[1])], axis=1)
+    out[tuple(cells.T)] = solved
+    return out
+
+
+def smooth(values: Float64, known: Bool, sigma: float) -> Float64:
+    """(H, W, C) Gaussian average of the known cells, sigma in cells; 0 where none is near."""
+    from scipy.ndimage import gaussian_filter
+
+    weight = gaussian_filter(known.astype(np.float64), sigma)
+    total = np.stack(
+        [gaussian_filter(np.where(known, values[..., c], 0.0), sigma) for c in range(values.shape[-1])],
+        axis=-1,
+    )
+    return np.asarray(np.where(weight[..., None] > 1e-6, total / np.maximum(weight, 1e-6)[..., None], 0.0))
+
+
+class _Sources:
+    """All patches of the largest side that are known throughout."""
+
+    def __init__(self, side: int, at: Int64, patches: Float64) -> None:
+        self.side, self.at, self.patches = side, at, patches  # (n, 2) middles, (n, side^2, 3)
+
+
+def _source_patches(image: Float64, known: Bool) -> _Sources:
+    for side in SIDES:
+        half = side // 2
+        whole = _box_sum(known, half) == side * side
+        at = np.argwhere(whole)
+        if len(at) >= (16 if side > 1 else 1):
+            break
+    at = at[:: -(-len(at) // MOST_SOURCES)]
+    windows = np.lib.stride_tricks.sliding_window_view(image, (side, side), axis=(0, 1))  # (.., .., 3, s, s)
+    patches = windows[at[:, 0] - half, at[:, 1] - half].transpose(0, 2, 3, 1).reshape(len(at), -1, 3)
+    return _Sources(side, at.astype(np.int64), np.ascontiguousarray(patches))
+
+
+def _box_sum(mask: Bool, half: int) -> Int64:
+    """(H, W) number of true cells in the square of side 2 half + 1 about each cell; none beyond the edge."""
+    side = 2 * half + 1
+    total = np.pad(np.pad(mask.astype(np.int64), half).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    return np.asarray(
+        total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    )
+
+
+def _shifted(mask: Bool, down: int, right: int) -> Bool:
+    out = np.zeros_like(mask)
+    h, w = mask.shape
+    out[max(0, down) : h + min(0, down), max(0, right) : w + min(0, right)] = mask[
+        max(0, -down) : h + min(0, -down), max(0, -right) : w + min(0, -right)
+    ]
+    return out
+
+
+def _nearest_left(left: Bool, filled: Bool) -> tuple[int, int]:
+    from scipy.ndimage import distance_transform_edt
+
+    distance = np.where(left, distance_transform_edt(~filled), np.inf)
+    row, column = np.unravel_index(int(np.argmin(distance)), left.shape)
+    return int(row), int(column)
