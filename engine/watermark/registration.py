@@ -6,7 +6,9 @@ The steps, cheapest first; each hands its proposal to the same judge (`registrat
 2. same frame: the reference's coordinates, or turned by a multiple of 90 degrees about the axes;
 3. search: candidates that look alike, agreement among them, triples (`registration_hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
-   without colours, for a recoloured model.
+   without colours, for a recoloured model;
+4. deformation: where no similarity is the whole story, small patches and what grows from them
+   (`registration_deformed`).
 
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter. So one
 registration is one hypothesis of the claim, however many alignments were weighed; their number is reported
@@ -25,6 +27,7 @@ from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_product
 from engine.numerics.umeyama import Similarity
 from engine.watermark.registration_candidates import Candidates
+from engine.watermark.registration_deformed import GAIN, register_deformed, unexplained
 from engine.watermark.registration_hypotheses import Agreement, propose
 from engine.watermark.registration_index import ReferenceIndex
 from engine.watermark.registration_judge import Verdict, fit_suspect, judge, same_order
@@ -58,6 +61,8 @@ class RegistrationConfig:
         Distinct reference Gaussians matched in that sample below which nothing is found.
     colorless : bool
         Whether to search once more without colours, which costs time where nothing is found.
+    deformed : bool
+        Whether to look for a deformation where no similarity is the whole story.
     """
 
     candidates: int = 3000
@@ -69,6 +74,7 @@ class RegistrationConfig:
     sample: int = 4000
     min_matches: int = 5
     colorless: bool = True
+    deformed: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +102,8 @@ class Registration:
         Whether Gaussian i of the suspect is Gaussian i of the reference.
     hypotheses_tried : int
         Alignments weighed, at least 1. They were chosen without the chips.
+    deformed : bool
+        Whether the matches come from a field of local maps; the similarity is then the nearest single one.
     """
 
     scale: float
@@ -108,6 +116,7 @@ class Registration:
     found: bool
     identity_order: bool
     hypotheses_tried: int
+    deformed: bool = False
 
     @property
     def similarity(self) -> Similarity:
@@ -154,7 +163,8 @@ def register(
     if verdict is None:
         verdict, count = _search(index, suspect, rng, config)
         tried += count
-    return _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried, ordered=False)
+    rigid = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried, ordered=False)
+    return _bend(index, suspect, rigid, verdict, rng) if config.deformed else rigid
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -187,6 +197,33 @@ def _answer(
     return Registration(
         fit.scale, fit.R, fit.t, matches, quality, float(seen.mean()), len(rows) / m, True, ordered, tried
     )
+
+
+def _bend(
+    index: ReferenceIndex,
+    suspect: GaussianModel,
+    rigid: Registration,
+    verdict: Verdict | None,
+    rng: np.random.Generator,
+) -> Registration:
+    """Step 4: the registration by a field of local maps, where that explains clearly more."""
+    reference = index.model
+    deviations = None if verdict is None else verdict.deviations
+    todo = unexplained(reference, suspect, rigid.matches, rigid.similarity, deviations, index.floor, rng)
+    if not len(todo):
+        return rigid
+    bent = register_deformed(index, suspect, todo, rng)
+    if bent is None or bent.quality.sum() < rigid.match_quality.sum() + GAIN * len(suspect):
+        return rigid
+    rows = np.flatnonzero(bent.matches >= 0)
+    part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
+    fit = fit_suspect(suspect.means[part], reference.means[bent.matches[part]]) or rigid.similarity
+    seen = np.zeros(len(reference), np.bool_)
+    seen[bent.matches[rows]] = True
+    return Registration(
+        fit.scale, fit.R, fit.t, bent.matches, bent.quality, float(seen.mean()), len(rows) / len(suspect), True,
+        False, rigid.hypotheses_tried + bent.tried, deformed=True,
+    )  # fmt: skip
 
 
 def _axis_rotations() -> list[Float64]:

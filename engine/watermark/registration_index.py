@@ -11,6 +11,7 @@ from engine.model import Float64, GaussianModel
 from engine.watermark.matching import Deviations, Matcher, floor_deviations
 from engine.watermark.registration_candidates import FeatureIndex
 from engine.watermark.registration_hypotheses import chance_table
+from engine.watermark.registration_patches import Looks
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,7 @@ class ReferenceIndex:
 
     model: GaussianModel
     _features: dict[tuple[int, bool], FeatureIndex] = field(default_factory=dict, repr=False)
+    _looks: dict[int, Looks] = field(default_factory=dict, repr=False)
 
     @cached_property
     def extent(self) -> float:
@@ -55,3 +57,9 @@ class ReferenceIndex:
         if key not in self._features:
             self._features[key] = FeatureIndex(self.model, degree, colors=colors)
         return self._features[key]
+
+    def looks(self, degree: int) -> Looks:
+        """What deformations leave alone, up to an SH degree."""
+        if degree not in self._looks:
+            self._looks[degree] = Looks(self.model, degree)
+        return self._looks[degree]

@@ -100,7 +100,7 @@ def judge(
     part = suspect.take(rows)
     if inliers is not None and len(rows) > 4 * GLANCE:
         glance = part.take(np.arange(0, len(rows), len(rows) // GLANCE))
-        if not _beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
+        if not beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
             return None
     pairs = paired(matcher.match(part, fit, deviations))
     for _ in range(ROUNDS):
@@ -122,7 +122,7 @@ def judge(
         pairs = paired(matcher.match(part, fit, deviations))
         if settled:
             break
-    if len(np.unique(pairs[0])) < min_matches or not _beats_decoys(
+    if len(np.unique(pairs[0])) < min_matches or not beats_decoys(
         reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0
     ):
         return None
@@ -147,7 +147,7 @@ def _tells(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
     return bool(np.exp(np.log(share).mean()) < 0.3)
 
 
-def _beats_decoys(
+def beats_decoys(
     reference: GaussianModel,
     part: GaussianModel,
     matcher: Matcher,
