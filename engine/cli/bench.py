@@ -41,6 +41,17 @@ def bench(
     size: Annotated[
         tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")
     ] = (1297, 840),
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--setting",
+            metavar="NAME",
+            help="finetune: clean+key, clean, key or neither; repeatable (default: all).",
+        ),
+    ] = None,
+    colors_only: Annotated[
+        bool, typer.Option("--colors-only", help="finetune: leave the geometry alone.")
+    ] = False,
     seed: Seed = 0,
     out: Annotated[
         Path | None, typer.Option("--out", help="Write the JSON report to this file, too.")
@@ -55,7 +66,7 @@ def bench(
     fidelity     dB, SSIM and bits for every message length, compact output and pruning budgets
     attacks      bits, z and claim after every attack of the bars
     screenshots  claims from pictures of unknown camera, and from another scene's
-    finetune     claims after training on clean pictures at the key views
+    finetune     claims after training on clean or own pictures, at the key views or others (Table 5)
     truth        false claims among wrong keys, against the proven bound
 
     Examples:
@@ -73,7 +84,10 @@ def bench(
 
     with console.progress() as progress:
         prepare_kernels(console, progress, "everything")
-        job = Job(scenes, profile, repeats, trials, size, seed, lambda fraction: progress(what, fraction))
+        job = Job(
+            scenes, profile, repeats, trials, size, seed, lambda fraction: progress(what, fraction),
+            setting or [], colors_only,
+        )  # fmt: skip
         found = BENCHES[what](job)
     report = {"bench": what, "machine": machine_info(), **found}
     for row in report["rows"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,10 @@ class Job:
     seed : int
     advance : callable
         Told the fraction done.
+    settings : list of str
+        Of Table 5, for fine-tuning; all four when empty.
+    colors_only : bool
+        Fine-tuning leaves the geometry alone.
     """
 
     scenes: list[Path]
@@ -44,6 +48,8 @@ class Job:
     size: tuple[int, int]
     seed: int
     advance: Callable[[float], None]
+    settings: list[str] = field(default_factory=list)
+    colors_only: bool = False
 
     def marked(self) -> Iterator[MarkedScene]:
         """Every scene, marked; tells how many are done."""
@@ -123,10 +129,21 @@ def _model_at(path: Path) -> GaussianModel:
 
 
 def _fine_tuning(job: Job) -> dict[str, Any]:
+    from engine.errors import InputError
     from engine.evaluate.bars_fine_tuning import bench_fine_tuning
+    from engine.sim.fine_tuning import SETTINGS
 
+    if unknown := [name for name in job.settings if name not in SETTINGS]:
+        raise InputError(f"Table 5 has no setting {unknown[0]!r}; it has {', '.join(SETTINGS)}")
     epochs = job.trials or EPOCHS
-    rows = [bench_fine_tuning(scene, epochs) for scene in job.marked()]
+    wanted = job.settings or list(SETTINGS)
+    rows: list[dict[str, Any]] = []
+    for scene in job.marked():
+        for name in wanted:
+            rows += bench_fine_tuning(
+                scene, SETTINGS[name], epochs=epochs, seed=job.seed,
+                trained="colors" if job.colors_only else "all", advance=job.advance,
+            )  # fmt: skip
     return {"profile": job.profile, "epochs": epochs, "rows": rows}
 
 

@@ -1,27 +1,149 @@
-"""Fine-tuning a stolen model on pictures (paper, Table 5): Adam on all colour parameters, geometry frozen.
+"""Fine-tuning a stolen model on pictures: the four settings of the paper's Table 5, and NeRF Signature's before it.
 
-"Clean images" are renders of the unmarked model: the strongest position, since the optimum of the loss is then the
-unmarked colours themselves. An epoch shows every picture once, in random order.
+How the table is read here (the paper does not say):
+
+- *Clean images*: renders of the unmarked model, neither rounded nor compressed. No attacker has anything better, for
+  the optimum of the loss then lies at the unmarked model itself.
+- *No clean images*: the attacker photographs the stolen model, so his pictures carry the mark: renders of the marked
+  model as 8-bit files. (Unrounded ones would have no gradient at all.)
+- *Pose key*: the pictures are taken at the secret views at which the mark was shaped; without it, from as many views of
+  an orbit of the attacker's own.
+- *Epoch*: every picture once, in random order. Every parameter moves at INRIA's rates, with a fresh Adam and the
+  position rate decaying over the run; densification is off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-import torch
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
-from engine.raster import prepare_view, sh_colors, sh_colors_backward
+from engine.pipeline.rigs import make_rig
+from engine.raster import render
+from engine.sim.capture.training import TrainConfig, Trainer
 
-__all__ = ["fine_tune"]
+__all__ = ["SETTINGS", "FineTuneSetting", "fine_tune", "fine_tune_stages", "pictures_of"]
 
-RATE_DC = 0.0025
-"""Adam step of the DC coefficients, INRIA's default (`feature_lr`)."""
 
-RATE_REST = RATE_DC / 20.0
-"""Adam step of the higher coefficients, INRIA's default."""
+@dataclass(frozen=True)
+class FineTuneSetting:
+    """What the attacker has.
+
+    Parameters
+    ----------
+    name : str
+    clean_images : bool
+        Renders of the unmarked model; otherwise his own of the marked one.
+    pose_key : bool
+        The owner's secret views; otherwise views of his own.
+    """
+
+    name: str
+    clean_images: bool
+    pose_key: bool
+
+
+SETTINGS: dict[str, FineTuneSetting] = {
+    setting.name: setting
+    for setting in (
+        FineTuneSetting("key", False, True),
+        FineTuneSetting("neither", False, False),
+        FineTuneSetting("clean+key", True, True),
+        FineTuneSetting("clean", True, False),
+    )
+}
+"""In the order of the paper's table."""
+
+
+def pictures_of(
+    setting: FineTuneSetting,
+    original: GaussianModel,
+    marked: GaussianModel,
+    key_views: Sequence[Camera],
+    *,
+    size: int = 400,
+    seed: int = 0,
+) -> tuple[list[Camera], list[Float32]]:
+    """The views and pictures an attacker trains on.
+
+    Parameters
+    ----------
+    setting : FineTuneSetting
+    original, marked : GaussianModel
+    key_views : sequence of Camera
+        The owner's; without the pose key only their number is used.
+    size : int
+        Side of the pictures, pixels.
+    seed : int
+        Of the attacker's own views.
+
+    Returns
+    -------
+    cameras : list of Camera
+    images : list of (size, size, 3) float32
+        0 to 1.
+    """
+    if setting.pose_key:
+        cameras = [camera.resized(size, size) for camera in key_views]
+    else:
+        jitter = np.random.default_rng((seed, 5)).uniform(size=(len(key_views), 4))
+        cameras = make_rig(marked, len(key_views), size, size, jitter=jitter)
+    shown = original if setting.clean_images else marked
+    images = [np.clip(render(shown, camera), 0.0, 1.0) for camera in cameras]
+    if not setting.clean_images:
+        images = [(np.round(image * 255.0) / 255.0).astype(np.float32) for image in images]
+    return cameras, images
+
+
+def fine_tune_stages(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    images: Sequence[Float32],
+    epochs: Sequence[int],
+    *,
+    trained: Literal["all", "colors"] = "all",
+    seed: int = 0,
+    advance: Callable[[float], None] | None = None,
+) -> Iterator[tuple[int, GaussianModel]]:
+    """One training, looked at after several numbers of epochs.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The stolen model; left as it is.
+    cameras, images
+        See `pictures_of`.
+    epochs : sequence of int
+        Rising, the last one more than 0; 0 is the model as it is.
+    trained : {"all", "colors"}
+        Every parameter, or SH alone with the geometry frozen.
+    seed : int
+        Of the pictures' order.
+    advance : callable, optional
+        Told the part done, 0 to 1.
+
+    Yields
+    ------
+    epoch : int
+    model : GaussianModel
+
+    Raises
+    ------
+    InputError
+        If the epochs do not rise from 0 or more, or the pictures do not fit (see `Trainer`).
+    """
+    if not epochs or epochs[0] < 0 or epochs[-1] < 1 or any(np.diff(epochs) <= 0):
+        raise InputError(f"epochs must rise and end above 0, got {list(epochs)}")
+    config = TrainConfig(
+        steps=epochs[-1] * max(len(cameras), 1), trained=trained, sh_degree=None, densify=None, seed=seed
+    )
+    trainer = Trainer(model, cameras, images, config)
+    for epoch in epochs:
+        yield epoch, trainer.run(advance, epoch * len(cameras)) if epoch else model
 
 
 def fine_tune(
@@ -30,51 +152,10 @@ def fine_tune(
     images: Sequence[Float32],
     epochs: int,
     *,
+    trained: Literal["all", "colors"] = "all",
     seed: int = 0,
-    rate: float = RATE_DC,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Train the colours of a model on pictures with an L1 loss.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        The marked model.
-    cameras : sequence of Camera
-    images : sequence of (H, W, 3) float32
-        What the cameras should see.
-    epochs : int
-        Passes over all pictures.
-    seed : int
-        Of their order.
-    rate : float
-        Adam step of DC, SH units; the rest moves at a twentieth of it.
-    advance : callable, optional
-        Told the fraction done.
-
-    Returns
-    -------
-    GaussianModel
-    """
-    if len(cameras) != len(images) or not cameras:
-        raise InputError(f"{len(cameras)} cameras for {len(images)} pictures")
-    rng = np.random.default_rng(seed)
-    views = [prepare_view(model, camera) for camera in cameras]
-    positions = [camera.position.astype(np.float32) for camera in cameras]
-    dc, rest = torch.from_numpy(model.sh[:, :1].copy()), torch.from_numpy(model.sh[:, 1:].copy())
-    groups = [{"params": [dc], "lr": rate}] + ([{"params": [rest], "lr": rate / 20}] if rest.numel() else [])
-    optimizer = torch.optim.Adam(groups, eps=1e-15)
-    for epoch in range(epochs):
-        for k in rng.permutation(len(views)):
-            sh = np.ascontiguousarray(np.concatenate([dc.numpy(), rest.numpy()], axis=1))
-            colors = sh_colors(sh, model.means, positions[k])
-            image = views[k].render(colors)[0]
-            cotangent = np.sign(image - images[k]).astype(np.float32) / image.size  # gradient of the mean L1
-            gradient = sh_colors_backward(views[k].backward_colors(cotangent), sh, model.means, positions[k])
-            dc.grad = torch.from_numpy(np.ascontiguousarray(gradient[:, :1]))
-            if rest.numel():
-                rest.grad = torch.from_numpy(np.ascontiguousarray(gradient[:, 1:]))
-            optimizer.step()
-        if advance:
-            advance((epoch + 1) / epochs)
-    return model.with_(sh=np.concatenate([dc.numpy(), rest.numpy()], axis=1))
+    """A model after so many epochs on pictures; parameters and errors as for `fine_tune_stages`."""
+    stages = fine_tune_stages(model, cameras, images, [epochs], trained=trained, seed=seed, advance=advance)
+    return next(stages)[1]

@@ -21,7 +21,6 @@ TORCH_MODULES = {
     "engine.pipeline.distortions",
     "engine.pipeline.refinement",
     "engine.raster.autograd",
-    "engine.sim.fine_tuning",
 }
 """Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
 
