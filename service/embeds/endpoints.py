@@ -135,13 +135,7 @@ def _submit(
         spend(
             core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key"
         )
-        asked = {
-            **unnamed,
-            "key_id": key_id,
-            "model": model.sha256,
-            "upload_id": model.id,
-            "cameras": digests["cameras"],
-        }
+        asked = {**unnamed, **digests, "key_id": key_id}
         return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "embed", State.QUEUED, asked)
 
     return submit(core, tenant, retry_key, {"embed": unnamed, **digests}, make)

@@ -14,7 +14,7 @@ from service.http.access import Core, Reader
 from service.http.answers import JobView, view
 from service.http.failures import responses
 from service.http.lists import After, Limit
-from service.jobs.port import FINAL, Job
+from service.jobs.port import FINAL, Job, State
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -85,12 +85,15 @@ async def job_events(
 
 
 @router.delete("/{job_id}", status_code=202, operation_id="cancelJob", responses=responses(
-    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+    "unauthorized", "forbidden", "not-found", "conflict"))  # fmt: skip
 def cancel_job(job_id: str, core: Core, caller: Reader) -> JobView:
-    """Stop a job: its process is killed, nothing half-written stays. A job that has ended stays as it is."""
+    """Stop a job: its process is killed, nothing half-written stays. One that has ended is beyond cancelling."""
     if not {"embed", "verify", "admin"} & set(caller.scopes):
         raise Problem("forbidden", "this API key may read jobs, not cancel them")
-    return view(_own(core.jobs.cancel(caller.tenant, job_id), job_id))
+    job = _own(core.jobs.cancel(caller.tenant, job_id), job_id)
+    if job.state in FINAL and job.state is not State.CANCELLED:
+        raise Problem("conflict", f"job {job_id!r} has ended: it {job.state.value}")
+    return view(job)
 
 
 def _own(job: Job | None, job_id: str) -> Job:

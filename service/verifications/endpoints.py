@@ -125,7 +125,6 @@ def _submit(
         expect(rows, kind)
     asked: dict[str, Any] = {
         "model": model[0].sha256 if model else None,
-        "upload_id": model[0].id if model else None,
         "images": [row.sha256 for row in images],
         "cameras": cameras[0].sha256 if cameras else None,
         "asset_id": body.asset_id,
@@ -148,5 +147,4 @@ def _submit(
             spend_subject(core, body.asset_id)
         return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "verify", State.QUEUED, asked)
 
-    digests = {name: value for name, value in asked.items() if name != "upload_id"}
-    return submit(core, tenant, retry_key, {"verify": digests}, make)
+    return submit(core, tenant, retry_key, {"verify": asked}, make)

@@ -72,7 +72,8 @@ export class Progress {
   }
 
   async #end() {
-    await cancel(this.#job).catch(() => this.#stop.abort());
+    // 409: it had ended already, and its end is on the way here
+    await cancel(this.#job).catch((problem) => problem.status === 409 || this.#stop.abort());
   }
 
   async #stoppable(promise) {

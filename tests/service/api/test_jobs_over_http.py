@@ -108,6 +108,16 @@ def test_cancelling(api: Api) -> None:
     assert api.client.delete(f"/v1/jobs/{job}").json()["finished_at"] == first.json()["finished_at"]
 
 
+def test_what_has_ended_is_beyond_cancelling(api: Api) -> None:
+    job = api.client.post("/v1/embed", json=embed_body(api)).json()["id"]
+    api.service.jobs.rows.begin(job, "a worker")
+    api.service.jobs.result(job, State.SUCCEEDED, {})
+    answer = api.client.delete(f"/v1/jobs/{job}")
+    assert (answer.status_code, answer.json()["type"]) == (409, "urn:mark3dgs:problem:conflict")
+    assert "succeeded" in answer.json()["detail"]
+    assert api.client.get(f"/v1/jobs/{job}").json()["state"] == "succeeded"
+
+
 def test_pages(api: Api) -> None:
     body = embed_body(api)
     made = [api.client.post("/v1/embed", json=body).json()["id"] for _ in range(5)]
