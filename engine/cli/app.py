@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from engine.cli import attack, bench, config, demo, embed, failures, inspect, keygen, render, verify
+from engine.cli import attack, bench, config, demo, embed, failures, inspect, keygen, render, sim, verify
 from engine.cli.console import Console
 
 app = typer.Typer(
@@ -56,6 +56,7 @@ app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
+app.command("sim")(sim.sim)
 app.command("bench")(bench.bench)
 app.add_typer(config.app, name="config")
 app.command("demo")(demo.demo)

@@ -1,0 +1,96 @@
+"""What a person looks at: a captioned picture after each step, and the frames of one film through all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float32, GaussianModel
+from engine.pipeline.rigs import Extent, measure_extent
+from engine.raster import render
+from engine.sim.scenario.script import Film
+from engine.sim.scenario.viewpoint import viewpoint
+from engine.sim.scenario.world import Outcome
+from engine.sim.views.movies import caption
+
+__all__ = ["Show"]
+
+Uint8 = npt.NDArray[np.uint8]
+
+TURN = 75.0
+"""How far the camera walks round the scene in one step, degrees."""
+
+ELEVATION = 22.0
+
+FOLLOW = (0.2, 2.5)
+"""A model that has grown or shrunk beyond these factors, or left the picture, is looked at anew."""
+
+
+class Show:
+    """Draws one step after the other; the camera walks on from where it was.
+
+    Parameters
+    ----------
+    film : Film
+    model : GaussianModel
+        The scene at the start: it sets where the camera walks.
+    """
+
+    def __init__(self, film: Film, model: GaussianModel) -> None:
+        self.frames: list[Uint8] = []
+        self._film = film
+        self._extent = measure_extent(model)
+        self._azimuth = 0.0
+
+    def add(self, label: str, outcome: Outcome, rows: Sequence[dict[str, Any]]) -> Uint8:
+        """Draw a step; its last picture comes back, its frames join the film."""
+        lines = [label, *(finding(row) for row in rows)]
+        if outcome.pictures:
+            shown = [self._fitted(picture) for picture in outcome.pictures]
+            hold = max(1, self._film.frames // len(shown))
+            moments = [picture for picture in shown for _ in range(hold)]
+        else:
+            models = outcome.frames or (outcome.world.flat(),) * max(self._film.frames, 1)
+            self._follow(models[-1])
+            moments = []
+            for model in models:
+                moments.append(
+                    np.clip(
+                        render(model, viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)),
+                        0.0,
+                        1.0,
+                    )
+                )
+                self._azimuth += TURN / len(models)
+        drawn = [caption(moment, lines) for moment in moments]
+        if self._film.frames:
+            self.frames += drawn
+        return drawn[-1]
+
+    def _follow(self, model: GaussianModel) -> None:
+        now: Extent = measure_extent(model)
+        before = self._extent
+        away = np.linalg.norm(now.center - before.center) / before.radius
+        if away > 1.0 or not FOLLOW[0] < now.radius / before.radius < FOLLOW[1]:
+            self._extent = now
+
+    def _fitted(self, picture: Float32) -> Float32:
+        """A picture of any size in the middle of a frame."""
+        width, height = self._film.size
+        factor = min(width / picture.shape[1], height / picture.shape[0])
+        size = (max(1, round(picture.shape[1] * factor)), max(1, round(picture.shape[0] * factor)))
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR)
+        frame = np.full((height, width, 3), 0.15, dtype=np.float32)
+        top, left = (height - size[1]) // 2, (width - size[0]) // 2
+        frame[top : top + size[1], left : left + size[0]] = small
+        return frame
+
+
+def finding(row: dict[str, Any]) -> str:
+    """What was found of one record, in a few words."""
+    words = {"marked": "MARKED", "not_marked": "not marked", "inconclusive": "inconclusive"}[row["verdict"]]
+    return f"{row['object']}: {words}, {row['matching_bits']}/{row['bits']} bits, z {row['z']:.0f}"

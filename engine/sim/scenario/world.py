@@ -1,0 +1,99 @@
+"""What a scenario plays with: objects, each perhaps with a mark of its own, and what one step leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, GaussianModel
+from engine.pipeline.sealing import OpenedRecord
+from engine.sim.model_placement import join
+
+__all__ = ["Advance", "Outcome", "World"]
+
+Advance = Callable[[float], None]
+"""Told the fraction of a step that is done."""
+
+EVERYTHING = "everything"
+"""Name of the one object that is left when a step treats the whole file as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The state between two steps.
+
+    Parameters
+    ----------
+    objects : mapping of str to GaussianModel
+        In world coordinates, in the order in which they would be written to one file.
+    records : mapping of str to OpenedRecord
+        Of the marked objects, under the names with which they came in; none is ever lost.
+    unmarked : mapping of str to GaussianModel
+        What was registered, before the mark; for attackers who have clean pictures.
+    """
+
+    objects: Mapping[str, GaussianModel]
+    records: Mapping[str, OpenedRecord]
+    unmarked: Mapping[str, GaussianModel]
+
+    def flat(self) -> GaussianModel:
+        """All objects in one file."""
+        models = list(self.objects.values())
+        whole = models[0]
+        for model in models[1:]:
+            whole = join(whole, model)
+        return whole
+
+    def target(self, on: str) -> tuple[str, GaussianModel]:
+        """Name and model that a step works on: the named object, the only one, or all as one (`on` empty).
+
+        Raises
+        ------
+        InputError
+            If there is no object of that name.
+        """
+        if on:
+            if on not in self.objects:
+                raise InputError(f"no object is called {on!r}; there are {', '.join(self.objects)}")
+            return on, self.objects[on]
+        if len(self.objects) == 1:
+            return next(iter(self.objects.items()))
+        return EVERYTHING, self.flat()
+
+    def put(self, name: str, model: GaussianModel) -> World:
+        """The world with one object replaced; EVERYTHING replaces them all."""
+        if len(model) == 0:
+            raise InputError(f"nothing is left of {name!r}")
+        if name == EVERYTHING:
+            return replace(self, objects={EVERYTHING: model})
+        return replace(self, objects={**self.objects, name: model})
+
+    def record_of(self, name: str) -> OpenedRecord:
+        """The record of an object; InputError where it carries none."""
+        if name not in self.records:
+            raise InputError(f"{name!r} carries no mark; marked are {', '.join(self.records) or 'none'}")
+        return self.records[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a step leaves behind.
+
+    Parameters
+    ----------
+    world : World
+    frames : tuple of GaussianModel
+        Moments in between, for the film; empty where nothing moves.
+    pictures : tuple of (H, W, 3) float32
+        What turned up instead of the model; verification reads these then.
+    cameras : tuple of Camera or None
+        Of the pictures, where the verifier is told them.
+    notes : tuple of str
+    """
+
+    world: World
+    frames: tuple[GaussianModel, ...] = ()
+    pictures: tuple[Float32, ...] = ()
+    cameras: tuple[Camera, ...] | None = None
+    notes: tuple[str, ...] = field(default=())
