@@ -1,0 +1,192 @@
+"""Models compressed by k-means codebooks (Compact3D / CompGS), marked in their own colour codebook.
+
+Navaneet, Pourahmadi Meibodi, Abbasi Koohpayegani and Pirsiavash, "CompGS: Smaller and Faster Gaussian Splatting with
+Vector Quantization" (ECCV 2024): each group of attributes has a codebook, a Gaussian keeps one index a group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.compress.hvq import HvqConfig, learn_residual_stage
+from engine.errors import InputError
+from engine.formats.repairs import clean
+from engine.model import Camera, Float32, GaussianModel, Int32
+from engine.pipeline.embedding import Embedding, embed
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Progress
+from engine.pipeline.variant import Variant
+from engine.watermark.keys import OwnerKey
+from engine.watermark.messages import Signs
+
+__all__ = ["GROUPS", "CodebookModel", "embed_codebook", "make_codebook"]
+
+GROUPS = ("xyz", "dc", "sh", "scale", "rot")
+"""Groups of attributes as the public code names them: centres, DC, the other SH coefficients (coefficient-major),
+log scales, quaternions. Opacity is never quantised."""
+
+CODES = {"dc": 4096, "sh": 4096, "scale": 16384, "rot": 16384}
+"""Codes of each group where `make_codebook` is not told; the paper's settings are 4,096 to 32,768."""
+
+
+@dataclass(frozen=True, eq=False)
+class CodebookModel:
+    """N Gaussians of which some attributes are codebook entries.
+
+    Parameters
+    ----------
+    plain : mapping of str to (N, d) float32
+        The groups that are not quantised, and "opacity" (N, 1) as logits.
+    centers : mapping of str to (M, d) float32
+        Codebook of each quantised group, in the order of the file.
+    indices : mapping of str to (N,) int32
+        Entry of each Gaussian in each codebook.
+    index_bits : int
+        Bits of an index in the file.
+
+    Raises
+    ------
+    InputError
+        If the parts do not fit together.
+    """
+
+    plain: Mapping[str, Float32]
+    centers: Mapping[str, Float32]
+    indices: Mapping[str, Int32]
+    index_bits: int
+
+    def __post_init__(self) -> None:
+        if "opacity" not in self.plain or set(self.centers) != set(self.indices):
+            raise InputError("a codebook model needs its opacities, and indices for each codebook")
+        count = len(self)
+        for name in GROUPS:
+            if (name in self.plain) == (name in self.centers) and name != "sh":
+                raise InputError(f"{name!r} must be either plain or quantised")
+        for name, values in {**self.plain, **self.centers}.items():
+            width = {"xyz": 3, "dc": 3, "scale": 3, "rot": 4, "opacity": 1}.get(name)
+            if name not in (*GROUPS, "opacity") or values.ndim != 2 or width not in (None, values.shape[1]):
+                raise InputError(f"{name!r} of a codebook model cannot have shape {values.shape}")
+        for name, index in self.indices.items():
+            codes = len(self.centers[name])
+            if index.shape != (count,) or index.min(initial=0) < 0 or index.max(initial=0) >= codes:
+                raise InputError(f"indices of {name!r} do not fit {count} Gaussians and {codes} codes")
+            if (codes - 1).bit_length() > self.index_bits:
+                raise InputError(f"{codes} codes of {name!r} do not fit {self.index_bits} bits")
+
+    def __len__(self) -> int:
+        return len(self.plain["opacity"])
+
+    def decode(self) -> GaussianModel:
+        """The Gaussians, every index looked up; quaternions of unit length, absurd scales and opacities clamped."""
+        dc, rest = self._group("dc"), self._group("sh")
+        sh = np.concatenate([dc, rest], axis=1).reshape(len(self), -1, 3)
+        model, _ = clean(
+            self._group("xyz"), self._group("scale"), self._group("rot"), self.plain["opacity"][:, 0], sh,
+            file="codebook model",
+        )  # fmt: skip
+        return model
+
+    def with_codes(self, name: str, codes: Float32) -> CodebookModel:
+        """A copy with another codebook of the same size for one group."""
+        if name not in self.centers or codes.shape != self.centers[name].shape:
+            raise InputError(f"the codebook of {name!r} cannot have shape {codes.shape}")
+        return replace(self, centers={**self.centers, name: codes.astype(np.float32)})
+
+    def _group(self, name: str) -> Float32:
+        if name in self.centers:
+            return self.centers[name][self.indices[name]]
+        return self.plain.get(name, np.zeros((len(self), 0), dtype=np.float32))
+
+
+def make_codebook(
+    model: GaussianModel, codes: Mapping[str, int] | None = None, *, seed: int = 0
+) -> CodebookModel:
+    """Quantise a trained model by k-means, group by group.
+
+    The published system learns its codebooks while the model trains; here a finished model is quantised, which
+    costs more quality. Results must say so.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    codes : mapping of str to int, optional
+        Codebook size of each group to quantise; others stay plain. `CODES` where not given.
+    seed : int
+        Of the k-means.
+    """
+    codes = dict(CODES if codes is None else codes)
+    if not codes:
+        raise InputError("no group was given to quantise")
+    for name, count in codes.items():
+        if name not in GROUPS or count < 1:
+            raise InputError(f"cannot quantise {name!r} to {count} codes; there are {', '.join(GROUPS)}")
+    flat = model.sh.reshape(len(model), -1)
+    groups = {
+        "xyz": model.means, "dc": flat[:, :3], "sh": flat[:, 3:], "scale": model.log_scales,
+        "rot": model.quats * np.where(model.quats[:, :1] < 0, np.float32(-1), np.float32(1)),
+    }  # fmt: skip
+    plain = {"opacity": model.opacity_logits[:, None]}
+    centers, indices = {}, {}
+    for name, values in groups.items():
+        if name not in codes or values.shape[1] == 0:
+            plain[name] = np.ascontiguousarray(values)
+            continue
+        values = np.ascontiguousarray(values)
+        ones = np.ones(len(model))
+        stage = learn_residual_stage(values, ones, codes[name], HvqConfig(lambda_freq=0.0), seed)
+        centers[name], indices[name] = stage.codebook, stage.labels
+    bits = max((len(book) - 1).bit_length() for book in centers.values())
+    return CodebookModel(plain, centers, indices, max(bits, 1))
+
+
+def embed_codebook(
+    compressed: CodebookModel,
+    key: OwnerKey,
+    *,
+    original_sha256: str,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: EmbedConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    copy: str = "",
+    registered_at: str = "",
+    progress: Progress | None = None,
+) -> tuple[CodebookModel, Embedding]:
+    """Mark a model in its own colour codebook: its entries are the mark's code vectors.
+
+    Parameters
+    ----------
+    compressed : CodebookModel
+        Pruned and quantised; the group "dc" must have a codebook.
+    key : OwnerKey
+    original_sha256, message, bits, config, cameras, copy, registered_at, progress
+        As for `engine.pipeline.embedding.embed`.
+
+    Returns
+    -------
+    marked : CodebookModel
+        As many codes, the same indices: a file of the same size.
+    embedding : Embedding
+
+    Raises
+    ------
+    InputError
+        If the colours have no codebook; else as `embed`.
+    CapacityError
+        As `embed`.
+    """
+    if "dc" not in compressed.centers:
+        raise InputError("this model's colours are not quantised: mark it as a plain model")
+    model, labels = compressed.decode(), compressed.indices["dc"]
+    result = embed(
+        model, key, original_sha256=original_sha256, message=message, bits=bits, config=config,
+        cameras=cameras, copy=copy, registered_at=registered_at, progress=progress,
+        variant=Variant(labels=labels),
+    )  # fmt: skip
+    used, member = np.unique(labels, return_index=True)  # all members of a code are displaced alike
+    codes = compressed.centers["dc"].copy()
+    codes[used] = result.model.sh[member, 0]
+    return compressed.with_codes("dc", codes), result
