@@ -29,12 +29,19 @@ def format_for(path: Path) -> str:
 
 def loss_note(model: GaussianModel, kind: str) -> list[str]:
     """What the format cannot hold of this model, in words."""
+    notes = []
     if kind == "splat" and model.sh_degree > 0:
-        return [
+        notes.append(
             ".splat stores no spherical harmonics: colour that changes with the view"
             f" (degree {model.sh_degree}) was dropped; the mark survives"
-        ]
-    return []
+        )
+    if kind != "ply" and model.is_flat:
+        thickness = "as thin as it allows" if kind == "spz" else "of next to no thickness"
+        notes.append(
+            f".{kind} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
+            " and other programs draw them as such; .ply keeps two scales; the mark survives"
+        )
+    return notes
 
 
 def repair_entries(repairs: Iterable[Repair]) -> list[dict[str, Any]]:

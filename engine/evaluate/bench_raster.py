@@ -18,7 +18,7 @@ import numpy as np
 from numba import prange
 
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.numerics.jit import parallel_kernel, parallel_section, thread_count
+from engine.numerics.jit import inlined, parallel_kernel, parallel_section, thread_count
 from engine.numerics.machine import machine_info, peak_memory_mb
 from engine.raster import (
     Gradients,
@@ -31,6 +31,7 @@ from engine.raster import (
     sh_colors_backward,
     warm_up,
 )  # fmt: skip
+from engine.raster.disc_projection import LOW_PASS
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 from engine.raster.view import blend_colors
@@ -38,7 +39,7 @@ from engine.raster.workspace import borrow_workspace
 
 __all__ = ["bench_camera", "bench_raster", "naive_forward"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 
 def bench_camera(model: GaussianModel, width: int, height: int) -> Camera:
@@ -52,8 +53,25 @@ def bench_camera(model: GaussianModel, width: int, height: int) -> Camera:
     return look_at(eye, centre, (0.0, -1.0, 0.0), 960.0 * width / 1297.0, width, height)
 
 
+@inlined
+def _gaussian(records, o, x, y):
+    dx, dy = x - records[o], y - records[o + 1]
+    return records[o + 2] * dx * dx + records[o + 3] * dx * dy + records[o + 4] * dy * dy + records[o + 5]
+
+
+@inlined
+def _disc(discs, o, x, y):
+    dx, dy = x - discs[o], y - discs[o + 1]
+    p0, p1 = discs[o + 2] * dx, discs[o + 3] * dx + discs[o + 4] * dy
+    g = np.float32(1.0) - discs[o + 5] * p0 - discs[o + 6] * p1
+    rho = np.float32(LOW_PASS) * (dx * dx + dy * dy)
+    if g > np.float32(0.0):
+        rho = min(rho, (p0 * p0 + p1 * p1) / (g * g))
+    return discs[o + 7] - rho * np.float32(0.5 * math.log2(math.e))
+
+
 @parallel_kernel
-def _naive(records, colors, ids, starts, width, height, tiles_x, log2_skip, clamp, stop, image):
+def _naive(records, discs, colors, ids, starts, width, height, tiles_x, log2_skip, clamp, stop, image):
     """Pixel by pixel, list entry by list entry, no vectors."""
     for y in prange(height):
         for x in range(width):
@@ -62,15 +80,11 @@ def _naive(records, colors, ids, starts, width, height, tiles_x, log2_skip, clam
             red, green, blue = np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for k in range(starts[tile], starts[tile + 1]):
                 i = np.int64(ids[k])
-                o = i * RECORD
-                dx = np.float32(x) + np.float32(0.5) - records[o]
-                dy = np.float32(y) + np.float32(0.5) - records[o + 1]
-                q = (
-                    records[o + 2] * dx * dx
-                    + records[o + 3] * dx * dy
-                    + records[o + 4] * dy * dy
-                    + records[o + 5]
-                )
+                px, py = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
+                if discs is None:
+                    q = _gaussian(records, i * RECORD, px, py)
+                else:
+                    q = _disc(discs, i * RECORD, px, py)
                 if q < log2_skip:
                     continue
                 weight = min(np.float32(2.0) ** q, clamp) * transmittance
@@ -92,7 +106,7 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     log2_skip, clamp, stop, _ = geometry.limits
     with parallel_section():
         _naive(
-            geometry.records, colors, geometry.ids, geometry.starts, camera.width, camera.height,
+            geometry.records, geometry.discs, colors, geometry.ids, geometry.starts, camera.width, camera.height,
             geometry.tiles_x, log2_skip, clamp, stop, image,
         )  # fmt: skip
     return image
@@ -126,7 +140,7 @@ def bench_raster(
     dict
         JSON-ready. `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept),
         `blend_ms` (the raster stage alone), `backward_color_ms` (image cotangent to SH gradient, geometry
-        cached), `backward_ms` (every parameter and the camera), `cached_iteration_ms` (SH, image, SH
+        cached), `backward_ms` (every parameter and the camera; not for discs), `cached_iteration_ms` (SH, image, SH
         gradient, geometry cached), `naive_forward_ms` (raster stage of the plain loop) and
         `speedup_over_naive` (that over blend_ms); `gaussians`, `visible`, `pairs`, `width`, `height`,
         `fragments_per_second` (pixel and Gaussian, evaluated, blend_ms), `threads`, `repeats`,
@@ -155,10 +169,11 @@ def bench_raster(
         "prepare_ms": lambda: prepare_view(model, camera),
         "blend_ms": lambda: view.render(colors),
         "backward_color_ms": backward_color,
-        "backward_ms": lambda: backward(rendering, cotangent, out=gradients),
         "cached_iteration_ms": cached_iteration,
         "naive_forward_ms": lambda: naive_forward(view, colors),
     }
+    if view.geometry.discs is None:
+        stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
     result: dict[str, Any] = {name: _median_ms(stage, repeats) for name, stage in stages.items()}
     with parallel_section(), borrow_workspace() as work:
         _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), None, work)

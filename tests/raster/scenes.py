@@ -11,6 +11,7 @@ from engine.model import DISC_THICKNESS, Camera, Float32, GaussianModel, look_at
 TOLERANCE = {
     "pixel": 3e-3,  # a pixel where float32 falls on the other side of a threshold (1/255, the pixel's end)
     "most pixels": 3e-6,  # 99.9 % of them
+    "most disc pixels": 1e-5,  # discs have no dilation: of a thin one, float32 places the edge less exactly
     "gradient": 5e-4,  # relative L2
     "typical gradient": 1e-5,  # relative L2 where no threshold is near
     "finite difference": 1e-4,  # relative L2, float64 differences of the twin
@@ -51,9 +52,9 @@ def relative(result: Any, expected: Any) -> float:
     return float(np.linalg.norm(result - expected) / max(np.linalg.norm(expected), 1e-30))
 
 
-def assert_same_image(result: Any, expected: Any) -> None:
+def assert_same_image(result: Any, expected: Any, most: str = "most pixels") -> None:
     """As the tolerance table says."""
     difference = np.abs(np.asarray(result, np.float64) - np.asarray(expected, np.float64))
     assert difference.shape == np.shape(expected)
     assert difference.max() <= TOLERANCE["pixel"]
-    assert np.quantile(difference, 0.999) <= TOLERANCE["most pixels"]
+    assert np.quantile(difference, 0.999) <= TOLERANCE[most]
