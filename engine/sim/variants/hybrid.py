@@ -1,0 +1,97 @@
+"""Hybrid scenes: 3DGS, discs, one moment of a 4-D scene and decoded codebooks in one file, verified object by object.
+
+Whatever a part was marked as, in a file of plain Gaussians it is an object like any other: its record finds it. A
+part that moves is looked for with its record moved to its moment (`move_record`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import GaussianModel
+from engine.numerics.umeyama import Similarity
+from engine.pipeline.judging import VerifyConfig
+from engine.pipeline.sealing import OpenedRecord
+from engine.sim.edits.object_verification import ObjectFinding, verify_objects
+from engine.sim.edits.objects import FlatScene, Scene
+from engine.sim.variants.codebook import CodebookModel
+from engine.sim.variants.moving import VISIBLE, Moving, move_record
+
+__all__ = ["HybridPart", "assemble", "verify_hybrid"]
+
+
+@dataclass(frozen=True, eq=False)
+class HybridPart:
+    """One object of a hybrid scene.
+
+    Parameters
+    ----------
+    marked : GaussianModel, CodebookModel or Moving
+        The marked variant.
+    placement : Similarity
+        Where it stands in the scene.
+    time : float, optional
+        Moment shown, of a part that moves.
+    """
+
+    marked: GaussianModel | CodebookModel | Moving
+    placement: Similarity
+    time: float | None = None
+
+    def still(self) -> GaussianModel:
+        """The part as plain Gaussians: codebooks looked up, a moving part as its export of that moment."""
+        if isinstance(self.marked, GaussianModel):
+            return self.marked
+        if isinstance(self.marked, CodebookModel):
+            return self.marked.decode()
+        if self.time is None:
+            raise InputError("a part that moves needs a time at which it is shown")
+        frame = self.marked.at(self.time)
+        return frame.take(np.flatnonzero(frame.opacities >= VISIBLE))
+
+
+def assemble(parts: Mapping[str, HybridPart]) -> FlatScene:
+    """One file of all parts, with the owner of each Gaussian.
+
+    The file is a plain one: discs become thin Gaussians in it, so a 2DGS viewer would draw it differently.
+    """
+    scene = Scene()
+    for name, part in parts.items():
+        scene = scene.insert(name, part.still(), part.placement)
+    return scene.flatten()
+
+
+def verify_hybrid(
+    suspect: GaussianModel | FlatScene,
+    records: Mapping[str, OpenedRecord],
+    moving: Mapping[str, tuple[Moving, float]] | None = None,
+    config: VerifyConfig | None = None,
+) -> list[ObjectFinding]:
+    """Which records a hybrid file carries, and where.
+
+    Parameters
+    ----------
+    suspect : GaussianModel or FlatScene
+    records : mapping of str to OpenedRecord
+    moving : mapping of str to (Moving, float), optional
+        For records of scenes that move: the owner's original, and the moment to look for.
+    config : VerifyConfig, optional
+
+    Returns
+    -------
+    list of ObjectFinding
+        One for each record; the number of records is counted as tries.
+    """
+    moving = moving or {}
+    for name in moving:
+        if name not in records:
+            raise InputError(f"{name!r} moves, but there is no record of that name")
+    at_their_time = {
+        name: move_record(opened, *moving[name]) if name in moving else opened
+        for name, opened in records.items()
+    }
+    return verify_objects(suspect, at_their_time, config)
