@@ -16,9 +16,9 @@ from numba import prange
 from engine.model import Bool, Float32, Float64
 from engine.numerics.jit import inlined, kernel, parallel_kernel, parallel_section
 
-__all__ = ["map_points", "sample", "smooth", "warp"]
+__all__ = ["map_points", "remap", "sample", "smooth", "warp"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 
 @inlined
@@ -34,9 +34,28 @@ def _cubic(t):  # type: ignore[no-untyped-def]
     )
 
 
+@inlined
+def _cubic_pixel(image, u, v, pixel):  # type: ignore[no-untyped-def]
+    """Add to `pixel` (C,) the image at position u, v; False, and nothing added, outside the image."""
+    height, width, channels = image.shape
+    if not (u >= 0.0 and v >= 0.0 and u <= width and v <= height):
+        return False
+    u -= 0.5
+    v -= 0.5
+    iu, iv = int(np.floor(u)), int(np.floor(v))
+    wx, wy = _cubic(u - iu), _cubic(v - iv)
+    for a in range(4):
+        row = min(max(iv - 1 + a, 0), height - 1)
+        for b in range(4):
+            column = min(max(iu - 1 + b, 0), width - 1)
+            weight = wy[a] * wx[b]
+            for c in range(channels):
+                pixel[c] += np.float32(weight) * image[row, column, c]
+    return True
+
+
 @parallel_kernel
 def _warp(image, m, out, inside):  # type: ignore[no-untyped-def]
-    height, width, channels = image.shape
     for j in prange(out.shape[0]):
         for i in range(out.shape[1]):
             x, y = i + 0.5, j + 0.5
@@ -45,20 +64,14 @@ def _warp(image, m, out, inside):  # type: ignore[no-untyped-def]
                 continue
             u = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w
             v = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            if not (u >= 0.0 and v >= 0.0 and u <= width and v <= height):
-                continue
-            inside[j, i] = True
-            u -= 0.5
-            v -= 0.5
-            iu, iv = int(np.floor(u)), int(np.floor(v))
-            wx, wy = _cubic(u - iu), _cubic(v - iv)
-            for a in range(4):
-                row = min(max(iv - 1 + a, 0), height - 1)
-                for b in range(4):
-                    column = min(max(iu - 1 + b, 0), width - 1)
-                    weight = wy[a] * wx[b]
-                    for c in range(channels):
-                        out[j, i, c] += np.float32(weight) * image[row, column, c]
+            inside[j, i] = _cubic_pixel(image, u, v, out[j, i])
+
+
+@parallel_kernel
+def _remap(image, positions, out, inside):  # type: ignore[no-untyped-def]
+    for j in prange(out.shape[0]):
+        for i in range(out.shape[1]):
+            inside[j, i] = _cubic_pixel(image, positions[j, i, 0], positions[j, i, 1], out[j, i])
 
 
 @kernel
@@ -103,6 +116,29 @@ def warp(image: Float32, matrix: Float64, height: int, width: int) -> tuple[Floa
     inside = np.zeros((height, width), dtype=np.bool_)
     with parallel_section():
         _warp(np.ascontiguousarray(image), np.ascontiguousarray(matrix, dtype=np.float64), out, inside)
+    return out, inside
+
+
+def remap(image: Float32, positions: Float64) -> tuple[Float32, Bool]:
+    """Resample an image at any positions, cubic.
+
+    Parameters
+    ----------
+    image : (h, w, C) float32
+    positions : (height, width, 2)
+        Pixel coordinates x, y in `image` for each pixel of the result; NaN for nowhere.
+
+    Returns
+    -------
+    remapped : (height, width, C) float32
+        0 where the position falls outside `image`.
+    inside : (height, width) bool
+    """
+    height, width = positions.shape[:2]
+    out = np.zeros((height, width, image.shape[2]), dtype=np.float32)
+    inside = np.zeros((height, width), dtype=np.bool_)
+    with parallel_section():
+        _remap(np.ascontiguousarray(image), np.ascontiguousarray(positions, dtype=np.float64), out, inside)
     return out, inside
 
 

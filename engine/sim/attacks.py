@@ -16,7 +16,10 @@ from engine.sim import model_deformation as deformation
 from engine.sim import model_placement as placement
 from engine.sim import model_population as population
 from engine.sim import model_values as values
+from engine.sim.adversaries import published
+from engine.sim.adversaries.attacks import ADVERSARIES, DENOISERS
 from engine.sim.attack import Attack, Reading, Strength
+from engine.sim.views.attacks import VIEW_ATTACKS
 
 __all__ = ["IMAGE_ATTACKS", "MODEL_ATTACKS", "find_attack", "image_attack", "model_attack"]
 
@@ -37,6 +40,7 @@ _MODEL_ATTACKS = (
     _model(
         "rotate", "turn the whole model about its centre, random axis",
         Reading(placement.rotate, "degrees", 30.0, (1, 5, 15, 30, 60, 90, 120, 150, 180)),
+        Reading(published.mix_axes, "share of a random matrix", 1.0, (0.01, 0.1, 0.3, 1.0), "as_code"),
     ),
     _model(
         "scale", "scale the whole model about its centre",
@@ -45,6 +49,7 @@ _MODEL_ATTACKS = (
     _model(
         "translate", "shift the whole model in a random direction",
         Reading(placement.translate, "robust radii of the model", 1.0, (0.01, 0.1, 0.5, 1, 3, 10, 100)),
+        Reading(published.scatter, "std of each point's shift, scene units", 1.0, (0.01, 0.1, 1.0), "as_code"),
     ),
     _model(
         "similarity", "random rotation, scale and shift together",
@@ -57,6 +62,7 @@ _MODEL_ATTACKS = (
     _model(
         "crop", "keep a connected piece about a random Gaussian",
         Reading(population.crop, "kept share", 0.1, (0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)),
+        Reading(published.drop_block, "dropped share of the file's order", 0.1, (0.1, 0.3, 0.5, 0.9), "as_code"),
     ),
     _model(
         "prune_random", "remove Gaussians at random",
@@ -75,8 +81,16 @@ _MODEL_ATTACKS = (
         Reading(population.clone, "share split into look-alike pairs", 0.5, (*_SHARES[:6], 1.0)),
         Reading(population.clone_plain, "share duplicated as it is", 0.5, (*_SHARES[:6], 1.0), "as_code"),
     ),
-    _model("noise_means", "noise on the centres", Reading(values.noise_means, _OWN_STD, 0.01, _SPREADS)),
-    _model("noise_colors", "noise on all of SH", Reading(values.noise_colors, _OWN_STD, 0.1, _SPREADS)),
+    _model(
+        "noise_means", "noise on the centres",
+        Reading(values.noise_means, _OWN_STD, 0.01, _SPREADS),
+        Reading(published.noise_position_wild, "noise std, scene units", 1.0, (0.01, 0.1, 1.0), "as_code"),
+    ),
+    _model(
+        "noise_colors", "noise on all of SH",
+        Reading(values.noise_colors, _OWN_STD, 0.1, _SPREADS),
+        Reading(published.noise_dc_wild, "noise std on DC coefficients", 8.0, (0.1, 1.0, 8.0), "as_code"),
+    ),
     _model("noise_all", "noise on every attribute", Reading(values.noise_all, _OWN_STD, 0.1, _SPREADS)),
     _model("drop_sh", "cut the spherical harmonics", Reading(values.drop_sh, "degree kept", 0, (3, 2, 1, 0))),
     _model(
@@ -103,6 +117,7 @@ _MODEL_ATTACKS = (
         "squash", "press the model together along its length, its middle bulging",
         Reading(deformation.squash, "lost share of the length", 0.2, (0.01, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)),
     ),
+    *ADVERSARIES,
 )  # fmt: skip
 
 _IMAGE_ATTACKS = (
@@ -140,6 +155,8 @@ _IMAGE_ATTACKS = (
         "brightness", "multiply and clip",
         Reading(on_image.brightness, "factor", 1.5, (0.95, 1.05, 0.9, 1.1, 0.75, 1.25, 0.5, 1.5, 2.0, 4.0)),
     ),
+    *VIEW_ATTACKS,
+    *DENOISERS,
 )  # fmt: skip
 
 MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {attack.name: attack for attack in _MODEL_ATTACKS}

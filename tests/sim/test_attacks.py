@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
 from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
+from engine.sim.views.attacks import VIEW_ATTACKS
 
 MODEL_NAMES = [
     "rotate",
@@ -32,9 +35,16 @@ MODEL_NAMES = [
     "squash",
 ]
 IMAGE_NAMES = ["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"]
+IMAGE_NAMES += [attack.name for attack in VIEW_ATTACKS]
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
+NEEDS_FFMPEG = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="the ffmpeg command is not here")
 ALL_READINGS = [
-    pytest.param(attack, reading.label, id=f"{attack.name}-{reading.label}")
+    pytest.param(
+        attack,
+        reading.label,
+        id=f"{attack.name}-{reading.label}",
+        marks=[NEEDS_FFMPEG] if attack.name in ("h264", "h265") else [],
+    )
     for attack in (*MODEL_ATTACKS.values(), *IMAGE_ATTACKS.values())
     for reading in attack.readings
 ]

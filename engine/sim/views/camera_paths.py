@@ -12,8 +12,8 @@ __all__ = ["fly_through", "orbit"]
 
 ELEVATION = 22.0
 """Of an orbit, degrees."""
-MARGIN = 1.06
-"""Distance at which the robust sphere just fits the frame, times this."""
+MARGIN = 1.25
+"""Distance at which the robust sphere just fits the frame, times this: a tenth of the model lies beyond it."""
 
 
 def orbit(
