@@ -40,8 +40,8 @@ def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray
     from PIL import Image
 
     root = Path(folder).resolve()
-    path = (root / photo.name).resolve()
-    if "\0" in photo.name or not path.is_relative_to(root):
+    path = (root / photo.name.replace("\0", "?")).resolve()
+    if not path.is_relative_to(root):
         raise InputError(f"photo {photo.name!r} of the reconstruction lies outside {folder}")
     try:
         with Image.open(path) as picture:
