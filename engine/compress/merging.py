@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from engine.model import Float64, GaussianModel, Int32
+from engine.numerics.flattening import flatten
 
 COLOR_GAP = 0.15
 """Largest DC difference (SH units, about 0.04 in colour) of a pair that may be merged."""
@@ -62,6 +63,8 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
     same = (mahalanobis < distance) & (shape < SHAPE_GAP)
     first, second, gap = first[same], second[same], gap[same]
     merged = _merge_pairs(model, first, second, sigma_a[same], sigma_b[same], gap)
+    if model.is_flat:  # the gap between two discs of 2DGS does not make them thick
+        merged = flatten(merged)
     keep = np.ones(n, dtype=bool)
     keep[second] = False
     partner = np.full(n, -1, dtype=np.int32)

@@ -28,7 +28,7 @@ def flatten(model: GaussianModel) -> GaussianModel:
     smallest = model.log_scales.argmin(axis=1)
     in_plane = (smallest[:, None] + [1, 2]) % 3
     kept = np.take_along_axis(model.log_scales, in_plane, axis=1)
-    third = kept.min(axis=1, keepdims=True) + np.float32(np.log(DISC_THICKNESS))
+    third = kept.min(axis=1, keepdims=True) + np.log(DISC_THICKNESS)
     return model.with_(
         log_scales=np.concatenate([kept, third], axis=1),
         quats=_product(model.quats.astype(np.float64), _TURNS[smallest]).astype(np.float32),

@@ -4,6 +4,7 @@ import numpy as np
 
 from engine.compress.merging import covariances, merge_duplicates
 from engine.model import GaussianModel
+from engine.numerics.flattening import flatten
 
 
 def scattered(n: int = 200) -> GaussianModel:
@@ -48,3 +49,18 @@ def test_other_color_or_shape_stays() -> None:
     assert len(merge_duplicates(recolored, 0.05)[0]) == 2
     assert len(merge_duplicates(reshaped, 0.05)[0]) == 2
     assert len(merge_duplicates(pair.with_(sh=np.zeros((2, 4, 3))), 0.05)[0]) == 1
+
+
+def test_merged_discs_are_discs() -> None:
+    discs = flatten(scattered())
+    near = discs.take(np.arange(50))
+    near = near.with_(means=near.means + 1e-4 * np.random.default_rng(0).standard_normal((50, 3)))
+    near = near.with_(means=near.means.astype(np.float32))
+    twice = GaussianModel(*(np.concatenate([getattr(discs, n), getattr(near, n)]) for n in (
+        "means", "log_scales", "quats", "opacity_logits", "sh")))  # fmt: skip
+    merged, _, partner = merge_duplicates(twice, 1e9)
+    assert (partner >= 0).sum() == 50
+    assert merged.is_flat
+    untouched = partner < 0
+    np.testing.assert_array_equal(merged.quats[untouched], twice.quats[:200][untouched])
+    np.testing.assert_allclose(covariances(merged), covariances(discs), rtol=5e-3, atol=1e-6)

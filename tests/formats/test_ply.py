@@ -109,8 +109,18 @@ def test_two_scales_become_thin_discs() -> None:
     expected = in_plane.min(axis=1) + np.log(DISC_THICKNESS)
     np.testing.assert_allclose(loaded.model.log_scales[:, 2], expected, rtol=1e-6)
     assert "flat_discs" in [repair.code for repair in loaded.repairs]
-    again = read_model(encode_model(loaded.model, "ply"))
-    assert_same(again.model, loaded.model)
+    assert loaded.model.is_flat
+
+
+def test_discs_are_written_with_two_scales() -> None:
+    names = names_of(1, scales=2)
+    discs = read_model(ply_of(names, rows_for(names, 50))).model
+    written = encode_model(discs, "ply")
+    records = plyfile.PlyData.read(io.BytesIO(written))["vertex"].data
+    assert [name for name in records.dtype.names if name.startswith("scale")] == ["scale_0", "scale_1"]
+    assert_same(read_model(written).model, discs)
+    thick = discs.with_(log_scales=discs.log_scales + np.float32([0, 0, 13]))
+    assert b"scale_2" in encode_model(thick, "ply")
 
 
 def test_raw_quaternions_are_normalized() -> None:

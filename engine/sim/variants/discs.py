@@ -24,6 +24,7 @@ from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.raster import RasterSettings, render
 from engine.sim.attacks import image_attack, model_attack
+from engine.sim.fine_tuning import fine_tune
 from engine.sim.variants.table4 import VariantRow, measure_variant
 from engine.watermark.keys import OwnerKey
 
@@ -117,13 +118,11 @@ def fit_colors(
     epochs: int,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Discs whose colours are fitted to renders of the original: Adam on SH, L1, geometry and opacity held."""
+    """Discs whose colours are fitted to renders of the original: Adam on SH, geometry and opacity held."""
     if epochs == 0:
         return discs
-    from engine.sim.fine_tuning import fine_tune  # torch is only needed here
-
     truth = [np.clip(render(original, camera), 0.0, 1.0) for camera in cameras]
-    return fine_tune(discs, cameras, truth, epochs, advance=advance)
+    return fine_tune(discs, cameras, truth, epochs, trained="colors", advance=advance)
 
 
 def measure_discs(

@@ -7,6 +7,7 @@ paper's column. Bits are read by informed extraction (with the owner's record); 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -19,7 +20,10 @@ from engine.numerics.image_metrics import psnr
 from engine.numerics.multiscale_ssim import ms_ssim_distance
 from engine.pipeline.verification import Verification
 
-__all__ = ["Reading", "VariantRow", "measure_variant"]
+__all__ = ["Reading", "VariantRow", "mark_psnr_for_drop", "measure_variant"]
+
+LARGEST_DROP = 0.1
+"""What a mark may cost against the truth, dB; the paper's costs 0.8 to 2.7."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,34 @@ class VariantRow:
     def to_json(self) -> dict[str, Any]:
         """Plain values; `psnr_drop` among them."""
         return {**asdict(self), "psnr_drop": self.psnr_drop}
+
+
+def mark_psnr_for_drop(psnr_before: float, drop: float = LARGEST_DROP) -> float:
+    """PSNR that the mark must keep against the unmarked variant to cost `drop` against the truth.
+
+    The mark's chips are random signs, so its error is uncorrelated with the variant's own and squared errors add:
+    ``10^(-after / 10) = 10^(-before / 10) + 10^(-mark / 10)``. The better a variant, the fainter its mark.
+
+    Parameters
+    ----------
+    psnr_before : float
+        Of the unmarked variant against the truth, dB.
+    drop : float
+        In (0, inf) dB.
+
+    Returns
+    -------
+    float
+        dB.
+
+    Raises
+    ------
+    InputError
+        If the drop is not positive.
+    """
+    if not drop > 0:
+        raise InputError(f"a mark costs something: the drop must be positive, got {drop} dB")
+    return psnr_before - 10.0 * math.log10(10.0 ** (drop / 10.0) - 1.0)
 
 
 def measure_variant(
