@@ -9,8 +9,8 @@ from engine.pipeline.rigs import FIELD_OF_VIEW, UP, Extent
 
 __all__ = ["viewpoint"]
 
-MARGIN = 1.06
-"""Distance at which the robust sphere just fits, times this."""
+MARGIN = 1.3
+"""Distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too."""
 
 
 def viewpoint(extent: Extent, azimuth: float, elevation: float, width: int, height: int) -> Camera:
