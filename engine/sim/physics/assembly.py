@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.model import Float64, Int32, Int64
+from engine.model import Bool, Float64, Int32, Int64
 from engine.sim.physics.body import Body
 
 __all__ = ["Assembly", "assemble"]
@@ -27,16 +27,20 @@ class Assembly:
     masses, inverse_masses, radii : (P,) float64
     body : (P,) int32
         To which body a point belongs.
+    firsts : (B + 1,) int64
+        Where each body's points begin and the last one's end.
+    free : (B,) bool
+        Whether nothing of a body is pinned.
     surface : (S,) int64
         Points on the outside.
     reach : float
         Largest sum of two radii.
     edges : (E, 2) int32
     edge_compliance, edge_damping : (E,) float64
-        m/N and s.
+        m/N and N s/m.
     tets : (T, 4) int32
-    volumes, tet_compliance, tet_damping : (T,) float64
-        Cubic scene units, m^3/Pa and s.
+    volumes, tet_compliance : (T,) float64
+        Cubic scene units and m^3/Pa.
     cluster_members : (M,) int64
     cluster_starts : (C + 1,) int64
     cluster_rates : (C,) float64
@@ -50,6 +54,8 @@ class Assembly:
     inverse_masses: Float64
     radii: Float64
     body: Int32
+    firsts: Int64
+    free: Bool
     surface: Int64
     reach: float
     edges: Int32
@@ -58,7 +64,6 @@ class Assembly:
     tets: Int32
     volumes: Float64
     tet_compliance: Float64
-    tet_damping: Float64
     cluster_members: Int64
     cluster_starts: Int64
     cluster_rates: Float64
@@ -67,17 +72,18 @@ class Assembly:
 def assemble(bodies: Sequence[Body]) -> Assembly:
     """Put the bodies one after the other; stiffnesses become the same whatever the resolution.
 
-    An edge of length L stands for a rod of cross-section cell^2, so its compliance is L / (E cell^2); a
-    tetrahedron's volume has V / K, the bulk energy being K (V - V0)^2 / (2 V0).
+    An edge of length L stands for a rod of cross-section cell^2, so its compliance is L / (E cell^2) and its
+    dashpot has viscosity * cell^2 / L; a tetrahedron's volume has V / K, the bulk energy being K (V - V0)^2 / (2 V0).
     """
-    firsts = np.cumsum([0, *(len(b.positions) for b in bodies)])
+    firsts = np.cumsum([0, *(len(b.positions) for b in bodies)]).astype(np.int64)
     counts = [len(b.positions) for b in bodies]
-    edge_compliance, members, starts, rates = [], [], [0], []
+    edge_compliance, edge_damping, members, starts, rates = [], [], [], [0], []
     for first, body in zip(firsts, bodies, strict=False):
         lattice = body.lattice
         ends = lattice.points[lattice.edges]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         edge_compliance.append(body.material.compliance * lengths / lattice.cell**2)
+        edge_damping.append(body.material.viscosity * lattice.cell**2 / lengths)
         if body.material.shape_rate > 0:
             for cluster in clusters(body):
                 members.append(first + cluster)
@@ -87,8 +93,7 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
     def spread(values: Sequence[float], sizes: Sequence[int]) -> Float64:
         return np.repeat(np.asarray(values, dtype=np.float64), sizes)
 
-    edges, tets = [len(b.lattice.edges) for b in bodies], [len(b.lattice.tets) for b in bodies]
-    damping = [b.material.damping for b in bodies]
+    tets = [len(b.lattice.tets) for b in bodies]
     return Assembly(
         positions=np.concatenate([b.positions for b in bodies]),
         velocities=np.concatenate([b.velocities for b in bodies]),
@@ -97,6 +102,8 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
         inverse_masses=np.concatenate([b.inverse_masses for b in bodies]),
         radii=spread([CONTACT * b.lattice.cell for b in bodies], counts),
         body=np.repeat(np.arange(len(bodies), dtype=np.int32), counts),
+        firsts=firsts,
+        free=np.array([not b.pinned.any() for b in bodies]),
         surface=np.concatenate(
             [first + np.flatnonzero(b.lattice.surface) for first, b in zip(firsts, bodies, strict=False)]
         ),
@@ -105,13 +112,12 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
             [b.lattice.edges + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]
         ),
         edge_compliance=np.concatenate(edge_compliance),
-        edge_damping=spread(damping, edges),
+        edge_damping=np.concatenate(edge_damping),
         tets=np.concatenate(
             [b.lattice.tets + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]
         ),
         volumes=spread([b.lattice.tet_volume for b in bodies], tets),
         tet_compliance=spread([b.material.volume_compliance * b.lattice.tet_volume for b in bodies], tets),
-        tet_damping=spread(damping, tets),
         cluster_members=np.concatenate(members) if members else np.zeros(0, dtype=np.int64),
         cluster_starts=np.array(starts, dtype=np.int64),
         cluster_rates=np.array(rates, dtype=np.float64),

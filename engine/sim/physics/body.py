@@ -42,19 +42,19 @@ class Material:
         How fast points are drawn to the best rigid placement of their cluster, 1/s; 0 matches no shape.
     shape_cluster : int
         Side of a cluster in cells; 0 makes one cluster of the whole body, so that a high rate makes it rigid.
-    damping : float
-        Time in which edges and volumes lose their rate of strain, seconds, at least 0. Rigid motion is not
-        damped.
+    viscosity : float
+        Of the edges, Pa s, at least 0: takes energy from the rate of strain, not from rigid motion. Strain
+        dies away within about compliance * viscosity seconds where nothing swings.
     """
 
     compliance: float = 2e-5
-    volume_compliance: float = 5e-6
+    volume_compliance: float = 2e-5
     shape_rate: float = 0.0
     shape_cluster: int = 0
-    damping: float = 2e-3
+    viscosity: float = 200.0
 
     def __post_init__(self) -> None:
-        for name in ("compliance", "volume_compliance", "shape_rate", "shape_cluster", "damping"):
+        for name in ("compliance", "volume_compliance", "shape_rate", "shape_cluster", "viscosity"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"{name} of a material must be finite and not negative, got {value}")
@@ -145,7 +145,8 @@ def make_body(
             raise InputError(f"pinned must be {len(model)} booleans, got {pinned.dtype} {pinned.shape}")
         fixed[lattice.tets[binding.tet[pinned]]] = True
     share = density * lattice.tet_volume / 4.0
-    masses: Float64 = share * np.bincount(lattice.tets.ravel(), minlength=len(lattice.points))
+    corners = np.bincount(lattice.tets.ravel(), minlength=len(lattice.points))
+    masses: Float64 = share * corners.astype(np.float64)
     velocities: Float64 = np.where(fixed[:, None], 0.0, start)
     return Body(
         model, lattice, binding, material or Material(), masses, fixed, lattice.points.copy(), velocities

@@ -160,9 +160,11 @@ def find_pairs(x, rest, surface, body, radii, reach):  # type: ignore[no-untyped
 
 @kernel
 def collide_pairs(x, x_prev, w, pairs, radii):  # type: ignore[no-untyped-def]
-    """Move the points of each pair apart along their line, all pairs at once (Jacobi).
+    """Move the points of each pair apart, all pairs at once (Jacobi).
 
-    Both points of a pair use the same divisor, the larger of their numbers of pairs, so that momentum stays.
+    They are pushed along the line between them at the start of the substep, from where momentum counts its
+    lever arms, and both use the same divisor, the larger of their numbers of pairs: so linear and angular
+    momentum stay.
     """
     crowd = np.zeros(len(x), np.int64)
     for p in range(len(pairs)):
@@ -173,27 +175,29 @@ def collide_pairs(x, x_prev, w, pairs, radii):  # type: ignore[no-untyped-def]
     line = np.empty(3)
     for p in range(len(pairs)):
         i, j = pairs[p, 0], pairs[p, 1]
-        weight = w[i] + w[j]
+        weight = (w[i] + w[j]) * max(crowd[i], crowd[j])
         if weight <= 0.0:
             continue
-        square, before = 0.0, 0.0
+        least = radii[i] + radii[j]
+        square = 0.0
         for k in range(3):
-            line[k] = x[i, k] - x[j, k]
+            line[k] = x_prev[i, k] - x_prev[j, k]
             square += line[k] * line[k]
-            before += (x_prev[i, k] - x_prev[j, k]) ** 2
-        distance = math.sqrt(square)
-        if distance <= 0.0:
-            line[0], line[1], line[2], distance = 0.0, 0.0, 1.0, 1.0
-            square = 0.0
+        before = math.sqrt(square)
+        if before <= 0.0:  # coincident points: any way apart is as good
+            line[0], line[1], line[2] = 0.0, 0.0, 1.0
+        else:
+            for k in range(3):
+                line[k] /= before
+        apart = 0.0
         for k in range(3):
-            line[k] /= distance
-        now = radii[i] + radii[j] - math.sqrt(square)
-        old = min(max(radii[i] + radii[j] - math.sqrt(before), 0.0), now)
-        apart = (now - old + RELIEF * old) / (weight * max(crowd[i], crowd[j]))
-        silent = RELIEF * old / (weight * max(crowd[i], crowd[j]))
+            apart += line[k] * (x[i, k] - x[j, k])
+        old = max(least - before, 0.0)
+        silent = RELIEF * old / weight
+        push = max(least - old - apart, 0.0) / weight + silent
         for k in range(3):
-            shift[i, k] += w[i] * apart * line[k]
-            shift[j, k] -= w[j] * apart * line[k]
+            shift[i, k] += w[i] * push * line[k]
+            shift[j, k] -= w[j] * push * line[k]
             past[i, k] += w[i] * silent * line[k]
             past[j, k] -= w[j] * silent * line[k]
     for i in range(len(x)):

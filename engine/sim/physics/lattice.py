@@ -113,7 +113,7 @@ def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Bindi
     if len(model) == 0:
         raise InputError("a body needs a model that is not empty")
     extent = measure_extent(model)
-    cell = float(extent.axes.max()) / int(resolution)
+    cell = max(float(extent.axes.max()), extent.radius) / int(resolution)
     origin = extent.center - REACH * extent.radius
     voxels = _occupied_voxels(model, origin, cell, 2.0 * REACH * extent.radius, extent.center)
     lattice = _tetrahedra(voxels, origin, cell)

@@ -119,7 +119,7 @@ class World:
     planes: tuple[Plane, ...] = ()
     spheres: tuple[Sphere, ...] = ()
     drag: float = 0.0
-    substeps: int = 20
+    substeps: int = 30
     collide: bool = True
     time: float = 0.0
 
@@ -169,14 +169,11 @@ def step(world: World, dt: float = STEP) -> World:
         raise InputError(f"a step takes a positive time, got {dt}")
     parts = assemble(world.bodies)
     x, v = parts.positions, parts.velocities
-    h = dt / world.substeps
+    h, obstacles = dt / world.substeps, _Obstacles.of(world)
     for number in range(world.substeps):
-        _substep(world, parts, x, v, h, number)
-    moved, at = [], 0
-    for body in world.bodies:
-        points = slice(at, at + len(body.positions))
-        moved.append(replace(body, positions=x[points].copy(), velocities=v[points].copy()))
-        at = points.stop
+        _substep(world, parts, obstacles, x, v, h, number)
+    ends = zip(world.bodies, parts.firsts[:-1], parts.firsts[1:], strict=True)
+    moved = [replace(body, positions=x[a:b].copy(), velocities=v[a:b].copy()) for body, a, b in ends]
     return replace(
         world,
         bodies=tuple(moved),
@@ -186,18 +183,67 @@ def step(world: World, dt: float = STEP) -> World:
     )
 
 
-def _substep(world: World, parts: Assembly, x: Float64, v: Float64, h: float, number: int) -> None:
-    """One substep of h seconds, in place: predict, elastic, contacts, velocities. Obstacles have the last word."""
+@dataclass(frozen=True, eq=False)
+class _Obstacles:
+    """Planes and spheres of a world as arrays; points and centres are where they are at `World.time`."""
+
+    plane_points: Float64
+    plane_normals: Float64
+    plane_velocities: Float64
+    plane_frictions: Float64
+    sphere_centers: Float64
+    sphere_radii: Float64
+    sphere_velocities: Float64
+    sphere_frictions: Float64
+
+    @classmethod
+    def of(cls, world: World) -> _Obstacles:
+        def vectors(values: list[Float64]) -> Float64:
+            return np.array(values, dtype=np.float64).reshape(-1, 3)
+
+        return cls(
+            vectors([p.point for p in world.planes]),
+            vectors([p.normal for p in world.planes]),
+            vectors([p.velocity for p in world.planes]),
+            np.array([p.friction for p in world.planes], dtype=np.float64),
+            vectors([s.center for s in world.spheres]),
+            np.array([s.radius for s in world.spheres], dtype=np.float64),
+            vectors([s.velocity for s in world.spheres]),
+            np.array([s.friction for s in world.spheres], dtype=np.float64),
+        )
+
+    def keep_out(self, x: Float64, x_prev: Float64, w: Float64, now: float, h: float) -> None:
+        """Move points out of all obstacles as they are `now` seconds after the world's time."""
+        contacts.collide_spheres(
+            x, x_prev, w, self.sphere_centers + now * self.sphere_velocities, self.sphere_radii,
+            h * self.sphere_velocities, self.sphere_frictions,
+        )  # fmt: skip
+        contacts.collide_planes(
+            x, x_prev, w, self.plane_normals, self.plane_points + now * self.plane_velocities,
+            h * self.plane_velocities, self.plane_frictions,
+        )  # fmt: skip
+
+
+def _substep(
+    world: World, parts: Assembly, obstacles: _Obstacles, x: Float64, v: Float64, h: float, number: int
+) -> None:
+    """One substep of h seconds, in place.
+
+    1. Move freely.                                    5. Points out of the obstacles: theirs is the last word.
+    2. Points out of the obstacles.                    6. Velocities from the way gone.
+    3. Elastic, one pass.                              7. Damping of the rate of strain.
+    4. Points out of each other's way.
+
+    By 2 the elastic answers an impact within the substep.
+    """
+    w, now, backward = parts.inverse_masses, (number + 1) * h, number % 2 == 1
     x_prev = np.empty_like(x)
-    w = parts.inverse_masses
-    backward = number % 2 == 1
-    constraints.predict(x, x_prev, v, w, world.gravity, float(np.exp(-world.drag * h)), h)
-    constraints.project_distances(
-        x, x_prev, w, parts.edges, parts.rest, parts.edge_compliance, parts.edge_damping, h, backward
-    )
-    constraints.project_volumes(
-        x, x_prev, w, parts.tets, parts.volumes, parts.tet_compliance, parts.tet_damping, h, backward
-    )
+    constraints.predict(x, x_prev, v, w, world.gravity, float(np.exp(-world.drag * h)), h)  # 1
+    obstacles.keep_out(x, x_prev, w, now, h)  # 2
+    spins, lost = np.empty((len(world.bodies), 3)), np.empty((len(world.bodies), 3))
+    constraints.measure_spins(x, x_prev, parts.masses, parts.firsts, spins)
+    constraints.project_distances(x, w, parts.edges, parts.rest, parts.edge_compliance, h, backward)  # 3
+    constraints.project_volumes(x, w, parts.tets, parts.volumes, parts.tet_compliance, h, backward)
     if len(parts.cluster_rates):
         constraints.match_shapes(
             x,
@@ -209,21 +255,11 @@ def _substep(world: World, parts: Assembly, x: Float64, v: Float64, h: float, nu
             parts.cluster_rates,
             h,
         )
-    if world.collide:
+    constraints.restore_spins(x, x_prev, parts.masses, parts.firsts, parts.free, spins, lost)
+    if world.collide:  # 4
         pairs = contacts.find_pairs(x, parts.rest, parts.surface, parts.body, parts.radii, parts.reach)
         if len(pairs):
             contacts.collide_pairs(x, x_prev, w, pairs, parts.radii)
-    now = (number + 1) * h
-    if world.spheres:
-        flows = np.array([s.velocity for s in world.spheres])
-        centers = np.array([s.center for s in world.spheres]) + now * flows
-        radii = np.array([s.radius for s in world.spheres], dtype=np.float64)
-        frictions = np.array([s.friction for s in world.spheres], dtype=np.float64)
-        contacts.collide_spheres(x, x_prev, w, centers, radii, h * flows, frictions)
-    if world.planes:
-        flows = np.array([p.velocity for p in world.planes])
-        points = np.array([p.point for p in world.planes]) + now * flows
-        normals = np.array([p.normal for p in world.planes])
-        frictions = np.array([p.friction for p in world.planes], dtype=np.float64)
-        contacts.collide_planes(x, x_prev, w, normals, points, h * flows, frictions)
-    constraints.update_velocities(x, x_prev, v, w, h)
+    obstacles.keep_out(x, x_prev, w, now, h)  # 5
+    constraints.update_velocities(x, x_prev, v, w, h)  # 6
+    constraints.damp_velocities(x, v, w, parts.edges, parts.edge_damping, h, backward)  # 7
