@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from engine.model import Bool, Float32, GaussianModel, Int32, Int64
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.watermark.matching import Deviations
 from engine.watermark.registration_growth import grow
@@ -85,27 +85,25 @@ def unexplained(
     rows = _sample(len(suspect), GLANCE, rng)
     if deviations is None:
         return rows
-    points = suspect.means[rows].astype(np.float64)
-    hit = matches[rows] >= 0
-    k = min(AROUND, len(rows))
-    beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)
-    bare = hit[beside].mean(axis=1) < 0.3
+    bare = _bare(suspect, matches, rows)
     if bare.mean() > REGION:
         return rows[bare]
-    if (deviations.position > 3.0 * floor.position).any() and hit.sum() > 10 * AROUND:
-        paired = rows[hit]
-        error = fit.apply(suspect.means[paired]) - reference.means[matches[paired]]
+    hit = rows[matches[rows] >= 0]
+    wide = bool((deviations.position > 3.0 * floor.position).any())
+    if wide and len(hit) > 10 * AROUND:
+        error = fit.apply(suspect.means[hit]) - reference.means[matches[hit]]
         length = np.linalg.norm(error, axis=1)
-        error = error[length < 4.0 * np.median(length)]
-        near = np.asarray(
-            cKDTree(points[hit][length < 4.0 * np.median(length)]).query(
-                points[hit][length < 4.0 * np.median(length)], k=AROUND
-            )[1]
-        )
-        common = np.square(error[near].mean(axis=1)).sum() / max(float(np.square(error).sum()), 1e-300)
-        if common > SMOOTH:
+        right = length < 4.0 * np.median(length)
+        if _common_share(suspect.means[hit[right]], error[right]) > SMOOTH:
             return rows
     return rows[:0]
+
+
+def _common_share(points: Float32, errors: Float64) -> float:
+    """Share of squared errors (n, 3) that neighbours have in common."""
+    beside = np.asarray(cKDTree(points).query(points, k=AROUND)[1])
+    total = float(np.square(errors).sum())
+    return float(np.square(errors[beside].mean(axis=1)).sum()) / max(total, 1e-300)
 
 
 def register_deformed(
@@ -171,4 +169,5 @@ def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
 
 
 def _sample(m: int, count: int, rng: np.random.Generator) -> Int64:
-    return np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
+    rows: Int64 = np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
+    return rows

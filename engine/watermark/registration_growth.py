@@ -25,6 +25,8 @@ PAIRS = 32
 """Matches from which a node's map is fitted."""
 ROUNDS = 40
 """A front goes about one node further a round; 1,000 nodes on a surface are 32 across."""
+MEASURED = 4_000
+"""Matches from which the remaining errors are measured."""
 BEND = 0.1
 """Error of a map one node further on, in distances between nodes."""
 EXPLAINED = 0.2
@@ -109,8 +111,9 @@ def grow(
     step = float(np.median(beside)) * float(np.cbrt(abs(np.linalg.det(first[:, :3]))))
     matcher = Matcher(reference, replace(deviations, position=np.maximum(deviations.position, BEND * step)))
     members = np.bincount(home, minlength=len(nodes))
-    count, last = 0, -1
-    for count in range(1, ROUNDS + 1):
+    rounds, last = 0, -1
+    while rounds < ROUNDS:
+        rounds += 1
         known, maps = _fit_nodes(nodes, maps, known, reach, source, target)
         if not known.any():
             return None
@@ -132,13 +135,15 @@ def grow(
         last = len(sure)
         known = explained
     measured = _measure(reference, moved, paired(neighbours), floor)
-    return Field(nodes, maps, explained, Matcher(reference, measured), measured, count)
+    return Field(nodes, maps, explained, Matcher(reference, measured), measured, rounds)
 
 
 def _measure(
     reference: GaussianModel, straight: GaussianModel, pairs: tuple[Int32, Int64], floor: Deviations
 ) -> Deviations:
     """Errors of a straightened suspect. Joints and edges leave a few large ones in position: those count."""
+    step = max(1, len(pairs[0]) // MEASURED)
+    pairs = (pairs[0][::step], pairs[1][::step])
     usual = unturned(estimate_deviations(reference, straight, pairs, Similarity.identity(), floor))
     error = np.abs(straight.means[pairs[1]].astype(np.float64) - reference.means[pairs[0]])
     # 1.645: nine in ten of a normal error are smaller

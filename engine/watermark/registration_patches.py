@@ -157,20 +157,22 @@ def _find_patch(
 
 
 def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int64, float]]:
-    """Pairs whose look-alikes have most company: that company, and the radius of the reference there."""
-    radii = np.asarray(looks.places.query(y, k=[crowd], workers=2)[0]).reshape(-1)
-    squares = np.square(y).sum(axis=1)
-    near = squares[:, None] + squares - 2.0 * (y @ y.T) <= np.square(radii)[:, None]  # (P, P)
-    # pairs of one suspect Gaussian are one witness
-    support = np.logical_or.reduceat(near, np.flatnonzero(np.diff(who, prepend=-1)), axis=1).sum(axis=1)
+    """Where look-alikes crowd together: the pairs there, and the radius of the reference about them."""
+    first = np.flatnonzero(np.diff(who, prepend=-1))  # the best look-alike of each Gaussian
+    middles = y[first]
+    radii = np.asarray(looks.places.query(middles, k=[crowd], workers=2)[0]).reshape(-1)
+    distance2 = np.square(middles).sum(axis=1)[:, None] + np.square(y).sum(axis=1) - 2.0 * (middles @ y.T)
+    near = distance2 <= np.square(radii)[:, None]  # (Q, P)
+    # pairs of one Gaussian are one witness
+    support = near.reshape(len(first), len(first), -1).any(axis=2).sum(axis=1)
     chosen: list[tuple[Int64, float]] = []
-    taken = np.zeros(len(y), dtype=bool)
+    taken = np.zeros(len(first), dtype=bool)
     for i in np.argsort(-support, kind="stable"):
         if support[i] < LEAST_PAIRS + 4 or len(chosen) == CROWDS:
             break
         if not taken[i] and radii[i] > 0:
             chosen.append((np.flatnonzero(near[i]), float(radii[i])))
-            taken |= near[i]
+            taken |= near[i, first]
     return chosen
 
 
@@ -232,7 +234,8 @@ def _verify(
         moved = warped(part, np.broadcast_to(map_, (len(rows), 3, 4)))
         deviations = unturned(estimate_deviations(nearby, moved, pairs, same, floor))
         matcher = Matcher(nearby, deviations)
-        pairs = paired(matcher.match(moved, same, deviations))
+        hit = paired(matcher.match(moved, same, deviations))
+        pairs = (hit[0].astype(np.int64), hit[1])
         if len(np.unique(pairs[0])) < max(LEAST_PAIRS, LEAST_SHARE * len(rows)):
             return None
         x, y = part.means[pairs[1]].astype(np.float64), nearby.means[pairs[0]].astype(np.float64)
