@@ -1,0 +1,51 @@
+"""Overwriting: the attacker marks the stolen model once more with this very program, under a key of his own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.model import GaussianModel
+from engine.sim.attack import check_positive
+
+__all__ = ["overwrite"]
+
+VIEWS, VIEW_SIZE = 6, 400
+"""Key views of the second mark, and their side in pixels."""
+
+
+def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """Embed a second mark of `strength` dB: the same cells (he has the program), other chips.
+
+    The embedding's own stages, without what serves only the reading: no message has to fit, no record is kept.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    strength : float
+        PSNR of the second mark against the model as it came, worst of six views; dB.
+    rng : numpy.random.Generator
+        His key: chips and views.
+
+    Returns
+    -------
+    GaussianModel
+    """
+    from engine.compress.hvq import HvqConfig, quantize
+    from engine.compress.impact import measure_impact
+    from engine.pipeline.delivery import color_weights
+    from engine.pipeline.rigs import make_rig, measure_extent
+    from engine.pipeline.scenes import look
+    from engine.pipeline.strength import add_dc, solve_strength
+    from engine.watermark.planning import make_plan
+
+    target = check_positive(strength, "PSNR")
+    extent = measure_extent(model)
+    rig = make_rig(model, VIEWS, VIEW_SIZE, VIEW_SIZE, jitter=rng.random((VIEWS, 4)), extent=extent)
+    views = look(model, rig, lambda fraction: None)
+    impact = measure_impact(model, views.views, views.images)
+    stages = quantize(model, color_weights(model, impact), extent.radius, HvqConfig())
+    layout = make_plan(stages, impact).layout
+    signs = rng.choice(np.array([-1.0, 1.0]), layout.chips)
+    displacement = layout.displace(layout.amplitudes * signs)
+    solved = solve_strength(views, displacement, target, 0.0, 1.0)
+    return model.with_(sh=add_dc(model.sh, np.float32(solved.factor) * displacement))
