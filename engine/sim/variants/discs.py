@@ -122,7 +122,7 @@ def fit_colors(
     if epochs == 0:
         return discs
     truth = [np.clip(render(original, camera), 0.0, 1.0) for camera in cameras]
-    return fine_tune(discs, cameras, truth, epochs, trained="colors", advance=advance)
+    return discs.with_(sh=fine_tune(discs, cameras, truth, epochs, trained="colors", advance=advance).sh)
 
 
 def measure_discs(
