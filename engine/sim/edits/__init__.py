@@ -2,6 +2,8 @@
 
 from engine.sim.edits.bvh import BoxTree
 from engine.sim.edits.edit import Edit, Edited, Recoloring
+from engine.sim.edits.edit_map import Change, EditMap, map_edits
+from engine.sim.edits.edit_regions import EditedRegion
 from engine.sim.edits.inpainting import InpaintConfig, inpaint
 from engine.sim.edits.masks import lift_masks, mask_shares, project_selection
 from engine.sim.edits.object_verification import ObjectFinding, verify_objects
@@ -16,17 +18,22 @@ from engine.sim.edits.operations import (
     rotate,
     scale,
 )
+from engine.sim.edits.pieces import Pieces, register_pieces, verify_pieces
 from engine.sim.edits.selection import segment, segment_at, select_box, select_sphere
 from engine.sim.edits.tracking import EditTrack, edited_record, verify_edited
 
 __all__ = [
     "BoxTree",
+    "Change",
     "Edit",
+    "EditMap",
     "EditTrack",
     "Edited",
+    "EditedRegion",
     "FlatScene",
     "InpaintConfig",
     "ObjectFinding",
+    "Pieces",
     "PlacedObject",
     "Recoloring",
     "Scene",
@@ -35,6 +42,7 @@ __all__ = [
     "edited_record",
     "inpaint",
     "lift_masks",
+    "map_edits",
     "mask_shares",
     "model_box",
     "move",
@@ -42,6 +50,7 @@ __all__ = [
     "project_selection",
     "recolor",
     "recolor_towards",
+    "register_pieces",
     "rotate",
     "scale",
     "segment",
@@ -50,4 +59,5 @@ __all__ = [
     "select_sphere",
     "verify_edited",
     "verify_objects",
+    "verify_pieces",
 ]

@@ -13,15 +13,13 @@ from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.sealing import OpenedRecord
 from engine.sim.edits.objects import FlatScene
+from engine.sim.edits.pieces import LEAST_PIECE, RIGID
 from engine.watermark.claim import Claim
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
 from engine.watermark.registration import Registration, register
 from engine.watermark.registration_index import ReferenceIndex
 
 __all__ = ["ObjectFinding", "verify_objects"]
-
-LEAST_PIECE = 64
-"""Gaussians below which a further instance of an object is not looked for: embedding asks for as many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +106,7 @@ def verify_objects(
         for instance in range(instances):
             # What earlier instances matched is set aside by geometry and unmarked looks alone: no chip enters.
             part = model.take(left) if instance else model
-            found = register(index, part, seed=config.seed)
+            found = register(index, part, seed=config.seed, config=RIGID)
             if instance and not found.found:
                 break
             claim = _claim(part, opened, found, tries, config)

@@ -1,0 +1,136 @@
+"""A suspect in which parts of the asset were moved, each in its own way: registered piece by piece."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Float32, GaussianModel, Int32
+from engine.numerics.umeyama import Similarity
+from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.sealing import OpenedRecord
+from engine.watermark.claim import Claim
+from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.registration import Registration, RegistrationConfig, register
+from engine.watermark.registration_index import ReferenceIndex
+
+__all__ = ["Pieces", "register_pieces", "verify_pieces"]
+
+LEAST_PIECE = 64
+"""Gaussians below which no further piece is looked for, or believed: embedding asks for as many."""
+
+RIGID = RegistrationConfig(deformed=False)
+"""Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
+
+MOST_PIECES = 8
+"""Pieces looked for where the caller does not say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Which reference Gaussian each suspect Gaussian is, over all pieces.
+
+    Parameters
+    ----------
+    registration : Registration
+        Of the first piece, the one that most of the asset is in.
+    matches : (M,) int32
+        Reference Gaussian of each suspect Gaussian, -1 where there is none.
+    quality : (M,) float32
+        Trust in each match, 0 to 1.
+    piece : (M,) int32
+        Number of the piece a suspect Gaussian lies in, -1 where it was not matched.
+    placements : tuple of Similarity
+        Of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found.
+    """
+
+    registration: Registration
+    matches: Int32
+    quality: Float32
+    piece: Int32
+    placements: tuple[Similarity, ...]
+
+
+def register_pieces(
+    reference: GaussianModel, suspect: GaussianModel, *, most: int = MOST_PIECES, seed: int = 0
+) -> Pieces:
+    """Register what the registration before left over, until nothing more is found.
+
+    A piece may be a part of the asset that was moved, or a copy of a part that is still in place. No chip
+    enters.
+
+    Parameters
+    ----------
+    reference, suspect : GaussianModel
+    most : int
+        Pieces to look for at most, >= 1.
+    seed : int
+
+    Returns
+    -------
+    Pieces
+    """
+    if most < 1:
+        raise InputError(f"at least one piece is looked for, got {most}")
+    index = ReferenceIndex(reference)
+    first = register(index, suspect, seed=seed, config=RIGID)
+    matches, quality = first.matches.copy(), first.match_quality.copy()
+    piece = np.where(matches >= 0, 0, -1).astype(np.int32)
+    placements = [first.similarity] if first.found else []
+    while placements and len(placements) < most:
+        left = np.flatnonzero(piece < 0)
+        if len(left) < LEAST_PIECE:
+            break
+        found = register(index, suspect.take(left), seed=seed, config=RIGID)
+        hit = np.flatnonzero(found.matches >= 0)
+        if not found.found or len(hit) < LEAST_PIECE:
+            break
+        rows = left[hit]
+        matches[rows], quality[rows] = found.matches[hit], found.match_quality[hit]
+        piece[rows] = len(placements)
+        placements.append(found.similarity)
+    return Pieces(first, matches, quality, piece, tuple(placements))
+
+
+def verify_pieces(
+    suspect: GaussianModel,
+    opened: OpenedRecord,
+    config: VerifyConfig | None = None,
+    *,
+    pieces: Pieces | None = None,
+) -> Claim:
+    """Does this model carry the record's mark, parts of it having been moved? One claim from all pieces.
+
+    Parameters
+    ----------
+    suspect : GaussianModel
+    opened : OpenedRecord
+    config : VerifyConfig, optional
+        Route "auto" or "model".
+    pieces : Pieces, optional
+        Of this suspect and the record's reference, where already registered.
+
+    Returns
+    -------
+    Claim
+        Of one try: how the suspect was taken apart was settled without the chips.
+    """
+    config = config or VerifyConfig()
+    if config.route not in ("auto", "model"):
+        raise InputError(f"route {config.route!r} sees the whole model; pieces are read by 'model'")
+    pieces = pieces or register_pieces(opened.reference, suspect, seed=config.seed)
+    evidence = gather_model_evidence(
+        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], pieces.matches, pieces.quality
+    )
+    evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
+    seen = np.zeros(len(opened.reference), np.bool_)
+    seen[pieces.matches[pieces.matches >= 0]] = True
+    whole = replace(
+        pieces.registration,
+        derived_fraction=float(seen.mean()),
+        suspect_fraction=float((pieces.matches >= 0).mean()),
+    )
+    notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
+    return judge(evidence, opened, "model", 1, config, whole, notes)
