@@ -28,8 +28,8 @@ GROUPS = ("xyz", "dc", "sh", "scale", "rot")
 """Groups of attributes as the public code names them: centres, DC, the other SH coefficients (coefficient-major),
 log scales, quaternions. Opacity is never quantised."""
 
-CODES = {"dc": 4096, "sh": 4096, "scale": 16384, "rot": 16384}
-"""Codes of each group where `make_codebook` is not told; the paper's settings are 4,096 to 32,768."""
+CODES = {"dc": 4096, "sh": 4096, "scale": 4096, "rot": 4096}
+"""Codes of each group where `make_codebook` is not told: the smaller of the paper's settings."""
 
 
 @dataclass(frozen=True, eq=False)
