@@ -73,6 +73,8 @@ def judge(
             transform = {
                 "scale": registration.scale, "rotation": registration.R.tolist(), "translation": registration.t.tolist()
             }  # fmt: skip
+            if registration.deformed:
+                notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":
             absence = ABSENCE_POWER
             notes = (*notes, "no piece of the asset was found in the suspect model")

@@ -3,27 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
 from engine.watermark.camera_finding import find_camera
+from engine.watermark.features import luma
 from engine.watermark.image_alignment import align_image
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.pose_refinement import refine_level
 from engine.watermark.registration import Registration
 from engine.watermark.spreading import signed_amplitudes
 
-__all__ = ["read_gaussians", "read_pictures", "read_renders"]
+__all__ = ["Seen", "read_gaussians", "read_pictures", "read_renders"]
 
 RENDER_SIZE = 512
 """Longest side of a suspect's render at the pose key, pixels."""
+REFINEMENTS, REFINED = 12, 0.005
+"""Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
+LEAST_CORRELATION = 0.75
+"""Correlation of brightness below which a view shows something else: as `find_camera` demands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What renders of a suspect model say.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        All zero where no view could be read.
+    notes : tuple of str
+        How the model was placed, where not by its Gaussians.
+    shown : bool
+        Whether the suspect shows the asset.
+    """
+
+    evidence: Evidence
+    notes: tuple[str, ...]
+    shown: bool
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
@@ -39,11 +66,55 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
 
 def read_renders(
     suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock
-) -> Evidence:
-    """The suspect as a black box: rendered at the pose key and read as pictures, which need no alignment."""
-    moved = suspect
-    if registration.found:
+) -> Seen:
+    """The suspect as a black box: rendered, and read as pictures.
+
+    Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
+    alignment. A model that shares no Gaussian with the reference is placed by what it looks like; then each view's
+    camera is refined on its picture, and the views by which the model was recognised are read, too.
+
+    Parameters
+    ----------
+    suspect : GaussianModel
+    opened : OpenedRecord
+    registration : Registration
+    clock : Clock
+
+    Returns
+    -------
+    Seen
+    """
+    if registration.found and not registration.deformed:
         moved = transform_model(suspect, registration.scale, registration.R, registration.t)
+        return Seen(_read_placed(moved, opened, clock), (), True)
+    cameras = [_no_larger(camera) for camera in opened.cameras]
+    parts, notes = [], []
+    moved = suspect
+    place = None
+    if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
+        place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
+        if place is None:
+            return Seen(
+                _nothing(opened), ("no view of the suspect model was recognised as this asset",), False
+            )
+        fit = place.similarity
+        moved = transform_model(suspect, fit.scale, fit.R, fit.t)
+        count = f"{len(place.sightings)} of {place.views} views"
+        notes.append(f"the suspect was placed by what it looks like: {count} of it were recognised")
+        for sighting in place.sightings:
+            parts.append(_read_picture(sighting.picture, sighting.found, opened))
+    for number, camera in enumerate(cameras):
+        picture = np.clip(render(moved, camera), 0.0, 1.0)
+        refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
+        if refined is not None and refined.correlation > LEAST_CORRELATION:
+            parts.append(_read_picture(picture, refined.camera, opened))
+        clock.advance((number + 1) / len(cameras))
+    read = [part for part in parts if part is not None]
+    return Seen(add_evidence(read) if read else _nothing(opened), tuple(notes), bool(read))
+
+
+def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> Evidence:
+    """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
     parts = []
     for number, camera in enumerate(_no_larger(camera) for camera in opened.cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
@@ -52,6 +123,13 @@ def read_renders(
         parts.append(gather_image_evidence(opened.layout, view, reference, picture, everywhere, mark, signs))
         clock.advance((number + 1) / len(opened.cameras))
     return add_evidence(parts)
+
+
+def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> bool:
+    """Whether the suspect looks like the reference where it stands: a copy trained anew was hardly ever moved."""
+    picture = np.clip(render(suspect, camera), 0.0, 1.0)
+    refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
+    return refined is not None and refined.correlation > LEAST_CORRELATION
 
 
 def read_pictures(

@@ -151,7 +151,7 @@ def trace_model(
                 if route == "model":
                     evidence = read_gaussians(suspect, group.opened, registration)
                 else:
-                    evidence = read_renders(suspect, group.opened, registration, clock)
+                    evidence = read_renders(suspect, group.opened, registration, clock).evidence
                 found = _judge(evidence, group, route, tries, config, registration.derived_fraction)  # 4
             if not best or any(finding.named for finding in found):
                 best = found

@@ -72,17 +72,21 @@ def verify_model(
     best: Verification | None = None
     routes = ("model", "render") if config.route == "auto" else (config.route,)
     for route in routes:
+        notes: tuple[str, ...] = ()
+        shown = registration.found
         with clock.stage(route):
             if route == "model":
                 evidence = read_gaussians(suspect, opened, registration)
             else:
-                evidence = read_renders(suspect, opened, registration, clock)
+                seen = read_renders(suspect, opened, registration, clock)
+                evidence, notes, shown = seen.evidence, seen.notes, seen.shown
             # A try is a Z that may be computed: all of them count from the first on, or the rates of the routes would
             # add up beyond the one asked for. The registration's hypotheses were weighed without the chips.
-            claim = judge(evidence, opened, route, len(routes), config, registration)
-        if best is None or claim.verdict is Verdict.MARKED:
+            claim = judge(evidence, opened, route, len(routes), config, registration, notes)
+        # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
+        if best is None or claim.verdict is Verdict.MARKED or (shown and not registration.found):
             best = Verification(claim, evidence, 0.0, {})
-        if claim.verdict is not Verdict.INCONCLUSIVE:
+        if claim.verdict is not Verdict.INCONCLUSIVE and registration.found:
             break
     assert best is not None
     return replace(best, seconds=clock.total, seconds_by_stage=clock.seconds)
