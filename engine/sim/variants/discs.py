@@ -118,7 +118,24 @@ def fit_colors(
     epochs: int,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Discs whose colours are fitted to renders of the original: Adam on SH, geometry and opacity held."""
+    """Discs whose colours are fitted to renders of the original; geometry and opacity are held.
+
+    Parameters
+    ----------
+    discs, original : GaussianModel
+        The discs, and the 3DGS model that they should look like.
+    cameras : sequence of Camera
+        Views of both.
+    epochs : int
+        Passes of Adam on SH (see `fine_tune`) over the views; 0 gives the discs back.
+    advance : callable, optional
+        Told the fraction done.
+
+    Returns
+    -------
+    GaussianModel
+        Only its `sh` differs from the discs'.
+    """
     if epochs == 0:
         return discs
     truth = [np.clip(render(original, camera), 0.0, 1.0) for camera in cameras]
