@@ -20,6 +20,7 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.sim.edits.edit_regions import EditedRegion, describe, group
 from engine.sim.edits.pieces import Pieces, register_pieces
 from engine.watermark.layout import MARK_SCALE
+from engine.watermark.matching import DC_CLIP
 from engine.watermark.model_evidence import remove_affine_color
 from engine.watermark.spreading import signed_amplitudes
 
@@ -119,9 +120,14 @@ def map_edits(
     shown = suspect.sh[rows, 0].astype(np.float64) - reference
     mark = _mark_of(opened)
     mark_left, beyond = _beyond(reference, shown, mark[target], trust)
+    beyond[_saturated(reference + mark[target], suspect.sh[rows, 0])] = 0.0
     displacement[rows] = beyond
+    now = reference + mark_left * mark[target] + beyond  # what the suspect shows, a global tint taken off
     means = suspect.means.astype(np.float64)
-    recolored[rows] = _coherent(means[rows], beyond, trust, least)
+    coherent, near = _coherent(means[rows], beyond, trust, least)
+    recolored[rows] = _completed(coherent, near, means[rows], reference, now, mark[target], beyond, mark_left)
+    colors = np.zeros((len(suspect), 3))
+    colors[rows] = now
     kinds[recolored & (kinds == Change.UNTOUCHED)] = Change.RECOLORED
     regions = []
     for kind in (Change.RECOLORED, Change.MOVED, Change.COPIED, Change.FOREIGN):
@@ -130,7 +136,7 @@ def map_edits(
             regions.append(
                 describe(
                     kind.name.lower(), patch, means[patch], opened.reference.sh[pieces.matches[matched], 0],
-                    suspect.sh[matched, 0], mark[pieces.matches[matched]],
+                    colors[matched], mark[pieces.matches[matched]],
                     _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None,
                 )
             )  # fmt: skip
@@ -195,12 +201,50 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
     return factor
 
 
-def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> Bool:
-    """(n,) whether a Gaussian's displacement is shared by its neighbours, beyond noise and `least`."""
+def _saturated(expected: Float64, shown: npt.NDArray[np.float32]) -> Bool:
+    """(n, 3) channels that a format without colours beyond 0 and 1 has clipped, there and here alike."""
+    edge = DC_CLIP - MARK_SCALE
+    clipped = np.abs(np.abs(shown) - DC_CLIP) < MARK_SCALE
+    return np.asarray(clipped & (np.abs(expected) > edge) & (expected * shown > 0))
+
+
+def _noise(beyond: Float64) -> Float64:
+    """(3,) robust standard deviation of what nothing explains, channel by channel."""
+    return np.maximum(1.4826 * np.median(np.abs(beyond), axis=0), FINEST)
+
+
+def _completed(
+    coherent: Bool, near: Int64, means: Float64, old: Float64, now: Float64, mark: Float64, beyond: Float64,
+    mark_left: float,
+) -> Bool:  # fmt: skip
+    """(n,) the coherent Gaussians and those next to them that the same change of colour explains.
+
+    A Gaussian that had about the colour it was painted in is displaced little or another way than the rest.
+    """
+    done = coherent.copy()
+    doubt = float(np.square(3.0 * _noise(beyond)).sum())
+    for patch in group(means, np.flatnonzero(coherent), LEAST_REGION):
+        found = describe("recolored", patch, means[patch], old[patch], now[patch], mark[patch], None)
+        assert found.recoloring is not None
+        inside = np.zeros(len(coherent), np.bool_)
+        inside[patch] = True
+        next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= 0.25))
+        gain, offset = found.recoloring.gain, found.recoloring.offset
+        predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - mark_left) * mark[next_to]
+        misfit = np.square(beyond[next_to] - predicted).sum(axis=1)
+        done[next_to[misfit < np.square(beyond[next_to]).sum(axis=1) - doubt]] = True
+    return done
+
+
+def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> tuple[Bool, Int64]:
+    """(n,) whether a Gaussian's displacement is shared by its neighbours, beyond noise and `least`.
+
+    And those neighbours, (n, k), itself the first.
+    """
     from scipy.spatial import cKDTree
     from scipy.special import chdtri
 
-    noise = np.maximum(1.4826 * np.median(np.abs(beyond), axis=0), FINEST)  # (3,)
+    noise = _noise(beyond)
     k = min(NEIGHBORS + 1, len(means))  # a Gaussian is its own nearest neighbour
     _, near = cKDTree(means).query(means, k=k, workers=1)
     near = near.reshape(-1, k)
@@ -214,4 +258,4 @@ def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> 
     coherent = (evidence > float(chdtri(3, CHANCE))) & (size >= least)
     # On a region's edge the Gaussian's own displacement decides on which side it lies.
     own = (beyond * common).sum(axis=1) / np.maximum(size, 1e-12)
-    return np.asarray(coherent & (own > 0.5 * size))
+    return np.asarray(coherent & (own > 0.5 * size)), near.astype(np.int64)
