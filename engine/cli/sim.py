@@ -95,6 +95,18 @@ def bound(log10: float) -> str:
     return f"1e{math.ceil(log10)}" if log10 < 0 else "1"
 
 
+def cost_text(row: dict[str, Any]) -> str:
+    """What the step cost the look, in words; empty where it is no attack."""
+    psnr, coverage, covered = row["psnr_cost"], row["coverage"], row["covered_psnr"]
+    if psnr is None:
+        return ""
+    if not math.isfinite(psnr):
+        return "none"
+    if coverage > 0.9 or covered is None:
+        return f"{psnr:.1f} dB"
+    return f"{100 * coverage:.0f} % is left" + (f", at {covered:.1f} dB" if math.isfinite(covered) else "")
+
+
 def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
     """All files of a run, each whole or not there."""
     import json
@@ -141,15 +153,15 @@ def _markdown(run: Run) -> str:
     lines = [
         f"# {run.scenario.title}", "",
         "Reading is informed: it uses the owner's record, which holds the unmarked original.", "",
-        "| step | object | verdict | bits | z | chance of a false claim, at most | seconds |",
-        "|---|---|---|---|---|---|---|",
+        "| step | object | verdict | bits | z | chance of a false claim, at most | cost to the look | seconds |",
+        "|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for result in run.results:
         for row in result.rows:
             lines.append(
                 f"| {result.label} | {row['object']} | {row['verdict'].replace('_', ' ')}"
                 f" | {row['matching_bits']} of {row['bits']} | {row['z']:.1f}"
-                f" | {bound(row['log10_false_claim'])} | {row['seconds']:.1f} |"
+                f" | {bound(row['log10_false_claim'])} | {cost_text(row)} | {row['seconds']:.1f} |"
             )
     lines += [""] + [f"- {result.label}: {note}" for result in run.results for note in result.notes]
     lines += ["", "![film](film.webp)", ""] if run.frames else [""]

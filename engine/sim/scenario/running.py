@@ -6,30 +6,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
-from engine.formats import read_model
 from engine.model import Float32, GaussianModel
-from engine.numerics.similarity import transform_model
-from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import profile
 from engine.pipeline.progress import Progress
-from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import Verification, verify_images, verify_model
-from engine.sim.scenario.script import Part, Scenario
+from engine.sim.cost import Cost
+from engine.sim.scenario.marking import load_world
+from engine.sim.scenario.script import Scenario
 from engine.sim.scenario.showing import Show
-from engine.sim.scenario.world import Outcome, World
-from engine.watermark.keys import OwnerKey
+from engine.sim.scenario.world import Outcome
 
-__all__ = ["Run", "StepResult", "run_scenario", "scenario_key"]
+__all__ = ["Run", "StepResult", "run_scenario"]
 
 DELIVERED = "as delivered"
 
@@ -92,7 +86,7 @@ def run_scenario(
         If a step does not fit the world it meets; the message names the step.
     """
     report = progress or (lambda stage, fraction: None)
-    world = load_world(scenario, report)  # 1
+    world, made = load_world(scenario, report)  # 1
     show = Show(scenario.film, world.flat())
     results: list[StepResult] = []
 
@@ -104,7 +98,7 @@ def run_scenario(
         if tell:
             tell(result)
 
-    finish(DELIVERED, Outcome(world), 0.0)
+    finish(DELIVERED, Outcome(world, notes=made), 0.0)
     for number, named in enumerate(scenario.steps):  # 2
         label = f"{number + 1}. {named.label}"
         report(label, 0.0)
@@ -122,45 +116,6 @@ def run_scenario(
     return Run(scenario, tuple(results), tuple(show.frames), world.flat())
 
 
-def scenario_key(seed: int) -> OwnerKey:
-    """The owner's key of a scenario: reproducible, so never for real use."""
-    return OwnerKey(hashlib.sha256(f"mark3dgs scenario key {seed}".encode()).digest())
-
-
-def load_world(scenario: Scenario, progress: Progress) -> World:
-    """Objects read, marked and placed."""
-    key = scenario_key(scenario.seed)
-    world = World({}, {}, {})
-    for part in scenario.parts:
-        loaded = read_model(part.model)
-        model = loaded.model
-        if part.bits:
-
-            def told(stage: str, fraction: float, part: Part = part) -> None:
-                progress(f"marking {part.name}: {stage}", fraction)
-
-            made = embed(
-                model, key, original_sha256=loaded.sha256, bits=part.bits, config=profile(part.profile),
-                copy=part.name, progress=told,
-            )  # fmt: skip
-            opened = open_record(made.record.to_bytes(key), key)
-            world = replace(world, records={**world.records, part.name: opened})
-            model = made.model
-        world = replace(
-            world,
-            objects={**world.objects, part.name: _place(model, part)},
-            unmarked={**world.unmarked, part.name: _place(loaded.model, part)},
-        )
-    return world
-
-
-def _place(model: GaussianModel, part: Part) -> GaussianModel:
-    turn = Rotation.from_rotvec(np.radians(part.turn)).as_matrix()
-    if part.scale == 1.0 and not any(part.shift) and not any(part.turn):
-        return model
-    return transform_model(model, part.scale, turn, np.asarray(part.shift))
-
-
 def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict[str, Any]]:
     """A row for each record of the world."""
     rows = []
@@ -172,11 +127,11 @@ def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict
         else:
             pictures: list[Float32] = list(outcome.pictures)
             found = verify_images(pictures, opened, cameras=outcome.cameras)
-        rows.append(row(name, found))
+        rows.append(row(name, found, outcome.cost))
     return rows
 
 
-def row(name: str, found: Verification) -> dict[str, Any]:
+def row(name: str, found: Verification, cost: Cost | None) -> dict[str, Any]:
     """One line of the table."""
     claim = found.claim
     return {
@@ -188,5 +143,8 @@ def row(name: str, found: Verification) -> dict[str, Any]:
         "log10_false_claim": claim.log10_false_claim,
         "derived_fraction": claim.derived_fraction,
         "route": claim.route,
+        "psnr_cost": cost.psnr if cost else None,
+        "coverage": cost.coverage if cost else None,
+        "covered_psnr": cost.covered_psnr if cost else None,
         "seconds": found.seconds,
     }

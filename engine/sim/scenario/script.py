@@ -9,10 +9,32 @@ from engine.errors import InputError
 from engine.sim.scenario.steps import NamedStep, read_step
 from engine.sim.scenario.tables import Table, read_table
 
-__all__ = ["Film", "Part", "Scenario", "read_scenario"]
+__all__ = ["Film", "Part", "Photos", "Scenario", "read_scenario"]
 
 MAX_STEPS = 200
 MAX_OBJECTS = 64
+
+
+@dataclass(frozen=True)
+class Photos:
+    """Photos with a COLMAP reconstruction, from which an object is trained.
+
+    Parameters
+    ----------
+    colmap, images : Path
+        Folders of the reconstruction and of the photos.
+    size : int
+        Longest side of the photos in training, pixels.
+    steps : int
+    hold_out : int
+        One photo of so many is kept for measuring.
+    """
+
+    colmap: Path
+    images: Path
+    size: int
+    steps: int
+    hold_out: int
 
 
 @dataclass(frozen=True)
@@ -22,7 +44,8 @@ class Part:
     Parameters
     ----------
     name : str
-    model : Path
+    source : Path or Photos
+        A model file, or what to train one from.
     bits : int
         Length of its message; 0 leaves it unmarked.
     profile : str
@@ -33,7 +56,7 @@ class Part:
     """
 
     name: str
-    model: Path
+    source: Path | Photos
     bits: int
     profile: str
     shift: tuple[float, ...]
@@ -102,10 +125,18 @@ def read_scenario(path: str | Path) -> Scenario:
 
 
 def _part(table: Table) -> Part:
-    model = table.file("model")
+    if "photos" in table:
+        source: Path | Photos = Photos(
+            table.file("colmap"), table.file("photos"), table.integer("size", 400, 64, 4096),
+            table.integer("steps", 2000, 1, 1_000_000), table.integer("hold_out", 8, 0, 1000),
+        )  # fmt: skip
+        name = "capture"
+    else:
+        source = table.file("model")
+        name = source.name.split(".")[0]
     part = Part(
-        name=table.text("name", model.name.split(".")[0]),
-        model=model,
+        name=table.text("name", name),
+        source=source,
         bits=table.integer("bits", 32, 0, 256),
         profile=table.text("profile", "balanced"),
         shift=table.vector("shift", (0.0, 0.0, 0.0)),

@@ -14,6 +14,10 @@ from engine.sim.scenario.world import Advance, Outcome, World
 __all__ = ["NamedStep", "Step", "StepKind", "all_kinds", "read_step"]
 
 
+TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "on")
+"""Values that make up the label of a step without one."""
+
+
 class Step(Protocol):
     """One thing that happens to a world."""
 
@@ -45,12 +49,12 @@ def read_step(table: Table) -> NamedStep:
     label = table.text("label", "")
     step = kinds[word].read(table)
     table.done()
-    told = [str(table.values[name]) for name in ("name", "strength", "on") if name in table]
+    told = [str(table.values[name]) for name in TELLING if name in table]
     return NamedStep(label or " ".join([word, *told]), step)
 
 
 def all_kinds() -> Mapping[str, StepKind]:
     """Every kind of step; imported late, for `--help` stays quick."""
-    from engine.sim.scenario import edit_steps, life_steps, theft_steps
+    from engine.sim.scenario import edit_steps, life_steps, theft_steps, training_steps
 
-    return {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS}
+    return {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS, **training_steps.KINDS}

@@ -12,11 +12,15 @@ from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from engine.sim.attack import Strength
 from engine.sim.attacks import image_attack, model_attack
+from engine.sim.cost import model_cost
 from engine.sim.scenario.steps import StepKind
 from engine.sim.scenario.tables import Table
 from engine.sim.scenario.world import Advance, Outcome, World
 
 __all__ = ["KINDS"]
+
+COST_VIEWS, COST_SIZE = 2, 300
+"""Neutral views in which an attack's cost is measured, and their side in pixels."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,8 @@ class AttackModel:
         """Apply it."""
         name, model = world.target(self.on)
         attacked = model_attack(self.name).apply(model, self.strength, rng=rng, reading=self.reading)
-        return Outcome(world.put(name, attacked))
+        cost = model_cost(model, attacked, views=COST_VIEWS, size=COST_SIZE)
+        return Outcome(world.put(name, attacked), cost=cost)
 
 
 def read_attack(table: Table) -> AttackModel:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.sealing import OpenedRecord
+from engine.sim.cost import Cost
 from engine.sim.model_placement import join
+from engine.watermark.keys import OwnerKey
 
 __all__ = ["Advance", "Outcome", "World"]
 
@@ -30,12 +32,18 @@ class World:
     records : mapping of str to OpenedRecord
         Of the marked objects, under the names with which they came in; none is ever lost.
     unmarked : mapping of str to GaussianModel
-        What was registered, before the mark; for attackers who have clean pictures.
+        What was registered, before the mark, in its own frame; for attackers who have clean pictures.
+    profiles : mapping of str to str
+        Profiles with which the objects were marked.
+    key : OwnerKey
+        Of the owner of all of them.
     """
 
     objects: Mapping[str, GaussianModel]
     records: Mapping[str, OpenedRecord]
     unmarked: Mapping[str, GaussianModel]
+    profiles: Mapping[str, str]
+    key: OwnerKey
 
     def flat(self) -> GaussianModel:
         """All objects in one file."""
@@ -90,10 +98,13 @@ class Outcome:
     cameras : tuple of Camera or None
         Of the pictures, where the verifier is told them.
     notes : tuple of str
+    cost : Cost, optional
+        What the step cost the look, where it is an attack.
     """
 
     world: World
     frames: tuple[GaussianModel, ...] = ()
     pictures: tuple[Float32, ...] = ()
     cameras: tuple[Camera, ...] | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    cost: Cost | None = None
