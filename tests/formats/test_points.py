@@ -1,0 +1,239 @@
+"""Point clouds in: every format says the same of the same points, and hostile files are refused."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.formats import lzf as fast_lzf
+from engine.formats.lzf import GROWTH, decompress
+from engine.formats.point_cloud import PointCloud
+from engine.formats.points_reading import read_point_cloud
+from tests.formats.point_files import COLORED, COLORS, INTENSITY, POINTS, TIMED, TIMES, las, pcd, ply
+from tests.reference import lzf
+
+FILES = {
+    "ply little endian": ply(),
+    "ply big endian": ply(order=">"),
+    "ply ascii": ply(order=""),
+    "ply mesh": ply(faces=True),
+    "ply ascii mesh": ply(order="", faces=True),
+    "pcd ascii": pcd(encoding="ascii"),
+    "pcd ascii integer colours": pcd(encoding="ascii", packed="U"),
+    "pcd binary": pcd(),
+    "pcd binary integer colours": pcd(packed="U"),
+    "pcd compressed": pcd(encoding="binary_compressed"),
+    "las 1.2": las(),
+    "las 1.3": las(minor=3, format=3),
+    "las 1.4": las(minor=4, format=7),
+    "las with extra bytes": las(minor=4, format=7, extra=5),
+}
+
+
+def check(cloud: PointCloud) -> None:
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    np.testing.assert_allclose(cloud.colors, COLORS / 255.0, atol=1e-7)
+    np.testing.assert_array_equal(cloud.intensity, INTENSITY)
+    np.testing.assert_allclose(cloud.times, TIMES, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_format_says_the_same(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "scan.bin"  # the name says nothing
+    path.write_bytes(FILES[name])
+    cloud, repairs = read_point_cloud(path)
+    check(cloud)
+    assert not repairs
+
+
+@pytest.mark.parametrize("format", range(11))
+def test_las_point_formats(format: int) -> None:
+    cloud, _ = read_point_cloud(las(format=format, minor=4))
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert (cloud.times is not None) == (format in TIMED)
+    assert (cloud.colors is not None) == (format in COLORED)
+    if cloud.colors is not None:
+        np.testing.assert_allclose(cloud.colors, COLORS / 255.0, atol=1e-7)
+    if cloud.times is not None:
+        np.testing.assert_array_equal(cloud.times, TIMES)
+
+
+@pytest.mark.parametrize("format", [3, 7])
+def test_las_leaves_out_what_the_file_calls_noise(format: int) -> None:
+    cloud, (repair,) = read_point_cloud(las(format=format, minor=4, classes=(2, 7, 2, 128 + 2)))
+    np.testing.assert_array_equal(cloud.points, POINTS[[0, 2]])
+    assert (repair.code, repair.count) == ("noise_dropped", 2)
+    with pytest.raises(FormatError, match="all 4 points are noise"):
+        read_point_cloud(las(format=format, minor=4, classes=(7, 7, 7, 7)))
+
+
+def test_las_colours_of_eight_bits() -> None:
+    cloud, (repair,) = read_point_cloud(las(bits=8))
+    check(cloud)
+    assert repair.code == "colors_scaled"
+
+
+def test_las_black_everywhere_means_no_colours() -> None:
+    assert read_point_cloud(las(colors=np.zeros_like(COLORS)))[0].colors is None
+
+
+def test_las_may_go_on_where_it_says_so() -> None:
+    check(read_point_cloud(las(minor=3, tail=b"waveform", waveforms=600))[0])
+    with pytest.raises(FormatError, match="8 bytes follow the 4 points"):
+        read_point_cloud(las(minor=3, tail=b"waveform"))
+
+
+def test_colours_of_other_types() -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+
+    def read(kind: str, rows: str) -> tuple[PointCloud, list[str]]:
+        names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+        cloud, repairs = read_point_cloud(f"{head}{names}end_header\n{rows}".encode())
+        return cloud, [repair.code for repair in repairs]
+
+    unit, none = read("float", "0 0 0 0.2 0.4 1\n1 1 1 0 0 nan\n")
+    np.testing.assert_allclose(unit.colors, [[0.2, 0.4, 1.0], [0.0, 0.0, 0.0]], atol=1e-7)
+    assert none == []
+    wide, scaled = read("float", "0 0 0 51 102 255\n1 1 1 0 0 0\n")
+    np.testing.assert_allclose(wide.colors, [[0.2, 0.4, 1.0], [0.0, 0.0, 0.0]], atol=1e-7)
+    assert scaled == ["colors_scaled"]
+    deep, _ = read("ushort", "0 0 0 13107 26214 65535\n1 1 1 0 0 0\n")
+    np.testing.assert_allclose(deep.colors, [[0.2, 0.4, 1.0], [0.0, 0.0, 0.0]], atol=1e-7)
+
+
+def test_points_without_a_place_are_left_out() -> None:
+    points = POINTS.copy()
+    points[1, 2], points[3, 0] = np.nan, np.inf
+    for data in (ply(points), pcd(points), pcd(points, encoding="ascii")):
+        cloud, (repair,) = read_point_cloud(data)
+        np.testing.assert_array_equal(cloud.points, POINTS[[0, 2]])
+        np.testing.assert_allclose(cloud.colors, COLORS[[0, 2]] / 255.0, atol=1e-7)
+        np.testing.assert_allclose(cloud.times, TIMES[[0, 2]])
+        assert (repair.code, repair.count) == ("rows_dropped", 2)
+        assert "row 1" in repair.text
+    with pytest.raises(FormatError, match="no point has a place"):
+        read_point_cloud(ply(np.full((4, 3), np.nan)))
+
+
+@pytest.mark.parametrize("name", ["ply little endian", "pcd binary", "pcd compressed", "las 1.2", "las 1.4"])
+def test_a_file_cut_anywhere_is_refused(name: str) -> None:
+    data = FILES[name]
+    for end in range(len(data)):
+        with pytest.raises(FormatError):
+            read_point_cloud(data[:end])
+
+
+@pytest.mark.parametrize("name", ["ply ascii", "pcd ascii"])
+def test_a_text_file_cut_before_its_last_row_is_refused(name: str) -> None:
+    data = FILES[name]
+    for end in range(data.rindex(b"\n", 0, len(data) - 1)):
+        with pytest.raises(FormatError):
+            read_point_cloud(data[:end])
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_changed_byte_never_does_worse_than_be_refused(name: str) -> None:
+    data = FILES[name]
+    rng = np.random.default_rng(0)
+    read = 0
+    for at in range(len(data)):
+        for value in (data[at] ^ (1 << rng.integers(8)), int(rng.integers(256))):
+            mutant = bytearray(data)
+            mutant[at] = value
+            try:
+                cloud, _ = read_point_cloud(bytes(mutant))
+            except FormatError:
+                continue
+            read += 1
+            assert 1 <= len(cloud) <= 4
+            assert np.isfinite(cloud.points).all()
+    assert read  # many a byte is only a coordinate
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is empty"),
+        (b"VERSION 0.7\n", "no line 'DATA'"),
+        (b"hello", "none of the point clouds"),
+        (ply().replace(b"vertex 4", b"vertex 999999999999"), "announces 999999999999 rows"),
+        (ply(order="").replace(b"vertex 4", b"vertex 999999999999"), "announces 999999999999 rows"),
+        (ply().replace(b"double x", b"double q"), "property 'x'"),
+        (ply().replace(b"uchar green", b"char green"), "different types"),
+        (pcd().replace(b"POINTS 4", b"POINTS 5"), "not WIDTH x HEIGHT"),
+        (pcd().replace(b"WIDTH 4", b"WIDTH 999999999").replace(b"POINTS 4", b"POINTS 999999999"), "999999999"),
+        (pcd().replace(b"COUNT 1 1 1 4", b"COUNT 1 1 1 9999"), "COUNT 9999"),
+        (pcd().replace(b"VERSION 0.7", b"VERSION 0.6"), "version '0.6'"),
+        (pcd().replace(b"DATA binary", b"DATA base64"), "unknown encoding"),
+        (pcd().replace(b"SIZE 4 4", b"SIZE 3 4"), "SIZE '3'"),
+        (pcd().replace(b"FIELDS x y", b"FIELDS x x"), "announced twice"),
+        (pcd().replace(b"WIDTH 4\n", b"WIDTH 4\nWIDTH 4\n"), "two lines 'WIDTH'"),
+        (pcd().replace(b"VERSION", b"#" + b"x" * 70000 + b"\nVERSION"), "longer than 65536"),
+        (pcd() + b"x", "1 bytes follow"),
+        (las()[:104] + bytes([3 | 128]) + las()[105:], "is LAZ"),
+        (las()[:104] + bytes([11]) + las()[105:], "point format 11"),
+        (las()[:25] + bytes([1]) + las()[26:], "LAS 1.1"),
+        (las()[:107] + struct.pack("<I", 2**32 - 1) + las()[111:], "announces 4294967295 points"),
+        (las()[:105] + struct.pack("<H", 33) + las()[107:], "34 bytes a point"),
+        (las()[:131] + struct.pack("<d", np.nan) + las()[139:], "scale"),
+        (las()[:96] + struct.pack("<I", 100) + las()[100:], "inside the header"),
+    ],
+)  # fmt: skip
+def test_refused_with_a_reason(data: bytes, message: str) -> None:
+    with pytest.raises(FormatError, match=message) as caught:
+        read_point_cloud(data, name="scan.x")
+    assert str(caught.value).startswith("scan.x")
+
+
+def test_a_gaussian_model_is_no_point_cloud() -> None:
+    with pytest.raises(UnsupportedFormatError, match="is a Gaussian model"):
+        read_point_cloud(Path(__file__).parents[1] / "data" / "train_1000.ply")
+
+
+def test_what_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no regular file"):
+        read_point_cloud(tmp_path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_point_cloud(tmp_path / "none.ply")
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_lzf_against_its_twin(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled:
+        monkeypatch.setattr(fast_lzf, "_decompress", fast_lzf._decompress.py_func)
+    rng = np.random.default_rng(1)
+    for size in (1, 2, 40, 700):
+        for letters in (1, 2, 256):
+            data = rng.integers(letters, size=size, dtype=np.uint8).tobytes()
+            packed = lzf.compress(data)
+            assert lzf.decompress(packed) == data
+            assert decompress(packed, size, file="f").tobytes() == data
+    long_ago = rng.integers(256, size=6000, dtype=np.uint8).tobytes()
+    assert decompress(
+        lzf.compress(long_ago[:300]) + bytes([31, *long_ago[:32]]), 332, file="f"
+    ).tobytes() == (long_ago[:300] + long_ago[:32])
+
+
+@pytest.mark.parametrize(
+    ("stream", "size", "message"),
+    [
+        (b"\x05ab", 6, "middle of an instruction"),
+        (b"\xe0", 9, "middle of an instruction"),
+        (b"\x00a\x20\x05", 4, "before its beginning"),
+        (b"\x00a\x20\x00", 2, "more than the header says"),
+        (b"\x00a\x20\x00", 5, "holds 4 bytes, expected 5"),
+        (b"\x00a", 2 * GROWTH + 1, "compressed to 2"),
+    ],
+)
+def test_broken_lzf(stream: bytes, size: int, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        decompress(stream, size, file="f")
+
+
+def test_a_cloud_checks_its_shapes() -> None:
+    with pytest.raises(InputError, match=r"colors has shape \(2, 3\), expected \(4, 3\)"):
+        PointCloud(POINTS, COLORS[:2])
