@@ -1,7 +1,7 @@
 """Dynamic operations on models: select, edit, track the edits, place many objects in one scene."""
 
 from engine.sim.edits.bvh import BoxTree
-from engine.sim.edits.edit import Edit, Edited, Recoloring
+from engine.sim.edits.edit import Attribute, Edit, Edited, Recoloring
 from engine.sim.edits.edit_map import Change, EditMap, map_edits
 from engine.sim.edits.edit_regions import EditedRegion
 from engine.sim.edits.inpainting import InpaintConfig, inpaint
@@ -23,6 +23,7 @@ from engine.sim.edits.selection import segment, segment_at, select_box, select_s
 from engine.sim.edits.tracking import EditTrack, edited_record, verify_edited
 
 __all__ = [
+    "Attribute",
     "BoxTree",
     "Change",
     "Edit",
