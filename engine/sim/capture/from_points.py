@@ -1,0 +1,272 @@
+"""From point clouds and LiDAR scans to Gaussian models."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.formats.point_cloud import PointCloud
+from engine.formats.points_reading import POINT_ENDINGS, read_point_cloud
+from engine.formats.repairs import Repair
+from engine.formats.trajectory import Trajectory, read_trajectory
+from engine.model import Float32, Float64, GaussianModel
+from engine.pipeline.progress import Clock, Progress
+from engine.sim.capture.kernels import kernels_from_points
+from engine.sim.capture.placing import Scan, join_clouds, place_scans
+from engine.sim.capture.surfels import flat_kernels_from_points
+from engine.sim.capture.thinning import drop_strays, thin_voxels, typical_spacing
+
+__all__ = ["CloudConfig", "CloudModel", "cloud_to_model", "points_to_model", "read_scans", "scans_to_model"]
+
+_DIGITS_LOST = 0.01
+"""Part of the points' spacing that float32 may round away before the model gets an origin of its own."""
+
+_SECONDS = re.compile(r"[0-9]+\.[0-9]+", re.ASCII)
+_NANOSECONDS = re.compile(r"[0-9]{16,19}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class CloudConfig:
+    """Knobs between a cloud and its kernels.
+
+    Parameters
+    ----------
+    voxel : float or None
+        Edge of a voxel that keeps one point, scene units; 0 keeps all points. None: as small as `most` allows.
+    most : int
+        Points wanted at most, where `voxel` is None.
+    clean : bool
+        Leave out lone points and small islands (sky, echoes under the ground).
+    kernels : {"flat", "round"}
+        Flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA).
+    opacity : float or None
+        Of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones.
+    size : float
+        Factor on the standard deviations.
+    """
+
+    voxel: float | None = None
+    most: int = 500_000
+    clean: bool = True
+    kernels: Literal["flat", "round"] = "flat"
+    opacity: float | None = None
+    size: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.most < 4:
+            raise InputError(f"most is {self.most}, expected at least 4 points")
+        if self.kernels not in ("flat", "round"):
+            raise InputError(f"kernels must be 'flat' or 'round', got {self.kernels!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class CloudModel:
+    """A model made of points.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    cloud : PointCloud
+        What it was made of: one point for each Gaussian, in the points' own frame.
+    origin : (3,) float64
+        Where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids).
+    report : dict
+        Plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds.
+    """
+
+    model: GaussianModel
+    cloud: PointCloud
+    origin: Float64
+    report: dict[str, Any]
+
+
+def points_to_model(
+    path: str | os.PathLike[str],
+    *,
+    config: CloudConfig | None = None,
+    progress: Progress | None = None,
+) -> CloudModel:
+    """Make a model of a point cloud.
+
+    Parameters
+    ----------
+    path : path
+        PLY, PCD or LAS.
+    config : CloudConfig, optional
+    progress : callable, optional
+        Called as progress(stage, part done), stages "read", "thin" and "kernels".
+
+    Returns
+    -------
+    CloudModel
+
+    Raises
+    ------
+    InputError
+        If the file is missing or broken, or too few points are left.
+    """
+    clock = Clock(progress)
+    with clock.stage("read"):
+        cloud, repairs = read_point_cloud(path)
+    return cloud_to_model(cloud, config=config, clock=clock, report=_repaired(repairs))
+
+
+def scans_to_model(
+    scans: str | os.PathLike[str] | Sequence[Scan],
+    trajectory: str | os.PathLike[str] | Trajectory,
+    *,
+    config: CloudConfig | None = None,
+    mounting: Float64 | None = None,
+    progress: Progress | None = None,
+) -> CloudModel:
+    """Make a model of LiDAR scans and the path of the scanner.
+
+    Parameters
+    ----------
+    scans : path or sequence of Scan
+        Folder with a file a scan, or one file whose points have times; see `read_scans`.
+    trajectory : path or Trajectory
+        TUM or KITTI text.
+    config : CloudConfig, optional
+    mounting : (4, 4), optional
+        From the scanner's frame to the one whose poses the trajectory tells.
+    progress : callable, optional
+        Stages "read", "place", "thin" and "kernels".
+
+    Returns
+    -------
+    CloudModel
+
+    Raises
+    ------
+    InputError
+        If a file is missing or broken, scans and poses do not belong together, or too few points are left.
+    """
+    clock = Clock(progress)
+    repairs: tuple[Repair, ...] = ()
+    with clock.stage("read"):
+        path = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
+        if isinstance(scans, str | os.PathLike):
+            scans, repairs = read_scans(scans, clock)
+    with clock.stage("place"):
+        clouds, outside = place_scans(scans, path, mounting)
+        cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
+    report = {"scans": len(scans), "poses": len(path), "points_outside": outside, **_repaired(repairs)}
+    return cloud_to_model(cloud, config=config, clock=clock, report=report)
+
+
+def read_scans(
+    path: str | os.PathLike[str], clock: Clock | None = None
+) -> tuple[list[Scan], tuple[Repair, ...]]:
+    """Read scans, in the order of their files' names.
+
+    Parameters
+    ----------
+    path : path
+        A point cloud, or a folder of them. A name that is a time (seconds with a decimal point, or nanoseconds of 16
+        to 19 digits) is the scan's time.
+    clock : Clock, optional
+        Told how far the reading is.
+
+    Returns
+    -------
+    scans : list of Scan
+    repairs : tuple of Repair
+        Summed over the files.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, none in the folder, or one is broken.
+    """
+    root = Path(path)
+    files = [root]
+    if root.is_dir():
+        files = sorted(f for f in root.iterdir() if f.suffix.lower() in POINT_ENDINGS and f.is_file())
+        if not files:
+            raise InputError(f"{root}: holds no scans ({', '.join(POINT_ENDINGS)})")
+    scans, counts = [], dict[str, int]()
+    for k, file in enumerate(files):
+        cloud, repairs = read_point_cloud(file)
+        scans.append(Scan(cloud, file.name, _time_of(file.stem)))
+        for repair in repairs:
+            counts[repair.code] = counts.get(repair.code, 0) + repair.count
+        if clock is not None:
+            clock.advance((k + 1) / len(files))
+    return scans, tuple(Repair(code, n, f"{n} in {len(files)} scans") for code, n in counts.items())
+
+
+def cloud_to_model(
+    cloud: PointCloud,
+    *,
+    config: CloudConfig | None = None,
+    clock: Clock | None = None,
+    report: dict[str, Any] | None = None,
+) -> CloudModel:
+    """Make a model of a cloud at hand; see `points_to_model`."""
+    config, clock = config or CloudConfig(), clock or Clock()
+    read = len(cloud)
+    with clock.stage("thin"):
+        cloud, voxel = _thinned(cloud, config)
+        strays = 0
+        if config.clean:
+            cloud, strays = drop_strays(cloud)
+    with clock.stage("kernels"):
+        colors, source = _colors(cloud)
+        origin = _origin(cloud.points)
+        opacity = config.opacity or (0.95 if config.kernels == "flat" else 0.1)
+        make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
+        model = make(cloud.points - origin, colors, opacity=opacity, size=config.size)
+    numbers = {
+        "points": read, "voxel": voxel, "strays_dropped": strays, "gaussians": len(model),
+        "colors_from": source, "origin": origin.tolist(), "seconds_by_stage": clock.seconds,
+    }  # fmt: skip
+    return CloudModel(model, cloud, origin, {**(report or {}), **numbers})
+
+
+def _thinned(cloud: PointCloud, config: CloudConfig) -> tuple[PointCloud, float]:
+    if config.voxel is not None:
+        return (thin_voxels(cloud, config.voxel), config.voxel) if config.voxel else (cloud, 0.0)
+    if len(cloud) <= config.most:
+        return cloud, 0.0
+    size = typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
+    while len(thin := thin_voxels(cloud, size)) > config.most:
+        size *= max(1.05, float(np.sqrt(len(thin) / config.most)))  # surfaces: twice the size, a quarter left
+    return thin, size
+
+
+def _colors(cloud: PointCloud) -> tuple[Float32, str]:
+    """(N, 3) colours; grey by intensity where a scanner saw none, the brightest and darkest 1 % cut off."""
+    if cloud.colors is not None:
+        return cloud.colors, "colors"
+    grey = np.full(len(cloud), 0.5, dtype=np.float32)
+    if cloud.intensity is None or not len(cloud) or np.ptp(cloud.intensity) == 0.0:
+        return np.repeat(grey[:, None], 3, axis=1), "none"
+    low, high = np.percentile(cloud.intensity, (1.0, 99.0))
+    grey = np.clip((cloud.intensity - low) / max(float(high - low), 1e-30), 0.0, 1.0).astype(np.float32)
+    return np.repeat(grey[:, None], 3, axis=1), "intensity"
+
+
+def _origin(points: Float64) -> Float64:
+    """Zero, or a round place in the middle where float32 would not tell neighbours apart."""
+    largest = float(np.abs(points).max(initial=0.0))
+    if len(points) < 2 or largest * np.finfo(np.float32).eps <= _DIGITS_LOST * typical_spacing(points):
+        return np.zeros(3)
+    return np.asarray(np.round(np.median(points, axis=0)))
+
+
+def _time_of(stem: str) -> float | None:
+    if _SECONDS.fullmatch(stem):
+        return float(stem)
+    return int(stem) * 1e-9 if _NANOSECONDS.fullmatch(stem) else None
+
+
+def _repaired(repairs: tuple[Repair, ...]) -> dict[str, Any]:
+    return {"repairs": {repair.code: repair.count for repair in repairs}}

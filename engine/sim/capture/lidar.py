@@ -1,0 +1,144 @@
+"""A LiDAR that scans a Gaussian model: ranges and colours by the rasterizer, along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.formats.point_cloud import PointCloud
+from engine.formats.trajectory import Trajectory
+from engine.model import Camera, Float64, GaussianModel
+from engine.raster import render_depth
+from engine.sim.capture.placing import Scan
+
+__all__ = ["Lidar", "scan_model"]
+
+_FACES = 4
+"""Pictures around the scanner, a quarter turn each."""
+
+SOLID = 0.5
+"""Accumulated opacity at which light comes back."""
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A spinning scanner; its frame is x forward, y left, z up.
+
+    Parameters
+    ----------
+    rings : int
+        Beams one above the other, evenly between the elevations.
+    columns : int
+        Beams a turn.
+    lowest, highest : float
+        Elevations of the outermost beams, degrees, within +-60.
+    nearest, farthest : float
+        Ranges it can measure, scene units.
+    noise : float
+        Standard deviation of a range, scene units.
+    """
+
+    rings: int = 64
+    columns: int = 720
+    lowest: float = -40.0
+    highest: float = 30.0
+    nearest: float = 0.05
+    farthest: float = 100.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (2 <= self.rings <= 1024 and 8 <= self.columns <= 8192):
+            raise InputError(
+                f"a LiDAR has 2 to 1024 rings and 8 to 8192 columns, got {self.rings}, {self.columns}"
+            )
+        if not -60.0 <= self.lowest < self.highest <= 60.0:
+            raise InputError(f"elevations {self.lowest} to {self.highest} must rise within +-60 degrees")
+        if not (0.0 < self.nearest < self.farthest and self.noise >= 0.0):
+            limits = f"{self.nearest}, {self.farthest}, {self.noise}"
+            raise InputError(f"nearest, farthest and noise must be positive lengths in order, got {limits}")
+
+    @property
+    def directions(self) -> Float64:
+        """(columns, rings, 3) unit vectors of the beams, in the order they are sent."""
+        azimuth = 2.0 * np.pi * (np.arange(self.columns) + 0.5) / self.columns
+        elevation = np.radians(np.linspace(self.lowest, self.highest, self.rings))
+        a, e = np.meshgrid(azimuth, elevation, indexing="ij")
+        return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
+
+
+def scan_model(
+    model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lidar(), *, seed: int = 0
+) -> list[Scan]:
+    """Scan a model from every pose of a trajectory, each scan taken at once.
+
+    A beam goes through the nearest pixel of a picture three times as fine as the beams are, so that its range and
+    direction belong together exactly.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    trajectory : Trajectory
+        Scanner to world.
+    lidar : Lidar
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    list of Scan
+        Coloured points in the scanner's frame, of those beams that came back; intensity is the luminance.
+
+    Raises
+    ------
+    InputError
+        If no beam of some scan came back.
+    """
+    rng = np.random.default_rng(seed)
+    beams = lidar.directions.reshape(-1, 3)
+    scans = []
+    for k, pose in enumerate(trajectory.matrices):
+        found = [_face(model, pose, beams, lidar, face) for face in range(_FACES)]
+        points, colors = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        if len(points) == 0:
+            raise InputError(f"no beam of the scan at pose {k} met anything within {lidar.farthest:g}")
+        ranges = np.linalg.norm(points, axis=1, keepdims=True)
+        points = points * (1.0 + lidar.noise * rng.standard_normal(ranges.shape) / ranges)
+        time = None if trajectory.times is None else float(trajectory.times[k])
+        shades = colors.astype(np.float32)
+        luminance = shades @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+        scans.append(Scan(PointCloud(points, shades, luminance), f"scan {k}", time))
+    return scans
+
+
+def _face(
+    model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, face: int
+) -> tuple[Float64, Float64]:
+    """Points (scanner's frame) and colours of the beams within 45 degrees of a quarter's middle."""
+    middle = 0.5 * np.pi * face
+    c, s = np.cos(middle), np.sin(middle)
+    to_camera = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # x right, y down, z forward
+    seen = beams @ to_camera.T
+    azimuth = np.arctan2(seen[:, 0], seen[:, 2])
+    seen = seen[(azimuth >= -0.25 * np.pi) & (azimuth < 0.25 * np.pi)]
+    slope = seen[:, :2] / seen[:, 2:]
+    focal = 3.0 * max(lidar.columns / (2.0 * np.pi), lidar.rings / np.radians(lidar.highest - lidar.lowest))
+    focal = min(focal, 1000.0)
+    low, high = slope.min(axis=0), slope.max(axis=0)
+    width, height = (int(np.ceil(focal * span)) + 2 for span in high - low)
+    K = np.array([[focal, 0.0, 1.0 - focal * low[0]], [0.0, focal, 1.0 - focal * low[1]], [0.0, 0.0, 1.0]])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = to_camera @ pose[:3, :3].T
+    viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
+    image, alpha, depth = render_depth(model, Camera(viewmat, K, width, height))
+    pixel = np.floor(slope * focal + K[:2, 2]).astype(int)
+    column, row = np.clip(pixel[:, 0], 0, width - 1), np.clip(pixel[:, 1], 0, height - 1)
+    ray = np.stack(
+        [(column + 0.5 - K[0, 2]) / focal, (row + 0.5 - K[1, 2]) / focal, np.ones(len(row))], axis=1
+    )
+    points = ray * depth[row, column][:, None].astype(np.float64)
+    ranges = np.linalg.norm(points, axis=1)
+    back = (alpha[row, column] >= SOLID) & (ranges >= lidar.nearest) & (ranges <= lidar.farthest)
+    shades = np.clip(image[row, column] / np.maximum(alpha[row, column], SOLID)[:, None], 0.0, 1.0)
+    return points[back] @ to_camera, shades[back].astype(np.float64)
