@@ -138,14 +138,15 @@ def marking(
     Examples
     --------
     >>> import tempfile
+    >>> from dataclasses import replace
     >>> import numpy as np
     >>> from engine.model import GaussianModel
-    >>> from engine.pipeline.profiles import EmbedConfig
-    >>> from engine.sim.variants.generative import marking
+    >>> from engine.sim.variants.generative import FEW_GAUSSIANS, marking
     >>> from engine.watermark.keys import OwnerKey
     >>> key = OwnerKey(bytes(range(32)))  # a real one comes from `mark3dgs keygen`
     >>> records = tempfile.mkdtemp()
-    >>> @marking(key, records, bits=16, config=EmbedConfig(views=4, view_size=128, landmark_views=0))
+    >>> quick = replace(FEW_GAUSSIANS, views=4, view_size=256, landmark_views=0)
+    >>> @marking(key, records, bits=16, config=quick)
     ... def generate(seed):
     ...     rng = np.random.default_rng(seed)
     ...     ball = rng.standard_normal((2000, 3))

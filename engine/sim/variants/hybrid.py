@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from engine.errors import InputError
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
@@ -19,7 +17,7 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.sim.edits.object_verification import ObjectFinding, verify_objects
 from engine.sim.edits.objects import FlatScene, Scene
 from engine.sim.variants.codebook import CodebookModel
-from engine.sim.variants.moving import VISIBLE, Moving, move_record
+from engine.sim.variants.moving import Moving, move_record, visible
 
 __all__ = ["HybridPart", "assemble", "verify_hybrid"]
 
@@ -50,8 +48,7 @@ class HybridPart:
             return self.marked.decode()
         if self.time is None:
             raise InputError("a part that moves needs a time at which it is shown")
-        frame = self.marked.at(self.time)
-        return frame.take(np.flatnonzero(frame.opacities >= VISIBLE))
+        return visible(self.marked.at(self.time))
 
 
 def assemble(parts: Mapping[str, HybridPart]) -> FlatScene:
@@ -70,6 +67,8 @@ def verify_hybrid(
     records: Mapping[str, OpenedRecord],
     moving: Mapping[str, tuple[Moving, float]] | None = None,
     config: VerifyConfig | None = None,
+    *,
+    instances: int = 1,
 ) -> list[ObjectFinding]:
     """Which records a hybrid file carries, and where.
 
@@ -80,11 +79,14 @@ def verify_hybrid(
     moving : mapping of str to (Moving, float), optional
         For records of scenes that move: the owner's original, and the moment to look for.
     config : VerifyConfig, optional
+    instances : int
+        Times one asset is looked for. More than one where several variants of the same asset may be in the file:
+        they look alike to the registration, and only one of them carries a given record's mark.
 
     Returns
     -------
     list of ObjectFinding
-        One for each record; the number of records is counted as tries.
+        As `verify_objects` gives them; len(records) * instances tries are counted.
     """
     moving = moving or {}
     for name in moving:
@@ -94,4 +96,4 @@ def verify_hybrid(
         name: move_record(opened, *moving[name]) if name in moving else opened
         for name, opened in records.items()
     }
-    return verify_objects(suspect, at_their_time, config)
+    return verify_objects(suspect, at_their_time, config, instances=instances)

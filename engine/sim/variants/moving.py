@@ -21,20 +21,23 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.embedding import LANDMARK_SIZE, Embedding, embed
-from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Progress
 from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.variant import Variant
-from engine.pipeline.verification import Verification, verify_images
 from engine.watermark.keys import OwnerKey
 from engine.watermark.landmarks import make_landmarks
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs
-from engine.watermark.registration import register
 
-__all__ = ["Moving", "embed_moving", "find_time", "key_times", "move_record", "verify_moving_images"]
+__all__ = [
+    "Moving",
+    "embed_moving",
+    "key_times",
+    "move_record",
+    "visible",
+]
 
 COMMITMENT = "moving"
 """Name under which a record's plan holds the digest of the moving original."""
@@ -136,6 +139,14 @@ def embed_moving(
     return moving.displaced(result.model.sh[:, 0] - canonical.sh[:, 0]), result
 
 
+def visible(model: GaussianModel) -> GaussianModel:
+    """The Gaussians of a model that a renderer blends at all; InputError where there are fewer than three."""
+    rows = np.flatnonzero(model.opacities >= VISIBLE)
+    if len(rows) < 3:
+        raise InputError(f"only {len(rows)} of {len(model)} Gaussians are visible")
+    return model.take(rows)
+
+
 def move_record(
     opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0
 ) -> OpenedRecord:
@@ -179,93 +190,3 @@ def move_record(
     if landmark_views:
         landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
     return replace(opened, reference=reference, layout=layout, landmarks=landmarks)
-
-
-def find_time(
-    suspect: GaussianModel,
-    opened: OpenedRecord,
-    original: Moving,
-    *,
-    count: int = 9,
-    rounds: int = 3,
-    seed: int = 0,
-) -> float | None:
-    """The moment at which the original looks most like a model exported from it.
-
-    Only geometry and the registration's unmarked features decide, so the search is no further try of a claim.
-
-    Parameters
-    ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
-    original : Moving
-    count : int
-        Moments tried over the whole clip.
-    rounds : int
-        Times the search narrows down to the neighbours of the best moment.
-    seed : int
-        Of the registration's trials.
-
-    Returns
-    -------
-    float or None
-        None where no moment of the original is found in the suspect.
-    """
-
-    def score(time: float) -> float:
-        found = register(move_record(opened, original, time).reference, suspect, seed=seed)
-        return float(found.match_quality.sum())
-
-    low, high = original.span
-    step = (high - low) / max(count - 1, 1)
-    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, count)}
-    for _ in range(rounds):
-        best = max(scores, key=lambda t: (scores[t], -t))
-        if scores[best] == 0.0:
-            return None
-        step *= 0.5
-        scores |= {t: score(t) for t in (best - step, best + step) if low <= t <= high and t not in scores}
-    return max(scores, key=lambda t: (scores[t], -t))
-
-
-def verify_moving_images(
-    images: Sequence[Float32],
-    opened: OpenedRecord,
-    original: Moving,
-    times: Sequence[float],
-    config: VerifyConfig | None = None,
-    cameras: Sequence[Camera] | None = None,
-    landmark_views: int = 24,
-) -> tuple[Verification, float]:
-    """Do these pictures of one moment show the marked scene?
-
-    Parameters
-    ----------
-    images : sequence of (h, w, 3) float32
-        All of the same moment.
-    opened : OpenedRecord
-    original : Moving
-    times : sequence of float
-        The moments it may be; each is a try of the claim, and all are counted.
-    config : VerifyConfig, optional
-    cameras : sequence of Camera, optional
-        One for each picture, where known.
-    landmark_views : int
-        Of the bank by which unknown cameras are found.
-
-    Returns
-    -------
-    verification : Verification
-        The best one, its bound multiplied by the number of moments.
-    time : float
-        Its moment.
-    """
-    if not times:
-        raise InputError("no moment was given")
-    config = config or VerifyConfig()
-    config = replace(config, tries=max(config.tries or 1, len(times)))
-    found: list[tuple[Verification, float]] = []
-    for time in times:
-        moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
-        found.append((verify_images(images, moved, config, cameras), time))
-    return min(found, key=lambda pair: pair[0].claim.log10_false_claim)

@@ -79,6 +79,10 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
         raise FormatError("has no element 'vertex'", file=file)
     repairs = _check(vertex, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    if not len(records):
+        raise FormatError("holds no Gaussians", file=file, element="vertex")
+    if not len(records):
+        raise FormatError("holds no Gaussians", file=file, element="vertex")
     arrays: dict[str, Float32] = {}
     with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
         for attribute, names in PROPERTIES.items():
@@ -91,7 +95,7 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
             bad |= ~(np.abs(values.reshape(len(values), -1)) <= MAGNITUDE_LIMIT).all(axis=1)
         else:
             bad |= np.isnan(values)
-    if len(bad) and bad.all():
+    if bad.all():
         raise FormatError("no Gaussian is usable: each has a value that is no number", file=file, row=0)
     if bad.any():
         text = (

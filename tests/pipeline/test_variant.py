@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.evaluate.marked_scene import bench_key
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import open_record
+from engine.pipeline.variant import Variant
+
+KEY = bench_key(3)
+CONFIG = profile("fast", views=3, view_size=192, landmark_views=0)
+
+
+def moved(model: GaussianModel, variant: Variant, **changes: object) -> np.ndarray:
+    """(N, 3) what a mark does to the DC coefficients."""
+    config = profile("fast", views=3, view_size=192, landmark_views=0, **changes)
+    result = embed(model, KEY, original_sha256="0" * 64, bits=16, config=config, variant=variant)
+    return result.model.sh[:, 0] - model.sh[:, 0]
+
+
+def test_own_codes_move_as_one(small_plant: GaussianModel) -> None:
+    labels = (np.arange(len(small_plant)) % 700).astype(np.int32)
+    change = moved(small_plant, Variant(labels=labels))
+    for code in (0, 5, 699):
+        members = change[labels == code]
+        assert np.abs(members - members[0]).max() < 1e-5
+    assert len(np.unique(change[:700].round(5), axis=0)) > 600
+
+
+def test_emphasis_scales_the_mark(small_plant: GaussianModel) -> None:
+    left = small_plant.means[:, 0] < np.median(small_plant.means[:, 0])
+    plain = np.abs(moved(small_plant, Variant())).mean(axis=1)
+    change = np.abs(moved(small_plant, Variant(emphasis=np.where(left, 0.25, 1.0)))).mean(axis=1)
+    ratio = (change[left].mean() / change[~left].mean()) / (plain[left].mean() / plain[~left].mean())
+    assert ratio == pytest.approx(0.25, abs=0.1)
+
+
+def test_what_the_views_see_decides_the_strength(small_plant: GaussianModel) -> None:
+    """A model of which every view shows only a part may be marked more strongly."""
+    part = small_plant.opacity_logits.copy()
+    part[small_plant.means[:, 1] < np.median(small_plant.means[:, 1])] = -30.0
+    plain = moved(small_plant, Variant())
+    seen = moved(small_plant, Variant(at_view=lambda m, k: m.with_(opacity_logits=part)))
+    assert np.abs(seen).mean() > 1.15 * np.abs(plain).mean()
+
+
+def test_commitments_are_kept_and_decide_the_chips(small_plant: GaussianModel) -> None:
+    ids = set()
+    for value in ("a", "b"):
+        result = embed(
+            small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG,
+            variant=Variant(commitments={"beside": value}),
+        )  # fmt: skip
+        opened = open_record(result.record.to_bytes(KEY), KEY)
+        assert opened.commitments == {"beside": value}
+        ids.add(opened.header.record_id)
+    assert len(ids) == 2
+
+
+def test_what_does_not_fit_is_refused(small_plant: GaussianModel) -> None:
+    n = len(small_plant)
+    cases = [
+        (Variant(labels=np.zeros(5, np.int32)), "labels has shape"),
+        (Variant(labels=np.full(n, -1, np.int32)), "negative, got -1"),
+        (Variant(emphasis=np.zeros(n)), "emphasis must lie"),
+    ]
+    for variant, message in cases:
+        with pytest.raises(InputError, match=message):
+            moved(small_plant, variant)
+    with pytest.raises(InputError, match="as it is"):
+        moved(small_plant, Variant(emphasis=np.ones(n)), output="compact")
+    refining = profile("fast").refine.__class__(steps=5)
+    with pytest.raises(InputError, match="one moment"):
+        moved(small_plant, Variant(at_view=lambda m, k: m), refine=refining)

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.formats import write_model
+from engine.pipeline.sealing import open_record
+from engine.sim.variants.frames import FrameSequence, read_frames
+from engine.sim.variants.moments import verify_moment
+from engine.sim.variants.moving import embed_moving
+from engine.sim.variants.swaying import SwayingScene
+from engine.watermark.claim import Verdict
+from engine.watermark.keys import OwnerKey
+
+
+@pytest.fixture(scope="module")
+def sequence(swaying: SwayingScene) -> FrameSequence:
+    times = [0.0, 0.5, 1.0]
+    return FrameSequence([swaying.at(t) for t in times], times)
+
+
+def test_a_folder_reads_in_the_order_of_names(sequence: FrameSequence, tmp_path: Path) -> None:
+    for number, frame in enumerate(sequence.frames):
+        write_model(frame, tmp_path / f"time_{number:05d}.ply")
+    back = read_frames(tmp_path)
+    assert list(back.times) == [0.0, 0.5, 1.0]
+    for a, b in zip(sequence.frames, back.frames, strict=True):
+        np.testing.assert_array_equal(a.means, b.means)
+    assert list(read_frames(sorted(tmp_path.glob("*.ply"))[:2], [3, 7]).times) == [3, 7]
+
+
+def test_the_nearest_frame_is_shown(sequence: FrameSequence) -> None:
+    np.testing.assert_array_equal(sequence.at(0.3).means, sequence.frames[1].means)
+    np.testing.assert_array_equal(sequence.canonical().means, sequence.frames[1].means)
+    assert sequence.span == (0.0, 1.0)
+
+
+def test_one_record_verifies_every_frame(sequence: FrameSequence, key: OwnerKey, config) -> None:  # type: ignore[no-untyped-def]
+    marked, result = embed_moving(sequence, key, bits=16, config=config)
+    opened = open_record(result.record.to_bytes(key), key)
+    for time in sequence.times:
+        claim = verify_moment(marked.at(time), opened, sequence, time).claim
+        assert claim.verdict is Verdict.MARKED
+        assert claim.bit_accuracy == 1.0
+        assert verify_moment(sequence.at(time), opened, sequence, time).claim.verdict is not Verdict.MARKED
+
+
+def test_frames_that_do_not_belong_together_are_refused(sequence: FrameSequence, tmp_path: Path) -> None:
+    a, b, _ = sequence.frames
+    with pytest.raises(InputError, match="same ones"):
+        FrameSequence([a, b.take(np.arange(5))], [0, 1])
+    with pytest.raises(InputError, match="colours of frame 1"):
+        FrameSequence([a, b.with_(sh=b.sh + 0.1)], [0, 1])
+    with pytest.raises(InputError, match="ascending"):
+        FrameSequence([a, b], [1, 0])
+    with pytest.raises(InputError, match="2 frames but 1 times"):
+        FrameSequence([a, b], [1])
+    with pytest.raises(InputError, match=r"no \.ply"):
+        read_frames(tmp_path)
+    with pytest.raises(InputError, match="no folder"):
+        read_frames(tmp_path / "nowhere")
+
+
+def test_digest_sees_times_and_geometry(sequence: FrameSequence) -> None:
+    a, b, c = sequence.frames
+    moved = b.with_(means=b.means + 1e-3)
+    others = [FrameSequence([a, b, c], [0.0, 0.4, 1.0]), FrameSequence([a, moved, c], [0.0, 0.5, 1.0])]
+    assert len({sequence.digest(), *(other.digest() for other in others)}) == 3
