@@ -25,17 +25,19 @@ from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.pipeline.rigs import make_rig, measure_extent
 from engine.raster import render_depth
-from engine.watermark.camera_finding import find_camera
+from engine.watermark.camera_finding import CameraConfig, find_camera
 from engine.watermark.landmarks import Landmarks
 
 __all__ = ["Place", "Sighting", "place_by_looking"]
 
 VIEW_SIZE = (640, 480)
 """As the landmarks were made."""
+RECOGNITION = CameraConfig(sure_correlation=0.9, other_focals=())
+"""The focal length of a render is known, so none but the keypoints' own is tried."""
 VIEWS = 6
 """Views with one side up; then the model is turned over and looked at again."""
-ENOUGH = 6
-"""Sightings that agree with each other after which no further view is rendered."""
+ENOUGH, FAIR = 6, 3
+"""Sightings that agree with each other after which no further view is rendered, or no further side turned up."""
 LEAST = 2
 """Sightings that must agree for the place to be known."""
 MOST_ZOOMED = 0.1
@@ -128,8 +130,8 @@ def place_by_looking(
         if sighting is not None:
             seen.append(sighting)
             agreeing = _most_agreeing(seen)
-            if len(agreeing) >= ENOUGH:
-                break
+        if len(agreeing) >= (FAIR if count % VIEWS == 0 else ENOUGH):
+            break
         # A scene that shows nothing familiar with its own side up or down is another scene.
         if count == 3 * VIEWS and not seen:
             break
@@ -159,7 +161,7 @@ def _look(
 ) -> Sighting | None:
     image, alpha, depth = render_depth(suspect, camera)
     picture = np.clip(image, 0.0, 1.0)
-    found = find_camera(landmarks, reference, picture)
+    found = find_camera(landmarks, reference, picture, RECOGNITION)
     if found is None or abs(np.log(found.camera.K[0, 0] / camera.K[0, 0])) > MOST_ZOOMED:
         return None
     _, known_alpha, known_depth = render_depth(reference, found.camera)
