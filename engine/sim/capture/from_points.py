@@ -23,7 +23,7 @@ from engine.sim.capture.placing import Scan, join_clouds, place_scans
 from engine.sim.capture.surfels import flat_kernels_from_points
 from engine.sim.capture.thinning import drop_strays, thin_voxels, typical_spacing
 
-__all__ = ["CloudConfig", "CloudModel", "cloud_to_model", "points_to_model", "read_scans", "scans_to_model"]
+__all__ = ["CloudConfig", "CloudModel", "points_to_model", "read_scans", "scans_to_model"]
 
 _DIGITS_LOST = 0.01
 """Part of the points' spacing that float32 may round away before the model gets an origin of its own."""
@@ -39,7 +39,8 @@ class CloudConfig:
     Parameters
     ----------
     voxel : float or None
-        Edge of a voxel that keeps one point, scene units; 0 keeps all points. None: as small as `most` allows.
+        Edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan,
+        since many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it.
     most : int
         Points wanted at most, where `voxel` is None.
     clean : bool
@@ -115,7 +116,7 @@ def points_to_model(
     clock = Clock(progress)
     with clock.stage("read"):
         cloud, repairs = read_point_cloud(path)
-    return cloud_to_model(cloud, config=config, clock=clock, report=_repaired(repairs))
+    return _to_model(cloud, config or CloudConfig(), clock, _repaired(repairs))
 
 
 def scans_to_model(
@@ -158,8 +159,9 @@ def scans_to_model(
     with clock.stage("place"):
         clouds, outside = place_scans(scans, path, mounting)
         cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
+        spacing = float(np.median([typical_spacing(c.points) for c in clouds[:: max(1, len(clouds) // 8)]]))
     report = {"scans": len(scans), "poses": len(path), "points_outside": outside, **_repaired(repairs)}
-    return cloud_to_model(cloud, config=config, clock=clock, report=report)
+    return _to_model(cloud, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
 
 
 def read_scans(
@@ -203,18 +205,12 @@ def read_scans(
     return scans, tuple(Repair(code, n, f"{n} in {len(files)} scans") for code, n in counts.items())
 
 
-def cloud_to_model(
-    cloud: PointCloud,
-    *,
-    config: CloudConfig | None = None,
-    clock: Clock | None = None,
-    report: dict[str, Any] | None = None,
+def _to_model(
+    cloud: PointCloud, config: CloudConfig, clock: Clock, report: dict[str, Any], spacing: float = 0.0
 ) -> CloudModel:
-    """Make a model of a cloud at hand; see `points_to_model`."""
-    config, clock = config or CloudConfig(), clock or Clock()
     read = len(cloud)
     with clock.stage("thin"):
-        cloud, voxel = _thinned(cloud, config)
+        cloud, voxel = _thinned(cloud, config, spacing)
         strays = 0
         if config.clean:
             cloud, strays = drop_strays(cloud)
@@ -228,17 +224,19 @@ def cloud_to_model(
         "points": read, "voxel": voxel, "strays_dropped": strays, "gaussians": len(model),
         "colors_from": source, "origin": origin.tolist(), "seconds_by_stage": clock.seconds,
     }  # fmt: skip
-    return CloudModel(model, cloud, origin, {**(report or {}), **numbers})
+    return CloudModel(model, cloud, origin, {**report, **numbers})
 
 
-def _thinned(cloud: PointCloud, config: CloudConfig) -> tuple[PointCloud, float]:
-    if config.voxel is not None:
-        return (thin_voxels(cloud, config.voxel), config.voxel) if config.voxel else (cloud, 0.0)
-    if len(cloud) <= config.most:
-        return cloud, 0.0
-    size = typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
-    while len(thin := thin_voxels(cloud, size)) > config.most:
+def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[PointCloud, float]:
+    """The cloud, and the edge of the voxels it was thinned by (0: not at all)."""
+    size = spacing if config.voxel is None else config.voxel
+    thin = thin_voxels(cloud, size) if size > 0.0 else cloud
+    while config.voxel is None and len(thin) > config.most:
+        size = (
+            size or typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
+        )
         size *= max(1.05, float(np.sqrt(len(thin) / config.most)))  # surfaces: twice the size, a quarter left
+        thin = thin_voxels(cloud, size)
     return thin, size
 
 

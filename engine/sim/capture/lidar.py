@@ -9,8 +9,8 @@ import numpy as np
 from engine.errors import InputError
 from engine.formats.point_cloud import PointCloud
 from engine.formats.trajectory import Trajectory
-from engine.model import Camera, Float64, GaussianModel
-from engine.raster import render_depth
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.raster import prepare_view, sh_colors
 from engine.sim.capture.placing import Scan
 
 __all__ = ["Lidar", "scan_model"]
@@ -20,6 +20,10 @@ _FACES = 4
 
 SOLID = 0.5
 """Accumulated opacity at which light comes back."""
+
+MIXED = 0.06
+"""Standard deviation of the depth under a beam, part of the depth, beyond which no range is measured: the beam meets
+two surfaces, and their mean lies in the air between them."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ def _face(
     viewmat = np.eye(4)
     viewmat[:3, :3] = to_camera @ pose[:3, :3].T
     viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
-    image, alpha, depth = render_depth(model, Camera(viewmat, K, width, height))
+    image, alpha, depth, thickness = _draw(model, Camera(viewmat, K, width, height))
     pixel = np.floor(slope * focal + K[:2, 2]).astype(int)
     column, row = np.clip(pixel[:, 0], 0, width - 1), np.clip(pixel[:, 1], 0, height - 1)
     ray = np.stack(
@@ -140,5 +144,19 @@ def _face(
     points = ray * depth[row, column][:, None].astype(np.float64)
     ranges = np.linalg.norm(points, axis=1)
     back = (alpha[row, column] >= SOLID) & (ranges >= lidar.nearest) & (ranges <= lidar.farthest)
+    back &= thickness[row, column] <= MIXED * depth[row, column]
     shades = np.clip(image[row, column] / np.maximum(alpha[row, column], SOLID)[:, None], 0.0, 1.0)
     return points[back] @ to_camera, shades[back].astype(np.float64)
+
+
+def _draw(model: GaussianModel, camera: Camera) -> tuple[Float32, Float32, Float32, Float32]:
+    """Image (H, W, 3), opacity, mean depth and its standard deviation (H, W), scene units."""
+    view = prepare_view(model, camera)
+    depths = view.depth_of_all[:, None]
+    near = np.float32(np.median(view.depths)) if len(view.visible) else np.float32(0.0)
+    colors = sh_colors(model.sh, model.means, camera.position)
+    channels, alpha = view.render(np.concatenate([colors, depths - near, (depths - near) ** 2], axis=1))
+    solid = np.maximum(alpha, np.float32(SOLID))
+    mean, square = channels[..., 3] / solid, channels[..., 4] / solid
+    spread: Float32 = np.sqrt(np.maximum(square - mean**2, np.float32(0.0)))
+    return channels[..., :3], alpha, (mean + near).astype(np.float32), spread

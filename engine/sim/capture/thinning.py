@@ -14,6 +14,7 @@ from engine.model import Bool, Float64, Int64
 __all__ = ["drop_strays", "thin_voxels", "typical_spacing"]
 
 _SAMPLE = 4096
+_AREA_NEIGHBOURS = 8
 _MOST_VOXELS = 2**62
 
 STRAY_NEIGHBOURS = 12
@@ -77,13 +78,20 @@ def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
 
 
 def typical_spacing(points: Float64) -> float:
-    """Median distance from a point to its nearest other, scene units; from at most 4,096 points, evenly taken."""
+    """Edge of the square that a point has for itself on its surface, scene units; the median.
+
+    From the distance to the eighth neighbour, so that lines of a scanner, dense along and sparse across, count as
+    the surface they lie on; from at most 4,096 points, evenly taken.
+    """
     from scipy.spatial import cKDTree
 
     some = points[np.linspace(0, len(points) - 1, min(len(points), _SAMPLE)).astype(int)]
-    distances = cKDTree(points).query(some, k=2)[0][:, 1]
+    k = min(_AREA_NEIGHBOURS, len(points) - 1)
+    if k < 1:
+        return 0.0
+    distances = cKDTree(points).query(some, k=[k + 1])[0][:, 0]
     apart = distances[distances > 0.0]
-    return float(np.median(apart)) if len(apart) else 0.0
+    return float(np.sqrt(np.pi / k) * np.median(apart)) if len(apart) else 0.0
 
 
 def drop_strays(cloud: PointCloud) -> tuple[PointCloud, int]:
