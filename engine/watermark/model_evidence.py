@@ -10,6 +10,10 @@ from engine.model import Float32, Float64, Int32
 from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
+SATURATION = 2.0
+"""Evidence of one chip saturates at this many medians of its carrier's. What an attacker adds is spread unevenly (a
+second mark, a repainted patch, noise on a few members); linear weights would let the few largest drown the rest."""
+
 PASSES = 2
 """Rounds of residual compensation over the stages (Eq 11); the second changes z by under a per cent."""
 
@@ -23,7 +27,7 @@ class Evidence:
     y : (C,) float64
         Estimated displacement of each code vector along each carrier.
     weights : (C,) float64
-        Non-negative weights: expected displacement over variance.
+        Non-negative weights: expected displacement over variance, less where |y| stands out.
     signal : (C,) float64
         Size of y to expect if the mark is there, in the units of y.
     """
@@ -104,7 +108,7 @@ def gather_model_evidence(
     for mean, code, direction in zip(means, labels, layout.directions, strict=True):
         y.append((mean @ direction.T).reshape(-1))
         variance.append(_variance_of_means(left @ direction.T, code, trust, len(mean)).reshape(-1))
-    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes)
+    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
 
 
 def _weighted_means(values: Float64, code: Int32, trust: Float64, count: int) -> Float64:
@@ -127,10 +131,19 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
     return np.where(np.isfinite(effective)[:, None], spread * np.minimum(effective, 1e300)[:, None], np.inf)
 
 
-def _weigh(y: Float64, variance: Float64, amplitudes: Float64) -> Evidence:
+def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
     # Registration and quantisation leave errors that the members share: never trust a mean beyond a tenth of
     # the mark's own size, else a handful of code vectors would outweigh all others.
     floor = (0.1 * amplitudes) ** 2 + 1e-12
     weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + floor), 0.0)
-    return Evidence(np.where(seen, y, 0.0), weights, np.where(seen, amplitudes, 0.0))
+    y = np.where(seen, y, 0.0)
+    return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
+
+
+def _saturated(y: Float64, weights: Float64, carriers: int) -> Float64:
+    """(C,) weights such that w y = limit tanh(w0 y / limit): they know the size of y, not its sign, so no chip."""
+    shown = np.abs(weights * y).reshape(-1, carriers)  # (codes, R)
+    limits = np.array([np.median(column[column > 0]) if column.any() else 1.0 for column in shown.T])
+    ratio = np.maximum(shown / (SATURATION * limits), 1e-9)  # tanh(u) / u is 1 there
+    return np.asarray(weights * (np.tanh(ratio) / ratio).reshape(-1))

@@ -10,6 +10,7 @@ import pytest
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
 from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
+from engine.sim.adversaries.attacks import ADVERSARIES, DENOISERS
 from engine.sim.views.attacks import VIEW_ATTACKS
 
 MODEL_NAMES = [
@@ -35,7 +36,8 @@ MODEL_NAMES = [
     "squash",
 ]
 IMAGE_NAMES = ["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"]
-IMAGE_NAMES += [attack.name for attack in VIEW_ATTACKS]
+MODEL_NAMES += [attack.name for attack in ADVERSARIES]
+IMAGE_NAMES += [attack.name for attack in (*VIEW_ATTACKS, *DENOISERS)]
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 NEEDS_FFMPEG = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="the ffmpeg command is not here")
 ALL_READINGS = [
@@ -65,6 +67,17 @@ def target(request: pytest.FixtureRequest, attack: Attack) -> GaussianModel | Fl
     return request.getfixturevalue(attack.kind)
 
 
+@pytest.fixture
+def options(request: pytest.FixtureRequest, attack: Attack) -> dict[str, object]:
+    """What an attack needs beside its target."""
+    if attack.name not in ("collude", "transplant"):
+        return {}
+    model = request.getfixturevalue("model")
+    rng = np.random.default_rng(3)
+    copies = [model.with_dc(model.sh[:, 0] + 0.1 * rng.standard_normal((len(model), 3))) for _ in range(2)]
+    return {"others": copies} if attack.name == "collude" else {"source": copies[0]}
+
+
 def test_names_are_the_documented_ones() -> None:
     assert list(MODEL_ATTACKS) == MODEL_NAMES
     assert list(IMAGE_ATTACKS) == IMAGE_NAMES
@@ -84,11 +97,11 @@ def test_data_are_complete(attack: Attack, label: str) -> None:
 
 @pytest.mark.parametrize(("attack", "label"), ALL_READINGS)
 def test_changes_its_target_repeats_under_a_seed_and_is_pure(
-    attack: Attack, label: str, target: GaussianModel | Float32
+    attack: Attack, label: str, target: GaussianModel | Float32, options: dict[str, object]
 ) -> None:
     before = [a.copy() for a in arrays(target)]
-    first = attack.apply(target, rng=5, reading=label)
-    again = attack.apply(target, rng=np.random.default_rng(5), reading=label)
+    first = attack.apply(target, rng=5, reading=label, **options)
+    again = attack.apply(target, rng=np.random.default_rng(5), reading=label, **options)
     assert same(first, again)
     assert not same(first, target)
     for was, now, out in zip(before, arrays(target), arrays(first), strict=True):
@@ -112,6 +125,13 @@ RANDOM = [
     "noise_all",
     "merge_into",
     "bend",
+    "inject",
+    "noise_dc",
+    "noise_opacity",
+    "noise_position",
+    "repaint",
+    "evolve",
+    "overwrite",
     "noise_image",
     "crop_image",
 ]
@@ -123,16 +143,21 @@ def test_another_seed_is_another_attack(attack: Attack, target: GaussianModel | 
 
 
 @pytest.mark.parametrize(("attack", "label"), ALL_READINGS)
-def test_every_strength_of_the_grid_runs(attack: Attack, label: str, target: GaussianModel | Float32) -> None:
+def test_every_strength_of_the_grid_runs(
+    attack: Attack, label: str, target: GaussianModel | Float32, options: dict[str, object]
+) -> None:
     for strength in attack.reading(label).grid:
-        out = attack.apply(target, strength, rng=1, reading=label)
+        out = attack.apply(target, strength, rng=1, reading=label, **options)
         assert len(out) >= 1
         assert all(np.isfinite(a).all() for a in arrays(out))
 
 
 def test_two_readings_where_the_field_has_two(image: Float32) -> None:
     both = {name for name, a in (MODEL_ATTACKS | IMAGE_ATTACKS).items() if len(a.readings) == 2}
-    assert both == {"clone", "noise_image", "blur", "rotate_image", "scale_image", "crop_image"}
+    assert both == {
+        "rotate", "translate", "crop", "clone", "noise_means", "noise_colors", "noise_image", "blur",
+        "rotate_image", "scale_image", "crop_image",
+    }  # fmt: skip
     noise = image_attack("noise_image")
     assert noise.apply(image) is not None
     assert (noise.reading("literal").default, noise.reading("as_code").default) == (0.1, 0.01)
@@ -158,7 +183,7 @@ def test_unknown_names_are_refused_with_the_known_ones(model: GaussianModel) -> 
     with pytest.raises(InputError, match="no attack is called 'rotate'"):
         image_attack("rotate")
     with pytest.raises(InputError, match="no reading 'as_code'"):
-        model_attack("rotate").apply(model, reading="as_code")
+        model_attack("scale").apply(model, reading="as_code")
 
 
 OUT_OF_RANGE = {
@@ -168,7 +193,12 @@ OUT_OF_RANGE = {
     "merge_into": 0.0, "convert": "ksplat", "bend": float("nan"),
     "twist": float("inf"), "squash": 1.0, "jpeg": 0, "noise_image": -0.1, "blur": -1.0,
     "rotate_image": float("nan"), "scale_image": 0.0, "crop_image": 1.0, "brightness": -1.0,
+    "inject": 1.5, "noise_dc": -0.1, "noise_opacity": float("nan"), "noise_position": -1.0, "quantize_colors": 0,
+    "round_floats": 24, "bake_colors": 0, "smooth_colors": 0, "repaint": 1.1, "purify": 0.0, "evolve": 0.0,
+    "overwrite": -3.0, "collude": "sum", "transplant": 0.0, "median": 4, "bilateral": 0.0,
+    "denoise_nonlocal": -1.0, "denoise_wavelet": -0.1,
 }  # fmt: skip
+OUT_OF_RANGE |= {a.name: "none" if isinstance(a.default, str) else float("nan") for a in VIEW_ATTACKS}
 
 
 def test_a_refused_strength_is_known_for_every_attack() -> None:

@@ -19,6 +19,10 @@ __all__ = ["cluster_by_density"]
 
 GRAPH = 16
 
+TIE = 1e-6
+"""Share of the plain distance added to mutual reachability: many pairs share a core distance, and a tree must not
+hang on the order of equal edges."""
+
 
 def cluster_by_density(points: Float64, neighbours: int, least: int, graph: int = GRAPH) -> Int64:
     """Label of each point, 0, 1, ...; -1 for noise.
@@ -65,7 +69,8 @@ def _spanning_tree(points: Float64, neighbours: int, graph: int) -> tuple[Int64,
     core = distance[:, neighbours]
     start = np.repeat(np.arange(n), graph)
     end = near[:, 1:].reshape(-1)
-    reach = np.maximum(np.maximum(core[start], core[end]), distance[:, 1:].reshape(-1))
+    apart = distance[:, 1:].reshape(-1)
+    reach = np.maximum(np.maximum(core[start], core[end]), apart) + TIE * apart
     # Both directions of a pair have one length; a length of zero would be no edge to scipy.
     low, high = np.minimum(start, end), np.maximum(start, end)
     pair, first = np.unique(low * np.int64(n) + high, return_index=True)

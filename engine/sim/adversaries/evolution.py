@@ -43,11 +43,11 @@ class Budget:
         Their side, pixels.
     """
 
-    generations: int = 20
+    generations: int = 16
     parents: int = 4
     children: int = 8
     views: int = 2
-    size: int = 192
+    size: int = 128
 
 
 @dataclass(frozen=True, eq=False)

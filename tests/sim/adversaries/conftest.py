@@ -1,0 +1,44 @@
+"""A real scene, marked, in three copies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.evaluate.marked_scene import bench_key
+from engine.formats import read_model
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import OpenedRecord, open_record
+
+
+@dataclass(frozen=True, eq=False)
+class Marked:
+    name: str
+    original: GaussianModel
+    marked: GaussianModel
+    opened: OpenedRecord
+    copies: tuple[GaussianModel, ...]
+
+
+@pytest.fixture(scope="session")
+def plant() -> GaussianModel:
+    """Every sixth Gaussian of a captured plant."""
+    whole = read_model(Path(__file__).parents[2] / "data" / "plant.splat").model
+    return whole.take(np.arange(0, len(whole), 6))
+
+
+@pytest.fixture(scope="session")
+def scene(plant: GaussianModel) -> Marked:
+    key = bench_key(3)
+    config = profile("fast", landmark_views=0, views=3, view_size=200)
+    made = [
+        embed(plant, key, original_sha256="33" * 32, bits=16, config=config, copy=f"buyer {i}")
+        for i in range(3)
+    ]
+    opened = open_record(made[0].record.to_bytes(key), key)
+    return Marked("plant", plant, made[0].model, opened, tuple(m.model for m in made[1:]))
