@@ -28,7 +28,7 @@ def flat_kernels_from_points(
     *,
     neighbours: int = 12,
     opacity: float = 0.95,
-    size: float = 1.0,
+    size: float = 0.7,
 ) -> GaussianModel:
     """One flat Gaussian for every point, turned into the plane of its neighbours (PCA).
 
@@ -46,7 +46,7 @@ def flat_kernels_from_points(
     opacity : float
         Of every Gaussian, in (0, 1).
     size : float
-        Factor on the standard deviations.
+        Factor on the standard deviations; 0.7 is sharp and has no holes yet.
 
     Returns
     -------
