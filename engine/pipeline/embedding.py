@@ -135,7 +135,7 @@ def embed(
         landmarks = _landmarks(delivered, extent, config, clock)
     with clock.stage("plan"):  # 5, 6
         views = look(delivered, key_cameras, clock.advance, variant.at_view)
-        plan = make_plan(stages, impact, config.plan, variant.emphasis)
+        plan = make_plan(stages, impact, config.plan, variant.emphasis_on(impact))
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
         committed = plan_of(layout, sign, key_cameras, landmarks, variant.commitments)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from engine.compress.hvq import Stage, group_means
+from engine.compress.impact import Impact
 from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel, Int32
 
@@ -70,6 +71,21 @@ class Variant:
             return None
         labels = np.ascontiguousarray(self.labels, dtype=np.int32)
         return (Stage(group_means(model.sh.reshape(len(model), -1), labels, weights), labels),)
+
+    def emphasis_on(self, impact: Impact) -> Float64 | None:
+        """(N,) the emphasis, and of the file's own codes less on those that cover much of the views.
+
+        Our cells cover about as much each. A codebook learnt from colours alone has entries that half the scene
+        shares (a white wall, black ground): at equal amplitude these would spend the whole fidelity on a few chips.
+        Beyond the median coverage, amplitudes fall with its root, which makes the energies equal.
+        """
+        emphasis = None if self.emphasis is None else self.emphasis.astype(np.float64)
+        if self.labels is None:
+            return emphasis
+        usage = np.bincount(self.labels, impact.coverage)
+        typical = float(np.median(usage[usage > 0])) if (usage > 0).any() else 1.0
+        even = np.sqrt(typical / np.maximum(usage, typical))[self.labels]
+        return even if emphasis is None else emphasis * even
 
 
 PLAIN = Variant()
