@@ -1,0 +1,40 @@
+"""Programs of others that only capture needs: installed by the extra ``capture``, looked for when called."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from engine.errors import InputError
+
+__all__ = ["load_extra"]
+
+
+def load_extra(module: str, package: str, purpose: str) -> Any:
+    """Import an optional module.
+
+    Parameters
+    ----------
+    module : str
+        Name to import.
+    package : str
+        Distribution that holds it.
+    purpose : str
+        What it is needed for, for the message.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    InputError
+        If it is not installed, or cannot be loaded on this machine.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]
+        why = "is not installed" if missing else f"cannot be loaded ({error})"
+        message = f"{purpose} needs {package}, which {why}: pip install 'mark3dgs[capture]'"
+        raise InputError(message) from None
