@@ -37,12 +37,13 @@ def folder(tmp_path: Path) -> Path:
     """A clone as far as the commands can see."""
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "data").symlink_to(ROOT / "tests" / "data")
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
     return tmp_path
 
 
 def test_readme_shows_commands() -> None:
     text = "".join(block["commands"] for block in blocks())
-    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "config show"):
+    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "sim", "config show"):
         assert f"mark3dgs {command}" in text
 
 
