@@ -20,9 +20,7 @@ from engine.errors import InputError
 def bench(
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="WHAT", help="raster, embed, verify, fidelity, attacks, screenshots, finetune, truth."
-        ),
+        typer.Argument(metavar="WHAT", help=", ".join(BENCHES) + "."),
     ],
     scene: Annotated[
         list[Path] | None,
@@ -35,7 +33,9 @@ def bench(
     trials: Annotated[
         int | None,
         typer.Option(
-            "--trials", min=1, help="Screenshots (50), epochs (500) or wrong keys (100,000) a scene."
+            "--trials",
+            min=1,
+            help="Screenshots (50), epochs (500), wrong keys (100,000) or innocent copies (10,000).",
         ),
     ] = None,
     size: Annotated[
@@ -46,7 +46,8 @@ def bench(
         typer.Option(
             "--setting",
             metavar="NAME",
-            help="finetune: clean+key, clean, key or neither; repeatable (default: all).",
+            help="finetune: clean+key, clean, key, neither; variants: 2dgs, 4dgs, compact3d, dreamgaussian; "
+            "repeatable (default: all).",
         ),
     ] = None,
     colors_only: Annotated[
@@ -68,6 +69,11 @@ def bench(
     screenshots  claims from pictures of unknown camera, and from another scene's
     finetune     claims after training on clean or own pictures, at the key views or others (Table 5)
     truth        false claims among wrong keys, against the proven bound
+    suite        every attack of the simulator, with what it costs the attacker; failures first
+    variants     2DGS, 4DGS, Compact3D and DreamGaussian models, made from the scene (Table 4)
+    collusion    buyers who put their copies together: who is named, and whether an innocent is
+    retrain      claims from fresh models trained on renders of the marked one
+    life         speed of physics and of training
 
     Examples:
 

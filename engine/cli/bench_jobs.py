@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from engine.model import GaussianModel
 
 
-SCREENSHOTS, EPOCHS, WRONG_KEYS = 50, 500, 100_000
+SCREENSHOTS, EPOCHS, WRONG_KEYS, INNOCENTS = 50, 500, 100_000, 10_000
 """How many trials those benches run unless told otherwise."""
 
 
@@ -29,14 +29,14 @@ class Job:
     repeats : int
         Timed runs.
     trials : int or None
-        Random pictures, epochs or wrong keys; None for what the bars ask.
+        Random pictures, epochs, wrong keys or innocent copies; None for what the bars ask.
     size : (int, int)
         Width and height of rastered images, pixels.
     seed : int
     advance : callable
         Told the fraction done.
     settings : list of str
-        Of Table 5, for fine-tuning; all four when empty.
+        Of Table 5, for fine-tuning, or variants of Table 4; all when empty.
     colors_only : bool
         Fine-tuning leaves the geometry alone.
     """
@@ -129,14 +129,11 @@ def _model_at(path: Path) -> GaussianModel:
 
 
 def _fine_tuning(job: Job) -> dict[str, Any]:
-    from engine.errors import InputError
     from engine.evaluate.bars_fine_tuning import bench_fine_tuning
     from engine.sim.fine_tuning import SETTINGS
 
-    if unknown := [name for name in job.settings if name not in SETTINGS]:
-        raise InputError(f"Table 5 has no setting {unknown[0]!r}; it has {', '.join(SETTINGS)}")
     epochs = job.trials or EPOCHS
-    wanted = job.settings or list(SETTINGS)
+    wanted = _chosen(job.settings, SETTINGS, "Table 5")
     rows: list[dict[str, Any]] = []
     for scene in job.marked():
         for name in wanted:
@@ -162,6 +159,70 @@ def _truth(job: Job) -> dict[str, Any]:
     return {"profile": job.profile, "keys": keys, "rows": rows}
 
 
+def _chosen(names: list[str], known: Collection[str], table: str) -> list[str]:
+    from engine.errors import InputError
+
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"{table} has no setting {unknown[0]!r}; it has {', '.join(known)}")
+    return names or list(known)
+
+
+def _variants(job: Job) -> dict[str, Any]:
+    """Table 4: every scene as every variant."""
+    from engine.evaluate.bars_variants import VARIANTS, bench_variant
+
+    wanted = _chosen(job.settings, VARIANTS, "Table 4")
+    rows = []
+    for path in job.scenes:
+        for kind in wanted:
+            rows.append(bench_variant(kind, path, job.seed))
+            job.advance(len(rows) / (len(job.scenes) * len(wanted)))
+    return {"rows": rows}
+
+
+def _suite(job: Job) -> dict[str, Any]:
+    """Every attack of the list on every scene; the next scene, or the shipped one, is merged into and framed."""
+    from engine.cli.models import shipped_scene
+    from engine.evaluate.bars_suite import bench_suite
+
+    rows: list[dict[str, Any]] = []
+    for path, after in zip(job.scenes, [*job.scenes[1:], job.scenes[0]], strict=True):
+        other = after if after != path else shipped_scene()
+        model = None if other.name == path.name else _model_at(other)
+        rows += bench_suite(path, job.profile, other=model, seed=job.seed, advance=job.advance)
+    return {"profile": job.profile, "rows": rows}
+
+
+def _collusion(job: Job) -> dict[str, Any]:
+    from engine.evaluate.bars_collusion import bench_collusion
+
+    innocents = job.trials or INNOCENTS
+    rows: list[dict[str, Any]] = []
+    for path in job.scenes:
+        rows += bench_collusion(path, innocents=innocents, seed=job.seed, advance=job.advance)
+    return {"innocents": innocents, "rows": rows}
+
+
+def _retraining(job: Job) -> dict[str, Any]:
+    from engine.evaluate.bars_retraining import bench_retraining
+
+    rows: list[dict[str, Any]] = []
+    for scene in job.marked():
+        rows += bench_retraining(scene, seed=job.seed, advance=job.advance)
+    return {"profile": job.profile, "rows": rows}
+
+
+def _life(job: Job) -> dict[str, Any]:
+    from engine.evaluate.bench_life import bench_physics, bench_training
+
+    rows = []
+    for path in job.scenes:
+        rows.append({"what": "physics", **bench_physics(path, job.repeats, job.seed)})
+        rows.append({"what": "training", **bench_training(path, job.repeats, job.seed)})
+        job.advance(len(rows) / (2 * len(job.scenes)))
+    return {"rows": rows}
+
+
 BENCHES: dict[str, Callable[[Job], dict[str, Any]]] = {
     "raster": _raster,
     "embed": _embed,
@@ -171,4 +232,9 @@ BENCHES: dict[str, Callable[[Job], dict[str, Any]]] = {
     "screenshots": _screenshots,
     "finetune": _fine_tuning,
     "truth": _truth,
+    "suite": _suite,
+    "variants": _variants,
+    "collusion": _collusion,
+    "retrain": _retraining,
+    "life": _life,
 }

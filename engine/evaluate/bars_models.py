@@ -5,12 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import numpy as np
-
 from engine.evaluate.marked_scene import MarkedScene
-from engine.model import GaussianModel
 from engine.pipeline.verification import Verification, VerifyConfig, verify_model
-from engine.sim.attacks import model_attack
+from engine.sim.suite import Trial, apply_chain
 
 MODEL_BARS: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = (
     ("none", ()),
@@ -34,15 +31,6 @@ MODEL_BARS: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = (
 """The bars on models: name and chain of attacks."""
 
 
-def attack_chain(
-    model: GaussianModel, chain: tuple[tuple[str, float | str], ...], seed: int
-) -> GaussianModel:
-    """Apply attacks one after the other, each with a random stream of its own."""
-    for step, (name, strength) in enumerate(chain):
-        model = model_attack(name).apply(model, strength, rng=np.random.default_rng((seed, step)))
-    return model
-
-
 def row(name: str, verification: Verification, seconds: float) -> dict[str, Any]:
     """One line of a table of attacks."""
     claim = verification.claim
@@ -61,7 +49,7 @@ def bench_model_attacks(scene: MarkedScene, seed: int = 0) -> list[dict[str, Any
     """All model bars on one scene, default settings of the verifier."""
     rows = []
     for name, chain in MODEL_BARS:
-        suspect = attack_chain(scene.marked, chain, seed)
+        suspect = apply_chain(scene.marked, Trial(name, chain, "bars"), seed)
         began = time.perf_counter()
         result = verify_model(suspect, scene.opened, VerifyConfig(route="model"))
         rows.append({"scene": scene.name, **row(name, result, time.perf_counter() - began)})

@@ -60,17 +60,17 @@ def _measure(path: str, profile: str, repeats: int, seed: int) -> list[dict[str,
     import numpy as np
 
     from engine.evaluate.bars_images import random_view, to_8_bit
-    from engine.evaluate.bars_models import attack_chain
     from engine.evaluate.marked_scene import mark_scene
     from engine.numerics.machine import peak_memory_mb
     from engine.pipeline.profiles import profile as named_profile
     from engine.pipeline.verification import verify_images, verify_model
     from engine.raster import render
     from engine.sim.attacks import image_attack
+    from engine.sim.suite import Trial, apply_chain
 
     scene = mark_scene(path, named_profile(profile), seed=seed)
     opened, jpeg = scene.opened, image_attack("jpeg")
-    stolen = attack_chain(scene.marked, (("similarity", 4.0), ("shuffle", 1.0)), seed)
+    stolen = apply_chain(scene.marked, Trial("moved", (("similarity", 4.0), ("shuffle", 1.0)), "bench"), seed)
     camera = opened.cameras[0]
     picture = jpeg.apply(to_8_bit(render(scene.marked, camera)), 80)
     anywhere = random_view(scene.original, np.random.default_rng(seed), 800, 600)

@@ -15,7 +15,7 @@ place is one hypothesis of the claim, however many views were rendered.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,7 +33,7 @@ __all__ = ["Place", "Sighting", "place_by_looking"]
 VIEW_SIZE = (640, 480)
 """As the landmarks were made."""
 RECOGNITION = CameraConfig(sure_correlation=0.9, other_focals=())
-"""The focal length of a render is known, so none but the keypoints' own is tried."""
+"""The focal length of a render is known, so no other is tried."""
 VIEWS = 6
 """Views with one side up; then the model is turned over and looked at again."""
 ENOUGH, FAIR = 6, 3
@@ -161,7 +161,8 @@ def _look(
 ) -> Sighting | None:
     image, alpha, depth = render_depth(suspect, camera)
     picture = np.clip(image, 0.0, 1.0)
-    found = find_camera(landmarks, reference, picture, RECOGNITION)
+    recognition = replace(RECOGNITION, focals=(camera.K[0, 0] / camera.width,))
+    found = find_camera(landmarks, reference, picture, recognition)
     if found is None or abs(np.log(found.camera.K[0, 0] / camera.K[0, 0])) > MOST_ZOOMED:
         return None
     _, known_alpha, known_depth = render_depth(reference, found.camera)

@@ -92,6 +92,8 @@ _ADVERSARIES = (
     Trial("evolved prune and tint, 25 dB", (("evolve", 25.0),), GMEA),
     Trial("overwritten at 47 dB", (("overwrite", 47.0),), COX),
     Trial("overwritten at 35 dB", (("overwrite", 35.0),), COX),
+    Trial("overwritten at 30 dB", (("overwrite", 30.0),), COX),
+    Trial("overwritten at 27 dB", (("overwrite", 27.0),), COX),
     Trial("overwritten at 47 dB, three times", (("overwrite", 47.0),) * 3, COX),
     Trial("colours smoothed over 8 neighbours", (("smooth_colors", 8),), OURS),
     Trial("colours smoothed over 64 neighbours", (("smooth_colors", 64),), OURS),
@@ -106,7 +108,7 @@ _ADVERSARIES = (
             copies=count - 1,
         )
         for rule in ("mean", "median", "min", "max", "minmax", "modneg", "randneg", "interleave", "patches")
-        for count in ((2, 3, 5, 10) if rule == "mean" else (5,))
+        for count in ((2, 3, 5, 10) if rule == "mean" else (5, 10) if rule in ("minmax", "modneg") else (5,))
     ),
     Trial("mark lifted onto another model", (("transplant", 1.0),), KUTTER, "copy attack"),
     Trial("mark lifted onto another model, x4", (("transplant", 4.0),), KUTTER, "copy attack"),

@@ -18,7 +18,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel, Int64
-from engine.watermark.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
+from engine.watermark.camera_hypotheses import LADDER, Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.watermark.features import Keypoints, detect_keypoints, luma
 from engine.watermark.landmark_matching import match_landmarks, match_projected
 from engine.watermark.landmarks import Landmarks
@@ -53,6 +53,8 @@ class CameraConfig:
         Matches that must agree before the camera is roughly known.
     least_inliers : int
         Keypoints that must agree with the camera then.
+    focals : tuple of float
+        Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after.
     other_focals : tuple of float
         Focal lengths to start from where the refinement from the keypoints' own fails, in those.
     least_correlation, sure_correlation : float
@@ -75,6 +77,7 @@ class CameraConfig:
     tolerance: float = 0.005
     least_start: int = 6
     least_inliers: int = 12
+    focals: tuple[float, ...] = LADDER
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
     least_correlation: float = 0.75
     sure_correlation: float = 0.98
@@ -203,7 +206,7 @@ def _hypotheses(
     for keypoint, landmark in matches:
         start = hypothesize(
             landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint], *size, tolerance,
-            config.least_start,
+            config.least_start, config.focals,
         )  # fmt: skip
         guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
         if guided is not None and guided.support >= config.least_inliers:

@@ -15,7 +15,7 @@ from engine.watermark.camera_motion import PARAMETERS, moved, normalized, point_
 
 __all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
 
-LADDER = np.geomspace(0.5, 2.0, 9)
+LADDER: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 9))
 """Focal lengths tried, in widths of the picture; 19 % apart."""
 RANSAC_TRIALS = 1000
 RANSAC_SEED = 0
@@ -44,7 +44,13 @@ class Hypothesis:
 
 
 def hypothesize(
-    points: Float64, pixels: Float64, width: int, height: int, tolerance: float, least: int
+    points: Float64,
+    pixels: Float64,
+    width: int,
+    height: int,
+    tolerance: float,
+    least: int,
+    ladder: tuple[float, ...] = LADDER,
 ) -> Hypothesis | None:
     """Camera with square pixels and a central principal point that most matches agree with.
 
@@ -60,6 +66,8 @@ def hypothesize(
         Reprojection error of an inlier, pixels.
     least : int
         Fewest inliers.
+    ladder : tuple of float
+        Focal lengths tried, in widths of the picture.
 
     Returns
     -------
@@ -70,7 +78,8 @@ def hypothesize(
     if len(points) < max(least, 5):
         return None
     started: list[tuple[int, Camera]] = []
-    for focal in LADDER * width:
+    for step in ladder:
+        focal = step * width
         K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
         cv2.setRNGSeed(RANSAC_SEED)
         try:

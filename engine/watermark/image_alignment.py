@@ -19,10 +19,15 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import map_points, smooth, warp
+from engine.watermark.brightness_curve import predict_brightness
 from engine.watermark.brightness_fit import Fit, fit_warp
 from engine.watermark.features import detect_keypoints, luma, match_within
 
 __all__ = ["Alignment", "AlignmentConfig", "align_image"]
+
+
+_SUSPICIOUS = 0.005
+"""Share of contradicting pixels above which brightness is predicted more carefully."""
 
 
 @dataclass(frozen=True)
@@ -196,11 +201,20 @@ def _evidence_mask(grey: Float32, warped: Float32, inside: Bool, fit: Fit, margi
     """Inside the suspect, and not where a whole neighbourhood contradicts the reference (fill, captions)."""
     import cv2
 
-    difference = np.where(inside, np.abs(warped - np.clip(fit.gain * grey + fit.offset, 0.0, 1.0)), 0.0)
-    local = smooth(difference.astype(np.float32), 4.0)
-    typical = float(np.median(local[inside])) if inside.any() else 0.0
-    wrong = local > max(0.06, 5.0 * typical)
+    wrong = _contradicted(np.clip(fit.gain * grey + fit.offset, 0.0, 1.0), warped, inside)
+    if (
+        np.mean(wrong) > _SUSPICIOUS
+    ):  # captions, or a tone curve or light that gain and offset do not describe
+        again = _contradicted(predict_brightness(grey, warped, inside), warped, inside)
+        wrong = again if again.sum() < wrong.sum() else wrong
     bad = (wrong | ~inside).astype(np.uint8)
     size = 2 * margin + 1
     grown = cv2.dilate(bad, np.ones((size, size), dtype=np.uint8), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(grown == 0)
+
+
+def _contradicted(expected: Float32, warped: Float32, inside: Bool) -> Bool:
+    difference = np.where(inside, np.abs(warped - expected), 0.0)
+    local = smooth(difference.astype(np.float32), 4.0)
+    typical = float(np.median(local[inside])) if inside.any() else 0.0
+    return np.asarray(local > max(0.06, 5.0 * typical))

@@ -1,6 +1,6 @@
 """What a picture says that the unmarked reference does not, weighted by how far it can be believed.
 
-1. Colour: affine change, clipping and tone curve are fitted and taken off (`tone_curve`).
+1. Colour: affine change, clipping, tone curve and uneven light are fitted and taken off (`color_fit`).
 2. Sharpness and position: the residual is regressed on gradients and Laplacians of the reference; what blur,
    resampling and a few hundredths of a pixel leave behind is explained by these.
 3. Reliability: the residual's Haar bands, brightness and chroma apart, are divided by their own spread, so
@@ -20,7 +20,8 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Bool, Float32
 from engine.numerics.wavelet import dwt2, idwt2
-from engine.watermark.tone_curve import fit_tone, robust_regression
+from engine.watermark.color_fit import fit_colors
+from engine.watermark.tone_curve import robust_regression
 
 __all__ = ["ResidualConfig", "image_cotangent"]
 
@@ -97,7 +98,7 @@ def image_cotangent(
     if mask.sum() < 64:
         return np.zeros_like(reference_image, dtype=np.float32)
     reference = np.clip(reference_image, 0.0, 1.0).astype(np.float32)
-    toned = fit_tone(reference, warped, mask, config.tone_knots)
+    toned = fit_colors(reference, warped, mask, config.tone_knots)
     usable = mask & (toned.slope.min(axis=2) > config.least_slope)
     if usable.sum() < 64:
         return np.zeros_like(reference)

@@ -13,6 +13,7 @@ from scipy.fft import dctn, idctn
 from scipy.special import log_ndtr
 
 from engine.model import Bool, Float32, Float64
+from engine.watermark.color_fit import fit_colors
 
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
@@ -150,16 +151,16 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
 
 
 def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
-    """The reference at the picture's gain and offset, channel by channel.
+    """The reference in the picture's colours, where these are not its own.
 
-    The fit is robust and on block means: compression takes contrast from single pixels, which is no exposure.
+    Gain and offset of each channel tell whether they are; if not, tone and light are fitted in full. That fit is
+    robust and on block means: compression takes contrast from single pixels, which is no exposure.
     """
     height, width = (size // 8 * 8 for size in mask.shape)
     whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
     use = _unclipped(picture) & whole
     if use.sum() < 50:
         return reference
-    out = reference.copy()
     for c in range(3):
         x, y = (_block_means(image[..., c])[use] for image in (reference, picture))
         gain, offset = 1.0, 0.0
@@ -173,8 +174,8 @@ def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32
         changed = abs(gain - 1.0) > 0.03 or abs(offset) > 0.012
         sane = 0.2 < gain < 5.0 and abs(offset) < 0.3  # too flat a picture fits any line
         if changed and sane:
-            out[..., c] = gain * reference[..., c] + offset
-    return np.clip(out, 0.0, 1.0)
+            return fit_colors(reference, picture, mask).predicted
+    return np.clip(reference, 0.0, 1.0)
 
 
 def _block_means(plane: Float32) -> Float64:

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_product
 from engine.numerics.umeyama import Similarity
-from engine.watermark.registration_candidates import Candidates
+from engine.watermark.registration_candidates import sample_rows
 from engine.watermark.registration_deformed import GAIN, register_deformed, unexplained
 from engine.watermark.registration_hypotheses import Agreement, propose
 from engine.watermark.registration_index import ReferenceIndex
@@ -164,7 +164,7 @@ def register(
         verdict, count = _search(index, suspect, rng, config)
         tried += count
     rigid = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried, ordered=False)
-    return _bend(index, suspect, rigid, verdict, rng) if config.deformed else rigid
+    return _bend(index, suspect, rigid, verdict, rng, config) if config.deformed else rigid
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -205,6 +205,7 @@ def _bend(
     rigid: Registration,
     verdict: Verdict | None,
     rng: np.random.Generator,
+    config: RegistrationConfig,
 ) -> Registration:
     """Step 4: the registration by a field of local maps, where that explains clearly more."""
     reference = index.model
@@ -218,6 +219,8 @@ def _bend(
     rows = np.flatnonzero(bent.matches >= 0)
     part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
     fit = fit_suspect(suspect.means[part], reference.means[bent.matches[part]]) or rigid.similarity
+    if not config.min_scale <= fit.scale <= config.max_scale:
+        return rigid
     seen = np.zeros(len(reference), np.bool_)
     seen[bent.matches[rows]] = True
     return Registration(
@@ -236,7 +239,7 @@ def _same_frame(
     index: ReferenceIndex, suspect: GaussianModel, rng: np.random.Generator, config: RegistrationConfig
 ) -> tuple[Verdict | None, int]:
     """Step 2: no scale, no translation, at most a turn of the axes."""
-    rows = _sample(len(suspect), 400, rng)
+    rows = sample_rows(len(suspect), 400, rng)
     part = suspect.take(rows)
     turns = _axis_rotations()
     hits = []
@@ -266,7 +269,7 @@ def _search(
         looks = index.features(degree, colors=colors)
         pairs = looks.candidates(suspect, config.candidates, rng, queries=queries, deep=deep)
         votes = np.exp(pairs.size)
-        pairs = _subset(pairs, (votes >= config.min_scale / 2) & (votes <= config.max_scale * 2))
+        pairs = pairs.take((votes >= config.min_scale / 2) & (votes <= config.max_scale * 2))
         conjugate = suspect.quats[pairs.suspect] * np.array([1, -1, -1, -1])
         turn = quaternion_product(index.model.quats[pairs.reference], conjugate)
         for level in (EXACT, LOOSE):
@@ -296,17 +299,7 @@ def _judge(
     rng: np.random.Generator,
     config: RegistrationConfig,
 ) -> Verdict | None:
-    rows = _sample(len(suspect), config.sample, rng)
+    rows = sample_rows(len(suspect), config.sample, rng)
     return judge(
         index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=config.min_matches
-    )  # fmt: skip
-
-
-def _sample(m: int, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    return np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
-
-
-def _subset(pairs: Candidates, keep: npt.NDArray[np.bool_]) -> Candidates:
-    return Candidates(
-        pairs.reference[keep], pairs.suspect[keep], pairs.x[keep], pairs.y[keep], pairs.size[keep]
     )  # fmt: skip

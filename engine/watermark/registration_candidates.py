@@ -60,6 +60,12 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.x)
 
+    def take(self, keep: npt.NDArray[np.bool_]) -> Candidates:
+        """The pairs under a mask."""
+        return Candidates(
+            self.reference[keep], self.suspect[keep], self.x[keep], self.y[keep], self.size[keep]
+        )
+
 
 def pair_up(
     reference: GaussianModel, suspect: GaussianModel, ref_index: Int64, sus_index: Int64
@@ -191,3 +197,9 @@ def by_region(means: npt.NDArray[np.float32], priority: Float64, count: int, par
     rank = np.empty(len(means), np.int64)
     rank[order] = np.arange(len(means)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return np.lexsort((-priority, rank))[:count]
+
+
+def sample_rows(m: int, count: int, rng: np.random.Generator) -> Int64:
+    """At most `count` of m indices, in rising order."""
+    rows: Int64 = np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
+    return rows

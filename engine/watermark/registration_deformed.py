@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.watermark.matching import Deviations
+from engine.watermark.registration_candidates import sample_rows
 from engine.watermark.registration_growth import grow
 from engine.watermark.registration_index import ReferenceIndex
 from engine.watermark.registration_patches import Patch, find_patches
@@ -82,7 +83,7 @@ def unexplained(
         Indices of suspect Gaussians in regions that are not explained, or all of the sample where the errors of
         the similarity vary smoothly over the suspect.
     """
-    rows = _sample(len(suspect), GLANCE, rng)
+    rows = sample_rows(len(suspect), GLANCE, rng)
     if deviations is None:
         return rows
     bare = _bare(suspect, matches, rows)
@@ -152,7 +153,7 @@ def register_deformed(
         matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
         tried += field.rounds
         best = Deformed(matches, quality, tried)
-        rows = _sample(len(suspect), GLANCE, rng)
+        rows = sample_rows(len(suspect), GLANCE, rng)
         bare = _bare(suspect, matches, rows)
         if bare.mean() < REGION:
             break
@@ -166,8 +167,3 @@ def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
     k = min(AROUND, len(rows))
     beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)
     return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)
-
-
-def _sample(m: int, count: int, rng: np.random.Generator) -> Int64:
-    rows: Int64 = np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
-    return rows

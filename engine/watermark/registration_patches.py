@@ -43,6 +43,10 @@ LEAST_SHARE = 0.15
 """Share of a patch that its map must explain in the end."""
 
 
+COUNTED = 600
+"""Reference Gaussians counted for the radius of a crowd: a sample tells it within a few per cent."""
+
+
 class Looks:
     """The reference laid out by what deformations leave alone.
 
@@ -55,14 +59,22 @@ class Looks:
 
     def __init__(self, reference: GaussianModel, degree: int) -> None:
         self.reference, self.degree = reference, degree
+        self._sparse: dict[int, cKDTree] = {}
 
     @cached_property
     def tree(self) -> cKDTree:
         return cKDTree(_looks(self.reference, self.degree), balanced_tree=False, compact_nodes=False)
 
-    @cached_property
-    def places(self) -> cKDTree:
-        return cKDTree(self.reference.means.astype(np.float64), balanced_tree=False, compact_nodes=False)
+    def radii(self, places: Float64, count: int) -> Float64:
+        """(n,) about how far around each of `places` (n, 3) the nearest `count` reference Gaussians reach."""
+        step = max(1, count // COUNTED)
+        if step not in self._sparse:
+            some = self.reference.means[::step].astype(np.float64)
+            self._sparse[step] = cKDTree(some, balanced_tree=False, compact_nodes=False)
+        tree = self._sparse[step]
+        return np.asarray(tree.query(places, k=[min(max(1, count // step), tree.n)], workers=2)[0]).reshape(
+            -1
+        )
 
 
 def _looks(model: GaussianModel, degree: int) -> Float64:
@@ -160,7 +172,7 @@ def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int6
     """Where look-alikes crowd together: the pairs there, and the radius of the reference about them."""
     first = np.flatnonzero(np.diff(who, prepend=-1))  # the best look-alike of each Gaussian
     middles = y[first]
-    radii = np.asarray(looks.places.query(middles, k=[crowd], workers=2)[0]).reshape(-1)
+    radii = looks.radii(middles, crowd)
     distance2 = np.square(middles).sum(axis=1)[:, None] + np.square(y).sum(axis=1) - 2.0 * (middles @ y.T)
     near = distance2 <= np.square(radii)[:, None]  # (Q, P)
     # pairs of one Gaussian are one witness

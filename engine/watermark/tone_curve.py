@@ -22,6 +22,11 @@ _LEAST_NOISE = 0.006
 """Softness of clipping where a picture has no noise: rounding to 8 bits and what a fit leaves."""
 _CLIPPED = 0.985
 _TABLE = 1024
+_BENT = 0.004
+"""Where a tone curve bends a twentieth of the affine colours by more than this, both are fitted together."""
+_BETTER = 0.8
+"""A curve fitted together with the mixture must miss by this share of what the plain one misses by."""
+_BENT_KNOTS, _BENT_ROUNDS = 65, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +107,19 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
         noise = max(noise_level(np.where(mask, picture[..., c] - linear, 0.0)), _LEAST_NOISE)
         grid = np.linspace(float(linear.min()) - 1e-6, float(linear.max()) + 1e-6, _TABLE)
         value, keep = _clipped_mean(grid, noise)
-        curve = _fit_curve(np.interp(linear.ravel()[where], grid, value), seen[:, c], knots)
+        level = np.interp(linear.ravel()[where], grid, value)
+        curve = _fit_curve(level, seen[:, c], knots)
+        turned = np.abs(curve(level) - level)
+        if free.any() and float(np.quantile(turned, 0.95, method="lower")) > _BENT:
+            # An affine fit alone takes a strong curve for a mixture of the channels, and no curve can undo that.
+            bent = _fit_bent(design[::2], seen[::2, c], c)
+            missed = np.abs(seen[free, c] - curve(level[free]))
+            if bent.error < _BETTER * float(np.median(missed)):
+                value = bent(colors).reshape(mask.shape)
+                noise = max(noise_level(np.where(mask, picture[..., c] - value, 0.0)), _LEAST_NOISE)
+                predicted[..., c] = value
+                slope[..., c] = ndtr((1.0 - value) / noise) - ndtr(-value / noise)
+                continue
         predicted[..., c] = np.interp(linear, grid, curve(value))
         slope[..., c] = np.interp(linear, grid, keep)
     return Toned(predicted, slope)
@@ -116,6 +133,43 @@ def _clipped_mean(u: Float64, noise: float) -> tuple[Float64, Float64]:
     return u * inside - noise * density + ndtr(-high), inside
 
 
+@dataclass(frozen=True, eq=False)
+class _Bent:
+    """A curve of a mixture of the channels, f(mix . (r, g, b, 1)), sampled at `grid`; `error` is its median miss."""
+
+    mix: Float64
+    grid: Float64
+    values: Float64
+    error: float
+
+    def __call__(self, colors: Float32) -> Float64:
+        linear = colors @ self.mix[:3].astype(np.float32) + np.float32(self.mix[3])
+        return np.asarray(np.interp(linear, self.grid, self.values), dtype=np.float64)
+
+
+def _fit_bent(rows: Float32, seen: Float32, channel: int) -> _Bent:
+    """Mixture and curve by turns, starting from the channel as it is; rows (P, 4) are colours and a one."""
+    free = (seen < _CLIPPED) & (seen > 1.0 - _CLIPPED)
+    best: _Bent | None = None
+    mix: Float64 = np.eye(4)[channel]
+    for _ in range(_BENT_ROUNDS):
+        x = rows @ mix
+        low, high = float(x.min(initial=0.0)) - 1e-6, float(x.max(initial=1.0)) + 1e-6
+        # Knots lie dense at the dark end, where gammas are steep.
+        curve = _fit_curve(np.sqrt((x - low) / (high - low)), seen, _BENT_KNOTS, far=True)
+        grid = low + (high - low) * np.linspace(0.0, 1.0, _TABLE) ** 2
+        values = curve(np.linspace(0.0, 1.0, _TABLE))
+        left = seen - np.interp(x, grid, values)
+        error = float(np.median(np.abs(left[free]))) if free.any() else np.inf
+        if best is None or error < best.error:
+            best = _Bent(mix, grid, values, error)
+        steep = np.interp(x, grid, np.gradient(values, grid))
+        columns = (steep[:, None] * rows).astype(np.float32)
+        mix = mix + robust_regression(columns[free], left[free].astype(np.float32))
+    assert best is not None
+    return best
+
+
 class _Curve:
     """Piecewise linear function on [0, 1]."""
 
@@ -126,22 +180,31 @@ class _Curve:
         return np.interp(x, np.linspace(0.0, 1.0, len(self.heights)), self.heights)
 
 
-def _fit_curve(x: Float64, y: Float32, knots: int) -> _Curve:
-    """Tone curve y = f(x) as a correction of the identity that is smooth and zero where nothing is known."""
+def _fit_curve(x: Float64, y: Float32, knots: int, *, far: bool = False) -> _Curve:
+    """Tone curve y = f(x) as a correction of the identity that is smooth and zero where nothing is known.
+
+    With `far` the curve may lie far from the identity, and the first round takes no sample for an outlier.
+    """
+    ridge, rounds = (1e-7, 4) if far else (1e-4, 2)
     x = np.clip(x, 0.0, 1.0)
     cell = np.minimum((x * (knots - 1)).astype(np.int64), knots - 2)
     t = x * (knots - 1) - cell
     correction = np.zeros(knots)
     bend = np.diff(np.eye(knots), 2, axis=0)
-    normal = 1e-3 * len(x) / knots * (bend.T @ bend) + (1e-4 * len(x) + 1e-9) * np.eye(knots)
+    normal = 1e-3 * len(x) / knots * (bend.T @ bend) + (ridge * len(x) + 1e-9) * np.eye(knots)
     diagonal = np.bincount(cell, (1 - t) ** 2, knots) + np.bincount(cell + 1, t * t, knots)
     between = np.bincount(cell, t * (1 - t), knots)[:-1]
     normal += np.diag(diagonal) + np.diag(between, 1) + np.diag(between, -1)
-    for _ in range(2):
+    for number in range(rounds):
         fitted = correction[cell] * (1 - t) + correction[cell + 1] * t
         residual = y - x - fitted
         # A mean, with outliers pulled in: a median would be biased where noise meets the limit.
-        limit = 4.0 * (1.4826 * float(np.median(np.abs(residual))) + 1e-3) if len(x) else 1.0
+        judged = (
+            residual[y > 1.0 - _CLIPPED] if far else residual
+        )  # black says nothing about the spread elsewhere
+        limit = 4.0 * (1.4826 * float(np.median(np.abs(judged))) + 1e-3) if len(judged) else 1.0
+        if far and number == 0:
+            limit = np.inf
         pulled = fitted + np.clip(residual, -limit, limit)
         moment = np.bincount(cell, (1 - t) * pulled, knots) + np.bincount(cell + 1, t * pulled, knots)
         correction = np.linalg.solve(normal, moment)

@@ -49,8 +49,8 @@ class CloudConfig:
         Flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA).
     opacity : float or None
         Of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones.
-    size : float or None
-        Factor on the standard deviations; None: 0.7 of flat ones, 1 of round ones.
+    size : float
+        Factor on the standard deviations.
     """
 
     voxel: float | None = None
@@ -58,7 +58,7 @@ class CloudConfig:
     clean: bool = True
     kernels: Literal["flat", "round"] = "flat"
     opacity: float | None = None
-    size: float | None = None
+    size: float = 1.0
 
     def __post_init__(self) -> None:
         if self.most < 4:
@@ -219,9 +219,8 @@ def _to_model(
         origin = _origin(cloud.points)
         flat = config.kernels == "flat"
         opacity = (0.95 if flat else 0.1) if config.opacity is None else config.opacity
-        size = (0.7 if flat else 1.0) if config.size is None else config.size
         make = flat_kernels_from_points if flat else kernels_from_points
-        model = make(cloud.points - origin, colors, opacity=opacity, size=size)
+        model = make(cloud.points - origin, colors, opacity=opacity, size=config.size)
     numbers = {
         "points": read, "voxel": voxel, "strays_dropped": strays, "gaussians": len(model),
         "colors_from": source, "origin": origin.tolist(), "seconds_by_stage": clock.seconds,

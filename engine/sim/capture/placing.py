@@ -116,7 +116,9 @@ def place_scans(
         ]
         return placed, 0
     known = trajectory.times
-    if not _on_clock(scans, known) and any(scan.time is None for scan in scans):
+    if _on_clock(scans, known):
+        scans = [replace(scan, time=None) for scan in scans]
+    elif any(scan.time is None for scan in scans):
         if len(scans) != len(trajectory):
             message = (
                 f"nothing tells when the {len(scans)} scans were taken: their points have no times of the "
@@ -170,13 +172,7 @@ def _times(scan: Scan) -> Float64:
         return stamps
     if stamps is None:
         return np.full(len(scan.cloud), scan.time)
-    if abs(float(np.median(stamps)) - scan.time) < _SAME_CLOCK:
-        return stamps
     return np.asarray(stamps - stamps.min() + scan.time)
-
-
-_SAME_CLOCK = 1.0
-"""Seconds: a turn takes a tenth of one. Stamps this near to the scan's own time are of the same clock."""
 
 
 def mounted(points: Float64, mounting: Float64 | None) -> Float64:

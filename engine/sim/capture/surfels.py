@@ -19,6 +19,9 @@ _THINNEST = 0.05
 _LONGEST = 3.0
 """Of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not."""
 
+_SMALLEST = 1e-3
+"""Of the median kernel: where all neighbours are in one place, a kernel still has a size."""
+
 _ROWS_AT_ONCE = 1 << 16
 
 
@@ -28,7 +31,7 @@ def flat_kernels_from_points(
     *,
     neighbours: int = 12,
     opacity: float = 0.95,
-    size: float = 0.7,
+    size: float = 1.0,
 ) -> GaussianModel:
     """One flat Gaussian for every point, turned into the plane of its neighbours (PCA).
 
@@ -46,7 +49,7 @@ def flat_kernels_from_points(
     opacity : float
         Of every Gaussian, in (0, 1).
     size : float
-        Factor on the standard deviations; 0.7 is sharp and has no holes yet.
+        Factor on the standard deviations; below 0.8, evenly spaced points begin to show.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def flat_kernels_from_points(
     k = min(neighbours, len(points) - 1)
     tree = cKDTree(points)
     log_scales, quats = round_ones.log_scales.copy(), round_ones.quats.copy()
-    smallest = float(np.exp(round_ones.log_scales.min()))
+    smallest = _SMALLEST * float(np.exp(np.median(round_ones.log_scales)))
     for start in range(0, len(points), _ROWS_AT_ONCE):
         rows = slice(start, min(start + _ROWS_AT_ONCE, len(points)))
         near = points[tree.query(points[rows], k=k + 1)[1]]  # (B, k + 1, 3), the point itself among them

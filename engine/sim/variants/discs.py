@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from engine.pipeline.verification import Verification, VerifyConfig, verify_imag
 from engine.raster import RasterSettings, render
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.fine_tuning import fine_tune
-from engine.sim.variants.table4 import VariantRow, measure_variant
+from engine.sim.variants.table4 import VariantRow, fidelity_for, measure_variant
 from engine.watermark.keys import OwnerKey
 
 __all__ = ["DISC_MODEL_ATTACKS", "DISC_PICTURE_ATTACKS", "fit_colors", "make_discs", "measure_discs", "widen"]
@@ -165,7 +166,8 @@ def measure_discs(
         Made from it, `is_flat`.
     key : OwnerKey
     config : EmbedConfig
-        With ``landmark_views=0`` the picture whose camera has to be found is left out.
+        Its fidelity is raised as far as `fidelity_for` asks. With ``landmark_views=0`` the picture whose camera
+        has to be found is left out.
     bits : int
         Length of the message.
     views, size : int
@@ -184,15 +186,16 @@ def measure_discs(
         raise InputError("a 2DGS model has two scales, this one has three")
     file = encode_model(discs, "ply")
     discs = read_model(file).model
+    jitter = np.random.default_rng(seed).random((views, 4))
+    cameras = make_rig(original, views, size, size, jitter=jitter)
+    truth, before = (
+        [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras] for model in (original, discs)
+    )
+    config = replace(config, psnr_db=fidelity_for(truth, before, config.psnr_db))
     result = embed(discs, key, original_sha256=hashlib.sha256(file).hexdigest(), bits=bits, config=config)
     opened = open_record(result.record.to_bytes(key), key)
     marked = read_model(encode_model(result.model, "ply")).model
-    jitter = np.random.default_rng(seed).random((views, 4))
-    cameras = make_rig(original, views, size, size, jitter=jitter)
-    truth, before, after = (
-        [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras]
-        for model in (original, discs, marked)
-    )
+    after = [np.clip(render(marked, camera), 0.0, 1.0) for camera in cameras]
     readings = _model_readings(marked, opened, seed)
     readings |= _picture_readings(marked, after[0], cameras[0], opened, seed)
     return measure_variant("2DGS (made from 3DGS)", truth, before, after, readings)

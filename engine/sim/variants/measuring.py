@@ -14,11 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from engine.errors import InputError
 from engine.formats import read_model
 from engine.formats.writing import write_whole
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import psnr
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord, open_record
@@ -32,13 +30,12 @@ from engine.sim.variants.moments import verify_moment, verify_moving_images
 from engine.sim.variants.moving import embed_moving, move_record, visible
 from engine.sim.variants.spacetime import SpacetimeModel
 from engine.sim.variants.spacetime_ply import read_spacetime_ply, write_spacetime_ply
-from engine.sim.variants.table4 import VariantRow, measure_variant
+from engine.sim.variants.table4 import VariantRow, fidelity_for, measure_variant
 from engine.watermark.keys import OwnerKey
 
 __all__ = [
     "MODEL_CASES",
     "PICTURE_CASES",
-    "fidelity_for",
     "measure_codebook",
     "measure_generated",
     "measure_spacetime",
@@ -55,46 +52,12 @@ PICTURE_CASES: tuple[tuple[str, float], ...] = (
 )  # fmt: skip
 """Attacks on one picture of the marked variant, its camera known, and their strengths."""
 
-DROP_DB = 0.08
-"""What a mark is planned to cost against the truth; the bar is 0.1, and errors know a little of each other."""
-
 SEARCHED_MOMENTS = 5
 """Moments that are tried where nobody knows when a picture was taken."""
 
 
 class _Truth(Protocol):
     def at(self, time: float) -> GaussianModel: ...
-
-
-def fidelity_for(
-    truth: Sequence[Float32], before: Sequence[Float32], least: float, drop: float = DROP_DB
-) -> float:
-    """PSNR a mark needs so that it costs no more than `drop` dB against the truth, mean over the views.
-
-    The better a variant is, the finer its mark must be: errors add up in power where they do not know of each
-    other, so a view at b dB falls by 10 log10(1 + 10^((b - m) / 10)) under a mark at m dB.
-
-    Parameters
-    ----------
-    truth, before : sequence of (H, W, 3) float32
-        Pictures of the truth and of the unmarked variant.
-    least : float
-        Never less than this, dB.
-    drop : float
-        dB.
-
-    Returns
-    -------
-    float
-        dB, in steps of a half.
-    """
-    base = np.array([psnr(a, b) for a, b in zip(truth, before, strict=True)])
-    if not np.isfinite(base).all():
-        raise InputError("the variant equals its truth: any mark at all costs more than a given drop")
-    mark = least
-    while np.mean(10 * np.log10(1 + 10 ** ((base - mark) / 10))) > drop:
-        mark += 0.5
-    return mark
 
 
 def measure_spacetime(

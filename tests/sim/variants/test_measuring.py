@@ -6,7 +6,8 @@ import pytest
 from engine.errors import InputError
 from engine.numerics.image_metrics import psnr
 from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
-from engine.sim.variants.measuring import MODEL_CASES, PICTURE_CASES, fidelity_for
+from engine.sim.variants.measuring import MODEL_CASES, PICTURE_CASES
+from engine.sim.variants.table4 import fidelity_for
 
 
 def test_a_mark_of_that_fidelity_costs_what_was_asked() -> None:

@@ -11,7 +11,7 @@ import pytest
 from engine.errors import InputError
 from engine.numerics.image_metrics import psnr
 from engine.numerics.multiscale_ssim import ms_ssim_distance
-from engine.sim.variants.table4 import mark_psnr_for_drop, measure_variant
+from engine.sim.variants.table4 import measure_variant
 from engine.watermark.claim import Verdict
 
 
@@ -48,16 +48,6 @@ def test_a_row_holds_what_was_measured() -> None:
     plain = json.loads(json.dumps(row.to_json()))
     assert plain["psnr_drop"] == row.psnr_drop
     assert plain["readings"][1]["verdict"] == "marked"
-
-
-def test_the_drop_of_a_mark_of_that_psnr() -> None:
-    truth, before = views(0.0, 0), views(0.05, 1)
-    wanted = mark_psnr_for_drop(psnr(truth[0], before[0]), 0.4)
-    noise = views(10 ** (-wanted / 20), 3)
-    after = [(b + n - t).astype(np.float32) for b, n, t in zip(before, noise, truth, strict=True)]
-    assert measure_variant("x", truth, before, after, {}).psnr_drop == pytest.approx(0.4, abs=0.03)
-    with pytest.raises(InputError, match="positive"):
-        mark_psnr_for_drop(30.0, 0.0)
 
 
 def test_unequal_views_are_refused() -> None:
