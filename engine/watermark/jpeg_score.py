@@ -15,6 +15,9 @@ from scipy.special import log_ndtr
 from engine.model import Bool, Float32, Float64
 from engine.watermark.color_fit import fit_colors
 
+_BETTER = 0.7
+"""Tone and uneven light must leave this share of what gain and offset leave."""
+
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 STANDARD_LUMA_TABLE = np.array(
@@ -153,14 +156,16 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
 def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
     """The reference in the picture's colours, where these are not its own.
 
-    Gain and offset of each channel tell whether they are; if not, tone and light are fitted in full. That fit is
-    robust and on block means: compression takes contrast from single pixels, which is no exposure.
+    Gain and offset of each channel tell whether they are; tone and light are fitted in full only where that explains
+    clearly more. All on block means: compression takes contrast from single pixels, which is no exposure, but a
+    tone curve would bend to it.
     """
     height, width = (size // 8 * 8 for size in mask.shape)
     whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
     use = _unclipped(picture) & whole
     if use.sum() < 50:
         return reference
+    out = reference.copy()
     for c in range(3):
         x, y = (_block_means(image[..., c])[use] for image in (reference, picture))
         gain, offset = 1.0, 0.0
@@ -174,8 +179,19 @@ def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32
         changed = abs(gain - 1.0) > 0.03 or abs(offset) > 0.012
         sane = 0.2 < gain < 5.0 and abs(offset) < 0.3  # too flat a picture fits any line
         if changed and sane:
-            return fit_colors(reference, picture, mask).predicted
-    return np.clip(reference, 0.0, 1.0)
+            out[..., c] = gain * reference[..., c] + offset
+    out = np.clip(out, 0.0, 1.0)
+    if np.array_equal(out, np.clip(reference, 0.0, 1.0)):
+        return out
+    full = fit_colors(reference, picture, mask).predicted
+    missed, left = (_missed(image, picture, use) for image in (out, full))
+    return full if left < _BETTER * missed else out
+
+
+def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:
+    """Median error of the block means."""
+    errors = [np.abs(_block_means(picture[..., c]) - _block_means(predicted[..., c]))[use] for c in range(3)]
+    return float(np.median(errors))
 
 
 def _block_means(plane: Float32) -> Float64:
