@@ -8,7 +8,20 @@ from typing import Annotated
 
 import typer
 
-from engine.cli import attack, bench, config, demo, embed, failures, inspect, keygen, render, sim, verify
+from engine.cli import (
+    attack,
+    bench,
+    config,
+    demo,
+    embed,
+    failures,
+    inspect,
+    keygen,
+    render,
+    sim,
+    trace,
+    verify,
+)
 from engine.cli.console import Console
 
 app = typer.Typer(
@@ -54,6 +67,7 @@ app.command("keygen")(keygen.keygen)
 app.command("inspect")(inspect.inspect)
 app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
+app.command("trace")(trace.trace)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)

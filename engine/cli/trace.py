@@ -1,0 +1,138 @@
+"""`mark3dgs trace`: which of the copies I gave away took part in this suspect?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from engine.cli.console import Console
+from engine.cli.failures import MARKED, NOT_MARKED
+from engine.cli.files import is_picture, read_bytes, read_picture
+from engine.cli.kernels import prepare_kernels
+from engine.cli.models import say_repairs
+from engine.cli.options import Json, Key
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from engine.pipeline.sealing import OpenedRecord
+
+SHOWN = 10
+"""Copies listed beside those named."""
+
+
+def trace(
+    suspects: Annotated[
+        list[Path],
+        typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model."),
+    ],
+    records: Annotated[
+        list[Path],
+        typer.Option("--records", help="Folder of records (*.record), or a record; repeatable."),
+    ],
+    key: Key,
+    cameras: Annotated[
+        Path | None, typer.Option("--cameras", help="Cameras of the pictures; found by search if left out.")
+    ] = None,
+    false_claim_rate: Annotated[
+        float,
+        typer.Option(
+            "--false-claim-rate",
+            metavar="P",
+            help="Largest acceptable chance that any innocent copy is named.",
+        ),
+    ] = 1e-9,
+    json: Json = False,
+) -> int:
+    """Name the copies behind a suspect: one reading, every record of a folder.
+
+    Several are named when several buyers put their copies together. The bound on
+    naming an innocent one counts every record that was asked about.
+
+    Exit codes: 0 some copy is named, 3 none is, 2 wrong key or input.
+
+    Examples:
+
+      mark3dgs trace suspect.ply --records sold/ --key owner.key
+      mark3dgs trace a.png b.png --records sold/ --key owner.key --json
+    """
+    console = Console(json)
+    began = time.perf_counter()
+    pictures = [is_picture(path) for path in suspects]
+    if any(pictures) and not all(pictures):
+        raise InputError("suspects are one model, or pictures of one model, not both at once")
+    if not any(pictures) and len(suspects) > 1:
+        raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path in suspects)}")
+    if cameras is not None and not any(pictures):
+        raise InputError("--cameras belongs to pictures; a model needs none")
+    files = _files(records)
+
+    from engine.formats import read_cameras, read_model
+    from engine.pipeline.sealing import open_record
+    from engine.pipeline.tracing import trace_images, trace_model
+    from engine.pipeline.verification import VerifyConfig
+    from engine.watermark.keys import OwnerKey
+
+    config, owner = VerifyConfig(false_claim_rate=false_claim_rate), OwnerKey.read(key)
+
+    def opened() -> Iterator[OpenedRecord]:
+        for file in files:
+            yield open_record(read_bytes(file, "record"), owner)
+
+    with console.progress() as progress:
+        prepare_kernels(console, progress, "pictures" if any(pictures) else "model")
+        if any(pictures):
+            known = read_cameras(cameras) if cameras is not None else None
+            found = trace_images([read_picture(path) for path in suspects], opened(), config, known, progress)
+        else:
+            loaded = read_model(suspects[0])
+            say_repairs(console, loaded.repairs)
+            found = trace_model(loaded.model, opened(), config, progress)
+    report: dict[str, Any] = found.to_json() | {
+        "suspects": [str(path) for path in suspects], "seconds": time.perf_counter() - began
+    }  # fmt: skip
+    for line in _lines(report):
+        console.say(line)
+    console.emit(report)
+    return MARKED if found.named else NOT_MARKED
+
+
+def _files(places: list[Path]) -> list[Path]:
+    files: list[Path] = []
+    for place in places:
+        inside = sorted(place.glob("*.record")) if place.is_dir() else [place]
+        if not inside:
+            raise InputError(f"{place}: no file in this folder ends in .record")
+        files += inside
+    return files
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    findings, named = report["findings"], len(report["named"])
+    asked = f"{len(findings)} {'copy' if len(findings) == 1 else 'copies'} asked about"
+    names = ", ".join(repr(name) for name in report["named"])
+    lines = [f"NAMED: {names}; {asked}." if named else f"NOBODY NAMED; {asked}.", ""]
+    lines.append(f"{'copy':<28}{'z':>8}  {'false claim':>12}  {'asset found':>11}  record")
+    for finding in findings[: max(SHOWN, named)]:
+        share = finding["derived_fraction"]
+        lines.append(
+            f"{finding['copy'][:27]:<28}{finding['z']:>8.1f}  {_bound(finding['log10_false_claim']):>12}  "
+            f"{'' if share is None else f'{100 * share:.0f} %':>11}  {finding['record_id']}"
+        )
+    if len(findings) > max(SHOWN, named):
+        lines.append(f"... and {len(findings) - max(SHOWN, named)} more, all below")
+    lines += [
+        "",
+        f"A copy is named from z = {report['z_threshold']:.2f} on: the chance that any innocent one",
+    ]
+    lines.append(
+        f"reaches it is at most {report['false_claim_rate']:g}, all {report['tries']} tries counted."
+    )
+    return lines + list(report["notes"])
+
+
+def _bound(log10: float) -> str:
+    return "no better" if log10 >= 0 else f"1e{log10:.0f}"
