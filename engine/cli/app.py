@@ -14,6 +14,7 @@ from engine.cli import (
     config,
     demo,
     embed,
+    evaluate,
     failures,
     inspect,
     keygen,
@@ -71,6 +72,7 @@ app.command("trace")(trace.trace)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)
+app.command("evaluate")(evaluate.evaluate)
 app.command("bench")(bench.bench)
 app.add_typer(config.app, name="config")
 app.command("demo")(demo.demo)

@@ -9,12 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from engine.cli.bench_jobs import BENCHES, Job
-from engine.cli.console import Console, plain
+from engine.cli.console import Console
 from engine.cli.files import check_target, whole_file
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json, Seed
 from engine.errors import InputError
+from engine.numerics.plain import plain
 
 
 def bench(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
+
+from engine.numerics.plain import plain
 
 Progress = Callable[[str, float], None]
 
@@ -117,18 +118,3 @@ def _bar() -> Iterator[Progress]:
             display.update(tasks[stage], completed=min(max(fraction, 0.0), 1.0))
 
         yield callback
-
-
-def plain(value: Any) -> Any:
-    """A value in JSON's own types: arrays as lists, numbers that are not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(name): plain(entry) for name, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
-    if hasattr(value, "tolist"):  # numpy, without importing it
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value)

@@ -45,13 +45,13 @@ def sim(
     """Play a scenario: edits, physics, attacks; look for every mark after each step.
 
     The scenario is a TOML file of [[objects]] (models, marked at the start)
-    and [[steps]]; docs/SIMULATOR.md explains it, engine/sim/scenarios has
+    and [[steps]]; docs/SIMULATOR.md explains it, docs/scenarios has
     examples. Writes report.json, report.md, a picture a step, and film.webp.
 
     Examples:
 
       mark3dgs sim --list
-      mark3dgs sim engine/sim/scenarios/theft.toml --out theft
+      mark3dgs sim docs/scenarios/theft.toml --out theft
     """
     console = Console(json)
     from engine.sim.scenario import read_scenario, run_scenario
@@ -113,7 +113,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
 
     from PIL import Image
 
-    from engine.cli.console import plain
+    from engine.numerics.plain import plain
     from engine.sim.views.movies import write_movie
 
     files = []

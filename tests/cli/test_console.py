@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from engine.cli.console import Console, plain
+from engine.cli.console import Console
+from engine.numerics.plain import plain
 
 
 def test_plain_values_are_json() -> None:

@@ -9,7 +9,7 @@ import pytest
 from engine.cli.app import run
 
 COMMANDS = (
-    ["keygen"], ["inspect"], ["embed"], ["verify"], ["trace"], ["render"], ["attack"], ["sim"], ["bench"],
+    ["keygen"], ["inspect"], ["embed"], ["verify"], ["trace"], ["render"], ["attack"], ["sim"], ["evaluate"], ["bench"],
     ["config", "show"], ["demo"],
 )  # fmt: skip
 HEAVY = ("torch", "numba", "cv2", "scipy", "numpy", "matplotlib", "skimage", "PIL")

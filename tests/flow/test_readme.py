@@ -43,7 +43,17 @@ def folder(tmp_path: Path) -> Path:
 
 def test_readme_shows_commands() -> None:
     text = "".join(block["commands"] for block in blocks())
-    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "trace", "sim", "config show"):
+    for command in (
+        "keygen",
+        "inspect",
+        "embed",
+        "verify",
+        "render",
+        "attack",
+        "trace",
+        "sim",
+        "config show",
+    ):
         assert f"mark3dgs {command}" in text
 
 

@@ -1,0 +1,137 @@
+"""Running the cells of a study: here, in several processes, or on a Dask cluster; stopped and resumed at any cell."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from engine.errors import InputError, Mark3DGSError
+from engine.evaluate.study import Cell, Row
+from engine.numerics.machine import machine_info, peak_memory_mb
+from engine.numerics.plain import plain
+
+__all__ = ["run_cells"]
+
+Tell = Callable[[str, float], None]
+
+
+def run_cells(
+    cells: Sequence[Cell],
+    folder: Path,
+    *,
+    workers: int = 1,
+    dask: str | None = None,
+    tell: Tell | None = None,
+) -> list[Row]:
+    """Rows of all cells, in the order of the cells; what a folder already holds is not measured again.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+        Names must be unique.
+    folder : Path
+        Gets one ``<cell>.json`` for each, complete or not at all.
+    workers : int
+        Local processes; 1 runs in this one. Timings want 1.
+    dask : str, optional
+        Address of a scheduler whose workers see the same files under the same paths.
+    tell : callable, optional
+        Told a cell's name and the fraction done.
+
+    Returns
+    -------
+    list of dict
+        Each row with its ``"cell"``.
+
+    Raises
+    ------
+    InputError
+        If two cells have one name, or Dask is asked for and not there.
+    """
+    names = [cell.name for cell in cells]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"two cells are called {twice!r}")
+    folder.mkdir(parents=True, exist_ok=True)
+    done = {cell.name: rows for cell in cells if (rows := _stored(cell, folder)) is not None}
+    left = [cell for cell in cells if cell.name not in done]
+    for cell, result in _results(left, workers, dask, tell, len(done), len(cells)):
+        _store(cell, result, folder)
+        done[cell.name] = result["rows"]
+        if tell is not None:
+            tell(cell.name, len(done) / len(cells))
+    return [{"cell": name, **row} for name in names for row in done[name]]
+
+
+def measure(cell: Cell) -> dict[str, Any]:
+    """Run one cell wherever this process is; its rows, and what it took."""
+    began = time.perf_counter()
+    try:
+        rows = cell.run()
+    except Mark3DGSError as error:
+        raise InputError(f"cell {cell.name}: {error}") from error
+    return {
+        "digest": cell.digest, "work": cell.work, "arguments": cell.arguments, "rows": plain(rows),
+        "seconds": time.perf_counter() - began, "peak_memory_mb": peak_memory_mb(), "machine": machine_info(),
+    }  # fmt: skip
+
+
+def _results(
+    cells: Sequence[Cell], workers: int, dask: str | None, tell: Tell | None, before: int, total: int
+) -> Iterator[tuple[Cell, dict[str, Any]]]:
+    if dask is None and workers == 1:
+        for number, cell in enumerate(cells):
+            if tell is not None:
+                tell(cell.name, (before + number) / total)
+            yield cell, measure(cell)
+        return
+    with _executor(workers, dask) as executor:
+        waiting: dict[Future[dict[str, Any]], Cell] = {executor.submit(measure, cell): cell for cell in cells}
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BaseException:
+            for future in waiting:
+                future.cancel()
+            raise
+
+
+@contextmanager
+def _executor(workers: int, dask: str | None) -> Iterator[Executor]:
+    if dask is None:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise InputError("--dask needs the package distributed: pip install 'mark3dgs[dask]'") from None
+    try:
+        client = Client(dask, timeout=10)
+    except OSError as error:
+        raise InputError(f"no Dask scheduler answers at {dask!r}: {error}") from None
+    with client:
+        yield client.get_executor(pure=False)
+
+
+def _stored(cell: Cell, folder: Path) -> list[Row] | None:
+    """Rows of an earlier run, if they are of this very cell."""
+    try:
+        result = json.loads((folder / f"{cell.name}.json").read_text())
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
+    rows: list[Row] | None = result["rows"] if result.get("digest") == cell.digest else None
+    return rows
+
+
+def _store(cell: Cell, result: dict[str, Any], folder: Path) -> None:
+    part = folder / f".{cell.name}.part"
+    part.write_text(json.dumps(result, indent=1) + "\n")
+    os.replace(part, folder / f"{cell.name}.json")
