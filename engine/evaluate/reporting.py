@@ -46,7 +46,8 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
     bars = sorted(made.bars, key=lambda bar: {False: 0, None: 1, True: 2}[bar.met])
     folder.mkdir(parents=True, exist_ok=True)
     results = {
-        "study": study.name, "title": study.title, "question": study.question, "scenes": [Path(scene).name for scene in options.scenes],
+        "study": study.name, "title": study.title, "question": study.question,
+        "scenes": [Path(scene).name for scene in options.scenes],
         "quick": options.quick, "seed": options.seed, "machine": machine_info(), "note": INFORMED,
         "bars": [vars(bar) for bar in bars], "answer": list(made.answer), "summary": made.summary, "rows": rows,
     }  # fmt: skip
