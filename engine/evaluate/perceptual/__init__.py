@@ -1,0 +1,1 @@
+"""What eyes may notice of a mark."""
