@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["DIVERGING", "INK", "SEQUENTIAL", "figure", "label_line", "png", "styles", "svg"]
+__all__ = ["DIVERGING", "INK", "SEQUENTIAL", "figure", "house_style", "label_line", "png", "styles", "svg"]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
@@ -30,14 +31,22 @@ STYLE: dict[str, Any] = {
 }  # fmt: skip
 
 
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The settings in force while a figure is drawn: titles and legends ask for theirs when they are added."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        yield
+
+
 def figure(
     rows: int = 1, columns: int = 1, *, width: float = 6.4, height: float = 3.8, **options: Any
 ) -> tuple[Figure, Any]:
     """A figure and its axes in the house style; sizes in inches. It belongs to no window and no global state."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
+    with house_style():
         made = Figure(figsize=(width, height), layout="constrained")
         axes = made.subplots(rows, columns, **options)
     return made, axes
@@ -72,9 +81,7 @@ def png(drawn: Figure, dpi: int = 160) -> bytes:
 
 
 def _bytes(drawn: Figure, kind: str, **options: Any) -> bytes:
-    import matplotlib as mpl
-
     out = io.BytesIO()
-    with mpl.rc_context(STYLE):
+    with house_style():
         drawn.savefig(out, format=kind, facecolor="white", **options)
     return out.getvalue()

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from engine.evaluate.drawing import png, svg
+from engine.evaluate.drawing import house_style, png, svg
 from engine.evaluate.study import Bar, Options, Report, Row, Section, Study, Table
 from engine.numerics.machine import machine_info
 from engine.numerics.plain import plain
@@ -66,7 +66,8 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
 def _section(section: Section, folder: Path, names: list[str]) -> str:
     parts = [f"<h2>{_safe(section.title)}</h2>", *(f"<p>{_safe(text)}</p>" for text in section.text)]
     for drawing in section.drawings:
-        figure = drawing.make()
+        with house_style():
+            figure = drawing.make()
         vector = svg(figure)
         (folder / "figures").mkdir(exist_ok=True)
         for ending, content in (("svg", vector), ("png", png(figure))):

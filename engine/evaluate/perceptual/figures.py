@@ -27,14 +27,14 @@ def draw_pictures(rows: Sequence[Row], title: str) -> Figure:
     drawn, axes = figure(
         len(rows), len(COLUMNS), width=SIDE * len(COLUMNS) + 0.4, height=SIDE * len(rows) + 0.5, squeeze=False
     )
-    for line, row in zip(axes, rows, strict=True):
+    for number, (line, row) in enumerate(zip(axes, rows, strict=True)):
         for place, (name, label) in zip(line, COLUMNS.items(), strict=True):
             place.imshow(_picture(row[name]), interpolation="none")
             place.set(xticks=[], yticks=[])
             place.grid(visible=False)
             for spine in place.spines.values():
                 spine.set_visible(False)
-            if line is axes[0]:
+            if number == 0:
                 place.set_title(label, fontweight="normal")
         line[0].set_ylabel(row["profile"])
     drawn.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")

@@ -47,8 +47,8 @@ def load_lpips(weights: str) -> Callable[[Float32, Float32], float]:
         network.net.load_state_dict(state)
     except FileNotFoundError:
         raise InputError(f"{weights}: no such file") from None
-    except (KeyError, TypeError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
-        raise InputError(f"{weights}: not the weights of torchvision's AlexNet: {error}") from None
+    except (KeyError, TypeError, RuntimeError, pickle.UnpicklingError, EOFError):
+        raise InputError(f"{weights}: not the weights of torchvision's AlexNet") from None
 
     def distance(a: Float32, b: Float32) -> float:
         pair = [
