@@ -1,0 +1,143 @@
+"""What a stranger can measure on the colours of a model, region by region, without the key.
+
+A mark moves DC colours by little, but in patches and along few directions; and it may break the lattice of values
+that a file format left. The features here see both: how a Gaussian's colour stands to its neighbours' at three sizes,
+how values are distributed, and how often exactly the same value occurs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from engine.model import SH_C0, Float64, GaussianModel, Int64
+
+__all__ = ["Regions", "divide", "float_born", "measure_regions"]
+
+REGION = 512
+"""About so many Gaussians a region."""
+NEAR, FAR = 8, 48
+"""Neighbours: the nearest, and about as many as share a code vector of the coarsest stage."""
+OFTEN = 4
+"""Occurrences of a value that floating point does not give by chance."""
+EDGES = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
+OPPONENT = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.5, 0.5, -1.0]]) / np.sqrt([[3.0], [2.0], [1.5]])
+"""Lightness and two colour differences."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """Compact pieces of one geometry and who is whose neighbour; the same for all copies of a scene.
+
+    Parameters
+    ----------
+    label : (N,) int64
+        Region of each Gaussian.
+    count : int
+    neighbors : (N, FAR) int64
+        Nearest first.
+    """
+
+    label: Int64
+    count: int
+    neighbors: Int64
+
+
+def divide(model: GaussianModel) -> Regions:
+    """Halve the longest side at its median until pieces have about 512 Gaussians."""
+    means = model.means.astype(np.float64)
+    pieces = [np.arange(len(model))]
+    while len(pieces[0]) > 1.5 * REGION:
+        halves = []
+        for piece in pieces:
+            axis = int(np.argmax(np.ptp(means[piece], axis=0)))
+            order = piece[np.argsort(means[piece, axis], kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        pieces = halves
+    label = np.empty(len(model), dtype=np.int64)
+    for number, piece in enumerate(pieces):
+        label[piece] = number
+    neighbors = cKDTree(means).query(means, FAR + 1, workers=2)[1][:, 1:]
+    return Regions(label, len(pieces), neighbors.astype(np.int64))
+
+
+def measure_regions(model: GaussianModel, regions: Regions) -> Float64:
+    """Features of each region.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        In the order that the regions were made of.
+    regions : Regions
+
+    Returns
+    -------
+    (regions.count, F) float64
+    """
+    dc = model.sh[:, 0].astype(np.float64)
+    colors = dc @ OPPONENT.T  # (N, 3)
+    near = colors[regions.neighbors[:, :NEAR]].mean(axis=1)
+    far = colors[regions.neighbors].mean(axis=1)
+    nearest = colors[regions.neighbors[:, 0]]
+    columns: list[npt.NDArray[np.float64]] = []
+    for difference in (colors - nearest, colors - near, near - far):
+        columns += _shape(difference, regions)
+    columns += _shape(colors, regions)
+    columns += _lattice(dc, regions)
+    return np.stack(columns, axis=1)
+
+
+def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
+    """The model with DC colours spread evenly over the cells of their lattice, as before a format rounded them.
+
+    Scenes that can be had went through a format with few values; this is what their training had before it.
+    """
+    dc = model.sh[:, 0].astype(np.float64)
+    for c in range(3):
+        values, place = np.unique(dc[:, c], return_inverse=True)
+        middle = 0.5 * (values[1:] + values[:-1])
+        # The outermost cells hold whatever was clipped there; they are as wide as their neighbours.
+        low = np.concatenate([2 * values[:1] - middle[:1], middle])
+        high = np.concatenate([middle, 2 * values[-1:] - middle[-1:]])
+        dc[:, c] = rng.uniform(low[place], high[place])
+    return model.with_dc(dc.astype(np.float32))
+
+
+def _shape(values: Float64, regions: Regions) -> list[Float64]:
+    """Spread, tails, lean and histogram of each channel, and the channels' correlations, a column each."""
+    spread = np.sqrt(_mean(values**2, regions)) + 1e-9  # (R, 3)
+    scaled = values / spread[regions.label]
+    columns = [
+        *np.log(spread).T,
+        *np.log(_mean(np.abs(scaled), regions) + 1e-9).T,
+        *_mean(scaled**3, regions).clip(-20, 20).T,
+        *np.log(_mean(scaled**4, regions) + 1e-9).T,
+        *_mean(scaled * np.roll(scaled, 1, axis=1), regions).T,
+    ]
+    bins = np.digitize(scaled, EDGES)  # (N, 3)
+    for c in range(3):
+        for edge in range(1, len(EDGES)):
+            columns.append(_mean((bins[:, c : c + 1] == edge).astype(np.float64), regions)[:, 0])
+    return columns
+
+
+def _lattice(dc: Float64, regions: Regions) -> list[Float64]:
+    """How often a value is shared with other Gaussians of the model, and how far values lie from 8-bit levels."""
+    columns = []
+    for c in range(3):
+        _, place, count = np.unique(dc[:, c], return_inverse=True, return_counts=True)
+        shared = (count[place] >= OFTEN).astype(np.float64)
+        levels = 255.0 * (0.5 + SH_C0 * dc[:, c])
+        off = np.abs(levels - np.round(levels))
+        columns += [*_mean(np.stack([shared, off], axis=1), regions).T]
+    return columns
+
+
+def _mean(values: Float64, regions: Regions) -> Float64:
+    """(count, k) mean of (N, k) values over each region."""
+    total = np.bincount(regions.label, minlength=regions.count).astype(np.float64)
+    sums = [np.bincount(regions.label, column, regions.count) for column in values.T]
+    return np.stack(sums, axis=1) / np.maximum(total, 1.0)[:, None]
