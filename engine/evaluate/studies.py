@@ -11,6 +11,15 @@ STUDIES = {
     "pareto": ("engine.evaluate.pareto.study", "speed against accuracy, and what a scene needs"),
     "stability": ("engine.evaluate.stability.study", "every attack from harmless to ruinous; odd inputs"),
     "tables": ("engine.evaluate.tables.study", "the paper's tables 1 to 6 and figures 6, 7; ablations"),
+    "table1": ("engine.evaluate.tables.study:table1", "of it: bits and fidelity by message length"),
+    "table2": ("engine.evaluate.tables.study:table2", "of it: bits after each attack, in all its readings"),
+    "table3": ("engine.evaluate.tables.study:table3", "of it: time, frames a second, size"),
+    "table4": ("engine.evaluate.tables.study:table4", "of it: 2DGS, 4DGS, codebooks, generated models"),
+    "table5": ("engine.evaluate.tables.study:table5", "of it: fine-tuning in four settings"),
+    "table6": ("engine.evaluate.tables.study:table6", "of it: losses of the refinement"),
+    "fig6": ("engine.evaluate.tables.study:fig6", "of it: hyper-parameters"),
+    "fig7": ("engine.evaluate.tables.study:fig7", "of it: pruning and strength"),
+    "ablation": ("engine.evaluate.tables.study:ablation", "of it: what each stage buys"),
     "null": (
         "engine.evaluate.null.study",
         "false claims: a million wrong keys, foreign marks, hostile suspects",
@@ -23,12 +32,14 @@ STUDIES = {
         "what eyes may notice: PSNR, SSIM, MS-SSIM, FLIP, LPIPS",
     ),
 }
-"""Module and summary of each; the module holds `STUDY`."""
+"""Module and summary of each; the module holds `STUDY`, or after a colon: one of the module's `studies()`."""
 
 
 def find_study(name: str) -> Study:
     """The study of that name."""
     if name not in STUDIES:
         raise InputError(f"there is no suite {name!r}; there are {', '.join(STUDIES)}")
-    study: Study = importlib.import_module(STUDIES[name][0]).STUDY
+    place, _, part = STUDIES[name][0].partition(":")
+    module = importlib.import_module(place)
+    study: Study = module.studies()[part] if part else module.STUDY
     return study

@@ -1,0 +1,1 @@
+"""What the tables measure: one function a kind of cell, plain rows back."""
