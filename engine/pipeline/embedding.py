@@ -36,6 +36,8 @@ from engine.watermark.spreading import signed_amplitudes
 
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
+LEAST_WIDTH = 1e-4
+"""Of the centres across a line through them, as a share of their length: a line's rotation about itself shows nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +119,7 @@ def embed(
 
     with clock.stage("look"):  # 1
         extent = measure_extent(model)
+        _check_placeable(model, extent)
         key_cameras = _key_cameras(model, key, asset, config, cameras, extent)
         original = look(model, key_cameras, clock.advance, variant.at_view)
         impact = measure_impact(model, original.views, original.images)
@@ -188,6 +191,22 @@ def embed(
         "seconds_by_stage": clock.seconds,
     }
     return Embedding(marked, record, report)
+
+
+def _check_placeable(model: GaussianModel, extent: Extent) -> None:
+    """Refuse what no registration could place again: centres in one point, on a line, or rounded away."""
+    means = model.means.astype(np.float64)
+    furthest = float(np.abs(means).max())
+    if extent.radius <= float(np.spacing(np.float32(np.abs(extent.center).max()))):
+        raise InputError(
+            f"this model lies {furthest:.3g} from the origin and is {extent.radius:.3g} across: float32 cannot tell "
+            "its centres apart; move it nearer"
+        )
+    spread = np.linalg.svd(np.cov(means.T, bias=True), compute_uv=False)  # variances along the principal axes
+    if spread[1] <= LEAST_WIDTH**2 * spread[0]:
+        raise InputError(
+            "the centres of this model lie in one point or on a line: a copy of it could not be registered"
+        )
 
 
 def _key_cameras(

@@ -16,6 +16,8 @@ from engine.watermark.statistics import log10_binomial_tail
 ROUTES = ("auto", "model", "render", "image")
 ABSENCE_POWER = 0.999
 """Probability that the registration finds a piece of the asset that is there (measured: docs/RESULTS.md)."""
+LEAST_PIECE = 64
+"""Gaussians below which a suspect is too small for that: its silence says nothing. As few as a mark itself needs."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def judge(
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":
-            absence = ABSENCE_POWER
+            absence = ABSENCE_POWER if len(registration.matches) >= LEAST_PIECE else None
             notes = (*notes, "no piece of the asset was found in the suspect model")
     claim = decide(
         evidence.y, evidence.weights, evidence.signal, spreading.bit_of, spreading.chips, opened.message,
