@@ -40,6 +40,7 @@ class DitheredQim:
 
     name: str = "QIM on DC colour"
     blind: bool = True
+    keyed: bool = True
     stands_for: str = (
         "the class of FlyMark (2026): dithered QIM on DC colour, keyed by quantised position. Its own choice of "
         "carriers is not public; all Gaussians carry here, and votes are soft"
@@ -48,6 +49,10 @@ class DitheredQim:
     def missing(self) -> str:
         """Runs everywhere."""
         return ""
+
+    def cameras(self, original: GaussianModel) -> list[Camera]:
+        """A reader of models needs no views."""
+        return []
 
     def embed(
         self, model: GaussianModel, key: OwnerKey, message: Signs, psnr_db: float, cameras: Sequence[Camera]

@@ -33,6 +33,7 @@ class FileOrderSpreadSpectrum:
 
     name: str = "spread spectrum over the file index"
     blind: bool = False
+    keyed: bool = True
     stands_for: str = (
         "the position paper of Deng, Nakra and Wu (2026): DCT along the file's order, keyed signs, read by "
         "subtracting the original. Additive, where the paper's is multiplicative"
@@ -41,6 +42,10 @@ class FileOrderSpreadSpectrum:
     def missing(self) -> str:
         """Runs everywhere."""
         return ""
+
+    def cameras(self, original: GaussianModel) -> list[Camera]:
+        """A reader of models needs no views."""
+        return []
 
     def embed(
         self, model: GaussianModel, key: OwnerKey, message: Signs, psnr_db: float, cameras: Sequence[Camera]

@@ -19,14 +19,17 @@ __all__ = ["draw_areas", "draw_check", "draw_roc"]
 
 
 def draw_roc(rows: Sequence[Row], title: str) -> Figure:
-    """Fusion of the four detectors: our mark, and replaced bits at three rates for scale."""
+    """Fusion of the four detectors: our mark, and replaced bits at the lowest rate for scale."""
     drawn, axes = figure(width=5.6, height=4.6)
     unmarked = np.array([row["fusion"] for row in rows if row["kind"] == "unmarked"])
     lsb = sorted({row["rate"] for row in rows if row["kind"] == "lsb"})
-    series = [("our mark", [row for row in rows if row["kind"] == "marked"])]
+    series: list[tuple[str, list[Row]]] = [("our mark", [row for row in rows if row["kind"] == "marked"])]
     series += [
-        (f"LSB, {100 * rate:g} %", [row for row in rows if row["kind"] == "lsb" and row["rate"] == rate])
-        for rate in lsb[:3]
+        (
+            f"{100 * rate:g} % of the LSBs replaced",
+            [row for row in rows if row["kind"] == "lsb" and row["rate"] == rate],
+        )
+        for rate in lsb[:1]
     ]
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=1.0, zorder=1)
     for style, (label, own) in zip(styles(), series, strict=False):
@@ -82,10 +85,12 @@ def draw_areas(rows: Sequence[Row], title: str) -> Figure:
             capsize=2, label=name, **style,
         )  # fmt: skip
     axes.set_yticks(range(len(cases)), cases)
-    axes.set(xlabel="AUC of one region of about 512 Gaussians", xlim=(0.4, 1.03))
+    axes.set(
+        xlabel="AUC of one region of about 512 Gaussians", xlim=(0.4, 1.03), ylim=(-0.6, len(cases) - 0.4)
+    )
     label_line(axes, 0.5, "chance", along="y")
-    axes.set_title(title)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.16 - 0.4 / len(cases)), ncols=2)
+    drawn.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
+    drawn.legend(loc="outside lower right", ncols=2)
     return drawn
 
 

@@ -116,7 +116,7 @@ def _pictures_section(rows: Sequence[Row]) -> Section:
         for found in [_auc(rows, name)]
     ]
     auc = _auc(rows, "fusion")["auc"]
-    title = f"StegExpose's fusion tells marked renders from unmarked ones with AUC {auc:.3f}"
+    title = f"On renders, StegExpose's fusion has an AUC of {auc:.3f}"
     return Section(
         "On renders", [
             "The same views, unmarked and marked, as 8-bit pictures. Primary sets, chi-square, sample pairs and RS "
@@ -174,4 +174,4 @@ def _learned_section(rows: Sequence[Row]) -> Section:
 def _learned_title(worst: Row) -> str:
     if abs(worst["auc"] - 0.5) <= HALF_WIDTH:
         return "Learned detectors on attributes stay at chance"
-    return f"A learned detector sees the mark in the model: AUC up to {worst['auc']:.2f} a region"
+    return f"A learned detector sees the mark in the model's numbers: AUC up to {worst['auc']:.2f}"
