@@ -31,7 +31,7 @@ class Effort:
     """
 
     keys: int = 3
-    views: int = 6
+    views: int = 4
     size: int = 800
     sweep_keys: int = 2
     sweep_views: int = 3

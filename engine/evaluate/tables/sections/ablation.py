@@ -161,7 +161,7 @@ def draw(rows: list[Row], wanted: list[Line]) -> Figure:
     axes.invert_yaxis()
     axes.set_xlabel("change of z, %")
     axes.set_title("What each change does to the claim")
-    drawn.legend(loc="outside lower center", ncols=4)
+    drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return drawn
 
 

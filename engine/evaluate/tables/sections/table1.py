@@ -132,8 +132,10 @@ def draw(rows: list[Row]) -> Figure:
         axes.minorticks_off()
         axes.set_xlabel("message, bits")
         axes.set_ylabel(label)
-    left.set_title("Longer messages cost published methods bits ...")
-    right.set_title("... and fidelity")
+    whole = bool(points) and all(found.share == 1.0 for _, found, _ in points)
+    left.set_title(f"All bits at up to {points[-1][0]}" if whole else "Bits by message length")
+    levels = [psnr for *_, psnr in points]
+    right.set_title(f"Ours: {min(levels):.1f} to {max(levels):.1f} dB" if levels else "Fidelity")
     drawn.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return drawn
 

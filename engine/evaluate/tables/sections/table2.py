@@ -157,14 +157,17 @@ def draw(rows: list[Row]) -> Figure:
     axes.set_xlim(84, 101)
     axes.set_xlabel("bit accuracy, %")
     axes.set_title(_finding(rows))
-    drawn.legend(loc="outside lower center", ncols=3)
+    handles, labels = axes.get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda k: not labels[k].startswith("ours"))
+    drawn.legend([handles[k] for k in order], [labels[k] for k in order], loc="outside lower center", ncols=3)
     return drawn
 
 
 def _finding(rows: list[Row]) -> str:
-    found = accuracy([row for row in rows if row.get("attack") in COLUMNS and "on" in row])
-    if found is None:
-        return "Table 2"
+    of = [row for row in rows if row.get("attack") in COLUMNS and "on" in row]
+    found = accuracy(of)
+    if found is None or {row["attack"] for row in of} != set(COLUMNS):
+        return "Bits after attacks"
     if found.share == 1.0:
         return "Every bit is read after every attack, in every reading of it"
     return f"{100 * found.share:.2f} % of bits are read over all attacks and readings"

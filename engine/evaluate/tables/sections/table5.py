@@ -126,7 +126,7 @@ def draw(rows: list[Row]) -> Figure:
                 zorder=5,
             )
             right.plot(epochs, [row["z"] for row in worst], label=f"ours: {name}", **look)
-    left.set_title("Bits survive in all four settings" if _all_whole(rows) else "Bits along fine-tuning")
+    left.set_title("All bits survive in all four settings" if _all_whole(rows) else "Bits along fine-tuning")
     left.set_ylabel("bit accuracy, %")
     left.set_ylim(45, 103)
     right.set_title("What is left of our claim")
@@ -147,7 +147,9 @@ def _own(rows: list[Row]) -> list[Row]:
 
 
 def _all_whole(rows: list[Row]) -> bool:
-    return bool(rows) and all(row["bit_accuracy"] == 1.0 for row in rows)
+    return {row["setting"] for row in rows} == set(SETTINGS) and all(
+        row["bit_accuracy"] == 1.0 for row in rows
+    )
 
 
 def _share(row: Row) -> str:

@@ -15,7 +15,7 @@ STEPS, QUICK_STEPS = 60, 2
 UNMARKED = Setting("unmarked", unmarked=True)
 ROWS = {
     "unmarked": "none: the unmarked model", "default": "closed form, no refinement (what every profile does)",
-    "loss-msg": "msg", "loss-msg-rec": "msg + rec", 
+    "loss-msg": "msg", "loss-msg-rec": "msg + rec",
     "loss-text": "msg + rec + wavelet, weights of the text 0.4, 1.0, 0.3",
     "loss-appendix": "msg + rec + wavelet, weights of the appendix 0.2, 0.5, 0.05",
 }  # fmt: skip
