@@ -39,7 +39,10 @@ def embed(
         int | None, typer.Option("--bits", metavar="N", help="Length of a drawn message (default 32).")
     ] = None,
     profile: Annotated[
-        str, typer.Option("--profile", metavar="P", help="fast, balanced or strong: speed against accuracy.")
+        str,
+        typer.Option(
+            "--profile", metavar="P", help="fast, balanced, strong; auto: no more than the scene needs."
+        ),
     ] = "balanced",
     psnr: Annotated[
         float | None,
@@ -99,11 +102,13 @@ def embed(
     kind = format_for(out)
 
     from engine.formats import read_cameras, read_model, write_model
+    from engine.pipeline.choosing import AUTO, START, choose
     from engine.pipeline.embedding import embed as embed_mark
+    from engine.pipeline.progress import Clock
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
-    config = compose(profile, psnr=psnr, budget=budget, output=output)
+    config = compose(START if profile == AUTO else profile, psnr=psnr, budget=budget, output=output)
     signs = message_signs(message) if message is not None else None
     check_bits(bits or 32)
     owner = OwnerKey.read(key)
@@ -116,6 +121,12 @@ def embed(
         progress("read", 0.0)
         loaded = read_model(model, spz_frame=spz_frame)
         read_seconds = time.perf_counter() - started
+        choosing = Clock(progress)
+        choice = None
+        if profile == AUTO:
+            length = len(signs) if signs is not None else bits or 32
+            choice = choose(loaded.model, length, config, keep_psnr=psnr is not None, clock=choosing)
+            config = choice.config
         made = embed_mark(
             loaded.model, owner, original_sha256=loaded.sha256, message=signs, bits=bits or 32, config=config,
             cameras=views, copy=copy, registered_at=when, progress=progress,
@@ -133,6 +144,7 @@ def embed(
     stages = {
         "compile": compile_seconds,
         "read": read_seconds,
+        **choosing.seconds,
         **made.report["seconds_by_stage"],
         "write": write_seconds,
     }
@@ -144,6 +156,7 @@ def embed(
         "format_in": loaded.format,
         "format_out": kind,
         "profile": profile,
+        "choice": None if choice is None else choice.report(),
         "repairs": repair_entries(loaded.repairs),
         "notes": loss_note(made.model, kind),
         "seconds": time.perf_counter() - began,
@@ -188,6 +201,11 @@ def _say(
         "files": f"model {size(report['bytes_out'])}, record {size(report['record_bytes'])}",
         "time": f"{report['seconds']:.1f} s: {stages}",
     }
+    if (choice := report["choice"]) is not None:
+        lines["chosen"] = (
+            f"{choice['views']} views of {choice['view_size']}, {choice['psnr_db']:g} dB: z of one bad picture"
+            f" {choice['predicted_z']:.0f} predicted, {choice['wanted_z']:.0f} wanted"
+        )
     if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
         del lines["in total"]
     console.say(f"Marked {model} -> {out}")

@@ -37,7 +37,7 @@ from engine.raster.settings import TILE
 from engine.raster.view import blend_colors
 from engine.raster.workspace import borrow_workspace
 
-__all__ = ["bench_camera", "bench_raster", "naive_forward"]
+__all__ = ["bench_camera", "bench_raster", "median_ms", "naive_forward"]
 
 _KERNEL_VERSION = 2
 
@@ -112,7 +112,8 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     return image
 
 
-def _median_ms(work: Callable[[], object], repeats: int) -> float:
+def median_ms(work: Callable[[], object], repeats: int) -> float:
+    """Milliseconds of `work`, median of `repeats` runs after one that is not timed."""
     work()
     times = []
     for _ in range(repeats):
@@ -174,7 +175,7 @@ def bench_raster(
     }
     if view.geometry.discs is None:
         stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
-    result: dict[str, Any] = {name: _median_ms(stage, repeats) for name, stage in stages.items()}
+    result: dict[str, Any] = {name: median_ms(stage, repeats) for name, stage in stages.items()}
     with parallel_section(), borrow_workspace() as work:
         _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), None, work)
     machine = machine_info()

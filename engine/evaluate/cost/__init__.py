@@ -1,0 +1,1 @@
+"""What things cost as scenes, views and pictures grow."""

@@ -1,0 +1,1 @@
+"""Speed against accuracy: what each setting costs and what it buys."""

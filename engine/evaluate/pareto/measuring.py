@@ -1,0 +1,235 @@
+"""One setting on one scene: seconds, fidelity where the mark was not shaped, and what is read after attacks."""
+
+from __future__ import annotations
+
+import os
+import statistics
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from engine.errors import CapacityError
+from engine.evaluate.bars_images import bench_screenshots, to_8_bit
+from engine.evaluate.bench_embed import stage_medians
+from engine.evaluate.bench_raster import bench_camera, median_ms
+from engine.evaluate.marked_scene import MarkedScene, bench_key
+from engine.evaluate.pareto.points import BASE, Point, config_of
+from engine.evaluate.study import Row
+from engine.formats import LoadedModel, encode_model, read_model
+from engine.model import Camera, GaussianModel
+from engine.numerics.image_metrics import psnr, ssim
+from engine.pipeline.choosing import AUTO, choose, rehearse
+from engine.pipeline.embedding import Embedding, embed
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Clock
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.sealing import OpenedRecord, open_record
+from engine.pipeline.strength import add_dc
+from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.raster import render
+from engine.sim.suite import Trial, apply_chain
+from engine.watermark.spreading import signed_amplitudes
+
+__all__ = ["ATTACKS", "measure_point"]
+
+ATTACKS: tuple[Trial, ...] = (
+    Trial("none", (), "", "model"),
+    Trial("crop to 10 %", (("crop", 0.1),), "", "model"),
+    Trial("noise 0.1 on all", (("noise_all", 0.1),), "", "model"),
+    Trial(".splat and back", (("convert", "splat"),), "", "model"),
+    Trial("picture", (), "", "image"),
+    Trial("picture, JPEG 10", (("jpeg", 10),), "", "image"),
+    Trial("picture, noise 0.1", (("noise_image", 0.1),), "", "image"),
+)
+"""What every setting is put through; literal readings, one picture a claim, its camera known."""
+
+REPEATS = 3
+HELD_OUT = 6
+"""Views that no key view was; the first PICTURES of them are the pictures that are attacked."""
+PICTURES = 3
+SCREENSHOTS = 8
+"""Of unknown camera, for the settings that differ in their landmarks."""
+PREDICTED = ("profile", "cells", "fidelity", "auto", "corner")
+"""Axes on which `choosing` is held against what is measured."""
+FPS_SIZE = (1297, 840)
+QUICK_SIZE = 256
+
+
+def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> list[Row]:
+    """Everything about one setting on one scene.
+
+    Parameters
+    ----------
+    scene : str
+        Path of a model.
+    point : dict
+        `Point.arguments()`.
+    seed : int
+        Of key, held-out views and attacks.
+    quick : bool
+        Small views, no landmarks, one run.
+
+    Returns
+    -------
+    list of dict
+        One row, or none where the point does not apply (an SH degree that the scene does not have). A message that
+        the scene cannot carry gives a row with `refused`.
+    """
+    setting = Point.make(point)
+    loaded = _read(scene)
+    model = loaded.model
+    if setting.degree is not None:
+        if setting.degree >= model.sh_degree:
+            return []
+        model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (setting.degree + 1) ** 2]))
+    size = QUICK_SIZE if quick else 800
+    about = {"scene": scene_name(scene), "point": point, "gaussians": len(loaded.model)}
+    _warm(scene)
+    try:
+        timed = _timed(model, loaded.sha256, setting, seed, quick)
+    except CapacityError as error:
+        return [{**about, "refused": str(error), "capacity_bits": error.capacity}]
+    made, config = timed.made, timed.config
+    key = bench_key(seed)
+    record = made.record.to_bytes(key)
+    jitter = np.random.default_rng((seed, 0x4E1D)).random((HELD_OUT, 4))
+    views = make_rig(loaded.model, HELD_OUT, size, size, jitter=jitter)
+    subject = MarkedScene(scene_name(scene), loaded.model, made.model, open_record(record, key), made.report)
+    camera = bench_camera(loaded.model, *((320, 200) if quick else FPS_SIZE))
+    foretold = rehearse(model, config).predicted_z if setting.axis in PREDICTED else None
+    row = {
+        **about,
+        "views": config.views, "view_size": config.view_size, "cells": config.quantize.cells,
+        "psnr_asked": config.psnr_db, "landmark_views": config.landmark_views, "bits": setting.bits,
+        "gaussians_out": len(made.model), "stages": timed.stages, "runs": timed.runs, "busy": _busy(),
+        "shares_landmarks": setting.shares_landmarks and not quick, "predicted_worst_z": foretold,
+        "choice": timed.choice,
+        **_fidelity(subject, loaded.model, views),
+        "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
+        "frame_size": [camera.width, camera.height],
+        "sog_bytes": len(encode_model(made.model, "sog")), "record_bytes": len(record),
+        **{name: made.report[name] for name in ("psnr_worst_view", "ssim_worst_view", "capacity_bits")},
+        **_attacked(subject, views[:PICTURES], seed, 1 if quick else REPEATS),
+    }  # fmt: skip
+    if not quick and config.landmark_views and (setting == BASE or setting.axis == "landmarks"):
+        shots = bench_screenshots(subject, SCREENSHOTS, seed)
+        row["screenshots"] = [sum(shot["verdict"] == "marked" for shot in shots), len(shots)]
+    return [row]
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """An embedding with the median of each of its stages, and how it was configured."""
+
+    made: Embedding
+    config: EmbedConfig
+    stages: dict[str, float]
+    runs: int
+    choice: dict[str, float | int | bool] | None
+
+
+def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bool) -> _Timed:
+    """Embed once in full, then without the landmark bank: long and steady, it is timed once."""
+    key = bench_key(seed)
+    more: dict[str, Any] = {"landmark_views": 0, "view_size": QUICK_SIZE} if quick else {}
+    if point.shares_landmarks:
+        more["landmark_views"] = 0
+    runs: list[dict[str, float]] = []
+    for number in range(1 if quick else REPEATS):
+        clock, choice = Clock(), None
+        config = config_of(point, **more)
+        if point.profile == AUTO:
+            chosen = choose(model, point.bits, config, clock=clock)
+            config, choice = chosen.config, chosen.report()
+        if number == 0:
+            made, used, said = (
+                embed(model, key, original_sha256=digest, bits=point.bits, config=config),
+                config,
+                choice,
+            )
+            runs.append({**clock.seconds, **made.report["seconds_by_stage"]})
+            continue
+        again = embed(
+            model, key, original_sha256=digest, bits=point.bits, config=replace(config, landmark_views=0)
+        ).report["seconds_by_stage"]
+        runs.append({**clock.seconds, **again, "landmarks": runs[0]["landmarks"]})
+    return _Timed(made, used, stage_medians(runs), len(runs), said)
+
+
+def _busy() -> float | None:
+    """Programs that wanted to run in the last minute, per core: above 1, timings are too long."""
+    try:
+        return os.getloadavg()[0] / (os.cpu_count() or 1)
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=1)
+def _read(scene: str) -> LoadedModel:
+    return read_model(scene)
+
+
+def scene_name(scene: str) -> str:
+    """What a scene is called in rows: its file's name."""
+    return scene.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+@lru_cache(maxsize=1)
+def _warm(scene: str) -> None:
+    """The first embedding of a process pays for things that later ones find ready."""
+    loaded = _read(scene)
+    embed(
+        loaded.model, bench_key(0), original_sha256=loaded.sha256, bits=16,
+        config=EmbedConfig(views=2, view_size=128, landmark_views=2, psnr_db=40.0),
+    )  # fmt: skip
+
+
+def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]) -> Row:
+    """Of the mark alone and of everything together, in views where the mark was not shaped."""
+    delivered = _unmarked(subject.marked, subject.opened)
+    alone, likeness, total = [], [], []
+    for camera in views:
+        marked, clean = render(subject.marked, camera), render(delivered, camera)
+        alone.append(psnr(clean, marked))
+        likeness.append(ssim(clean, marked))
+        total.append(psnr(render(original, camera), marked))
+    return {
+        "psnr_held_out": alone, "ssim_held_out": min(likeness), "psnr_total_held_out": min(total),
+    }  # fmt: skip
+
+
+def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
+    """The delivered model without its mark: what the record says was added is taken away."""
+    signed = signed_amplitudes(opened.layout.amplitudes, opened.spreading, opened.message)
+    step = np.float32(opened.strength) * opened.layout.displace(signed)
+    return marked.with_(sh=add_dc(marked.sh, -step))
+
+
+def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, repeats: int) -> Row:
+    pictures = [to_8_bit(render(subject.marked, camera)) for camera in cameras]
+    attacks: dict[str, Any] = {}
+    seconds: dict[str, float] = {}
+    for trial in ATTACKS:
+        runs: list[Verification] = []
+        if trial.kind == "model":
+            suspect = apply_chain(subject.marked, trial, seed)
+            times = repeats if not trial.chain else 1
+            runs = [verify_model(suspect, subject.opened, VerifyConfig(route="model")) for _ in range(times)]
+        else:
+            for camera, picture in zip(cameras, pictures, strict=True):
+                shown = to_8_bit(apply_chain(picture, trial, seed))
+                runs.append(verify_images([shown], subject.opened, VerifyConfig(), cameras=[camera]))
+        if not trial.chain:
+            seconds["model" if trial.kind == "model" else "picture"] = statistics.median(
+                r.seconds for r in runs
+            )
+        attacks[trial.label] = {
+            "z": min(run.claim.z for run in runs),
+            "bit_accuracy": min(run.claim.bit_accuracy for run in runs),
+            "matching": sum(run.claim.matching_bits for run in runs),
+            "read": sum(run.claim.bits for run in runs),
+            "log10_false_claim": max(run.claim.log10_false_claim for run in runs),
+        }
+    return {"attacks": attacks, "verify_seconds": seconds}
