@@ -36,7 +36,8 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
         ),
     ]  # fmt: skip
     height = 1.1 + 0.165 * max(len(own), 4)
-    drawn, axes = figure(1, len(panels), width=2.2 + 1.75 * len(panels), height=height, squeeze=False)
+    drawn, axes = figure(1, len(panels), width=3.2 + 1.6 * len(panels), height=height, squeeze=False)
+    pictures = []
     with house_style():
         for column, (axis, (name, curves)) in enumerate(zip(axes[0], panels, strict=True)):
             shown = np.array([_stretched(curve, one.ordered) for curve, one in zip(curves, own, strict=True)])
@@ -54,12 +55,14 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
                 range(len(own)), [one.name.replace("_", " ") for one in own] if not column else []
             )
             axis.tick_params(axis="y", labelsize=6.5, length=0)
-            if column < 2:
-                bar = drawn.colorbar(
-                    picture, ax=axis, orientation="horizontal", pad=0.01, fraction=0.02, aspect=12
-                )
-                bar.ax.tick_params(labelsize=6.5)
-                bar.set_ticks([0.0, 1.0] if column == 0 else [0.5, 0.75, 1.0])
+            pictures.append(picture)
+        for picture, ticks, name in (
+            (pictures[0], (0.0, 0.5, 1.0), "claims"),
+            (pictures[1], (0.5, 0.75, 1.0), "bits (0.5 and less: lost)"),
+        ):
+            bar = drawn.colorbar(picture, ax=axes[0], pad=0.01, fraction=0.012, aspect=30, ticks=ticks)
+            bar.set_label(name, fontsize=6.5)
+            bar.ax.tick_params(labelsize=6.5)
         drawn.suptitle(title, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
     return drawn
 
@@ -67,9 +70,8 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
 def _stretched(curve: Float64, ordered: bool) -> Float64:
     """(COLUMNS,) a sweep at the map's length: between strengths the line, between kinds the nearest."""
     at = np.linspace(0, len(curve) - 1, COLUMNS)
-    if not ordered:
-        return curve[np.round(at).astype(int)]
-    return np.interp(at, np.arange(len(curve)), curve)
+    stretched: Float64 = np.interp(at, np.arange(len(curve)), curve)
+    return stretched if ordered else curve[np.round(at).astype(int)]
 
 
 def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
@@ -91,7 +93,7 @@ def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
         axes.set_ylim(0.9, None)
         axes.invert_xaxis()
         label_line(axes, threshold, "claim at 1e-9")
-        label_line(axes, CHEAP_DB, f"{CHEAP_DB:g} dB: the look is lost right of here", along="y")
+        label_line(axes, CHEAP_DB, f"{CHEAP_DB:g} dB: right of it the look is lost", along="y")
         axes.set_xlabel("look that is left: PSNR against the marked model, dB (60 and more at 60)")
         axes.set_ylabel("z, mean and 95 % interval (1 and less at 1)")
         axes.legend(fontsize=7.0, loc="lower left")
@@ -100,7 +102,7 @@ def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
         finding = (
             f"no attack takes the claim and keeps {CHEAP_DB:g} dB"
             if not cheap
-            else f"{cheap} {'sweep takes' if cheap == 1 else 'sweeps take'} the claim and keep {CHEAP_DB:g} dB"
+            else f"{cheap} of {sum(one.kind == kind for one in swept)} take the claim and keep {CHEAP_DB:g} dB"
         )
         axes.set_title(f"Attacks on {what}: {finding}")
     return drawn

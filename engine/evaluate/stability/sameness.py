@@ -21,7 +21,7 @@ from engine.evaluate.stability.stressing import claim_digest
 from engine.evaluate.stability.subjects import config_of, subjects
 from engine.evaluate.study import Row
 from engine.formats import encode_model, read_model
-from engine.model import GaussianModel
+from engine.model import Float32, GaussianModel
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
 from engine.raster import render
 from engine.sim.suite import Trial, apply_chain
@@ -133,9 +133,9 @@ def compare_precision(path: str, quick: bool, seed: int) -> list[Row]:
 
 
 def _nudged(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
-    def nudge(array: np.ndarray) -> np.ndarray:
+    def nudge(array: Float32) -> Float32:
         toward = np.where(rng.random(array.shape) < 0.5, -np.inf, np.inf).astype(np.float32)
-        return np.nextafter(array, toward)
+        return np.nextafter(array, toward).astype(np.float32)
 
     names = ("means", "log_scales", "quats", "opacity_logits", "sh")
     return model.with_(**{name: nudge(getattr(model, name)) for name in names})

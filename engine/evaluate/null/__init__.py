@@ -1,0 +1,1 @@
+"""Calibration: measured false claims against the stated bound, power, detectability (suite 4)."""
