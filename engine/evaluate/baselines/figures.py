@@ -20,7 +20,7 @@ def draw_matrix(
 ) -> Figure:
     """Bit accuracy, per cent, as colours and numbers; empty where a method cannot read such a thing."""
     values = np.array([[shares.get((attack, method), np.nan) for method in methods] for attack in attacks])
-    drawn, axes = figure(width=3.4 + 1.15 * len(methods), height=1.3 + 0.26 * len(attacks))
+    drawn, axes = figure(width=3.4 + 1.4 * len(methods), height=1.3 + 0.26 * len(attacks))
     image = axes.imshow(values, cmap=SEQUENTIAL, vmin=50, vmax=100, aspect="auto")
     axes.set_xticks(
         range(len(methods)), [method.replace(", ", ",\n").replace(" over ", "\nover ") for method in methods]
@@ -38,6 +38,6 @@ def draw_matrix(
                 column, row, text, ha="center", va="center", fontsize=8, color="white" if dark else "black"
             )
     bar = drawn.colorbar(image, ax=axes, shrink=0.6)
-    bar.set_label("bits read right, % (50 = chance)")
+    bar.set_label("bits right, %")
     drawn.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
     return drawn

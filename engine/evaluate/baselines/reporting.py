@@ -62,7 +62,9 @@ def report(rows: list[Row], options: Options) -> Report:
                 f"{10 ** log10_binomial_tail(LEAST_MATCHES, BITS):.1g}. Ours claims by a proven bound of 1e-9, "
                 "whatever bits are read."], [_false_table(rows)]),
             Section("Fidelity and time", [], [_embedding_table(rows)]),
-            Section("What these methods stand for", [f"{METHODS[n].name}: {METHODS[n].stands_for}." for n in methods[1:]]),
+            Section(
+                "What these methods stand for", [f"{METHODS[n].name}: {METHODS[n].stands_for}." for n in methods[1:]]
+            ),
             _published_section(),
         ],
         answer=[title + ".", *missing], summary={"lost": lost, "read": readable},

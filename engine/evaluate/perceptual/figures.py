@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.evaluate.drawing import FAINT, figure, styles
+from engine.evaluate.perceptual.measuring import COMPARED_QUALITIES
 from engine.evaluate.study import Row
 
 if TYPE_CHECKING:
@@ -42,13 +43,14 @@ def draw_pictures(rows: Sequence[Row], title: str) -> Figure:
 
 
 def draw_views(rows: Sequence[Row], title: str) -> Figure:
-    """FLIP over PSNR, a mark a view; a plain JPEG of the same views beside."""
+    """FLIP over PSNR, a mark a view; plain JPEGs of the same views beside."""
     drawn, axes = figure()
     free = [row for row in rows if row["kind"] == "free"]
-    axes.plot(
-        [row["jpeg_psnr"] for row in free], [row["jpeg_flip"] for row in free], linestyle="", marker="x",
-        color=FAINT, label="no mark, JPEG 95",
-    )  # fmt: skip
+    for quality, marker in zip(COMPARED_QUALITIES, "x+", strict=True):
+        axes.plot(
+            [row[f"jpeg{quality}_psnr"] for row in free], [row[f"jpeg{quality}_flip"] for row in free],
+            linestyle="", marker=marker, color=FAINT, label=f"no mark, JPEG {quality}",
+        )  # fmt: skip
     profiles = list(dict.fromkeys(row["profile"] for row in free))
     for style, name in zip(styles(), profiles, strict=False):
         style["linestyle"] = ""

@@ -22,14 +22,14 @@ from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from engine.sim.attacks import image_attack
 
-__all__ = ["flip_map", "look_at_mark", "picture_text"]
+__all__ = ["COMPARED_QUALITIES", "flip_map", "look_at_mark", "picture_text"]
 
 GAIN = 20.0
 PICTURE_SIDE = 480
 KEPT_QUALITY = 90
 """WebP quality of the pictures kept for the report; nothing is measured on them."""
-COMPARED_QUALITY = 95
-"""The JPEG beside which the mark is put: what a careful photographer's own export changes."""
+COMPARED_QUALITIES = (95, 75)
+"""JPEGs beside which the mark is put: a careful export, and what web pages serve."""
 
 
 def look_at_mark(
@@ -95,18 +95,19 @@ def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
 def _perception(
     plain: Float32, marked: Float32, perceived: Callable[[Float32, Float32], float] | None
 ) -> dict[str, Any]:
-    stored = image_attack("jpeg").apply(to_8_bit(plain), COMPARED_QUALITY)
     errors = flip_map(plain, marked)
-    return {
+    row = {
         "ms_ssim": 1.0 - ms_ssim_distance(plain, marked),
         "flip": float(errors.mean()),
         "flip_999": float(np.quantile(errors, 0.999)),
         "lpips": None if perceived is None else perceived(plain, marked),
-        "jpeg_psnr": psnr(plain, stored),
-        "jpeg_ssim": ssim(plain, stored),
-        "jpeg_flip": float(flip_map(plain, stored).mean()),
-        "jpeg_lpips": None if perceived is None else perceived(plain, stored),
     }
+    for quality in COMPARED_QUALITIES:
+        stored = image_attack("jpeg").apply(to_8_bit(plain), quality)
+        row[f"jpeg{quality}_psnr"] = psnr(plain, stored)
+        row[f"jpeg{quality}_flip"] = float(flip_map(plain, stored).mean())
+        row[f"jpeg{quality}_lpips"] = None if perceived is None else perceived(plain, stored)
+    return row
 
 
 def flip_map(a: Float32, b: Float32) -> Float32:

@@ -24,13 +24,8 @@ def draw_roc(rows: Sequence[Row], title: str) -> Figure:
     unmarked = np.array([row["fusion"] for row in rows if row["kind"] == "unmarked"])
     lsb = sorted({row["rate"] for row in rows if row["kind"] == "lsb"})
     series: list[tuple[str, list[Row]]] = [("our mark", [row for row in rows if row["kind"] == "marked"])]
-    series += [
-        (
-            f"{100 * rate:g} % of the LSBs replaced",
-            [row for row in rows if row["kind"] == "lsb" and row["rate"] == rate],
-        )
-        for rate in lsb[:1]
-    ]
+    weakest = [row for row in rows if row["kind"] == "lsb" and row["rate"] == lsb[0]]
+    series.append((f"{100 * lsb[0]:g} % of the LSBs replaced", weakest))
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=1.0, zorder=1)
     for style, (label, own) in zip(styles(), series, strict=False):
         found = np.array([row["fusion"] for row in own])
