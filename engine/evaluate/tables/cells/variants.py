@@ -12,4 +12,4 @@ __all__ = ["measure_variants"]
 
 def measure_variants(scene: str, kind: str, seed: int) -> list[Row]:
     """One row of Table 4, of a scene as one kind of model; takes one to two minutes on 100k Gaussians."""
-    return [bench_variant(kind, Path(scene), seed)]
+    return [{"model": kind, **bench_variant(kind, Path(scene), seed)}]

@@ -43,9 +43,11 @@ def cells(options: Options) -> list[Cell]:
 def section(rows: list[Row], options: Options) -> Section:
     """Bits, z, and what the training did to the model."""
     of = _own(rows)
+    paper = {row["setting"]: row for row in printed("table5")}
     ours = [
         [
-            row["scene"], SETTINGS[row["setting"]], row["epochs"], _share(row), row["z"],
+            row["scene"], SETTINGS[row["setting"]], row["epochs"], _share(row),
+            paper[row["setting"]].get(str(row["epochs"])), row["z"],
             f"{row['log10_false_claim']:.0f}", row["verdict"], row["psnr_to_clean"],
         ]
         for row in of
@@ -62,7 +64,7 @@ def section(rows: list[Row], options: Options) -> Section:
         ],
         [
             Table(
-                ("scene", "the attacker has", "epochs", "bits", "z", "log10 false claim", "verdict",
+                ("scene", "the attacker has", "epochs", "bits", "the paper, %", "z", "log10 false claim", "verdict",
                  "PSNR to clean, dB"),
                 ours, "Ours",
             ),

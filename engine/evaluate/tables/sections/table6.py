@@ -19,6 +19,10 @@ ROWS = {
     "loss-text": "msg + rec + wavelet, weights of the text 0.4, 1.0, 0.3",
     "loss-appendix": "msg + rec + wavelet, weights of the appendix 0.2, 0.5, 0.05",
 }  # fmt: skip
+PAPER = {
+    "unmarked": "none", "loss-msg": "msg", "loss-msg-rec": "msg+rec", "loss-text": "msg+rec+wavelet",
+}  # fmt: skip
+"""Rows of the paper's table that ours stand beside."""
 
 
 def refined(name: str, msg: float, rec: float, wavelet: float, *, quick: bool = False) -> Setting:
@@ -50,6 +54,7 @@ def cells(options: Options) -> list[Cell]:
 def section(rows: list[Row], options: Options) -> Section:
     """The paper's rows and ours."""
     ours: list[list[Any]] = []
+    paper = {row["losses"]: row for row in printed("table6")}
     for setting, name in ROWS.items():
         of = of_kind(rows, setting=setting)
         pictures, views, marked = (of_kind(of, kind=kind) for kind in ("picture", "view", "marked"))
@@ -64,11 +69,13 @@ def section(rows: list[Row], options: Options) -> Section:
                 mean_text([row["ssim"] for row in views], 4), mean_text([row["distance"] for row in views], 5),
                 *(None if unseen else str(effect(rows, setting, "default", c) or "") for c in ("model", *CONDITIONS)),
                 f"{sum(row['refine_seconds'] for row in marked) / len(marked):.1f}",
+                *(paper.get(PAPER.get(setting, ""), {}).get(name) for name in ("bit_accuracy", "psnr")),
             ]
         )  # fmt: skip
     columns = (
         "losses", "bits, one picture", "claims at 1e-9", "PSNR, dB", "SSIM", "1 - MS-SSIM", "z of the model",
         *(f"z, {'no attack' if c == 'none' else c}" for c in CONDITIONS), "refinement, s",
+        "the paper: bits, %", "its PSNR, dB",
     )  # fmt: skip
     theirs = [[*row.values()] for row in printed("table6")]
     return Section(
