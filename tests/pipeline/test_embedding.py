@@ -146,3 +146,20 @@ def test_progress_and_seconds_name_the_stages(small_plant: GaussianModel) -> Non
     )  # fmt: skip
     assert set(seen) == set(result.report["seconds_by_stage"]) >= {"look", "quantize", "plan", "record"}
     assert all(share == 1.0 for share in seen.values())
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"), [((1, 0, 0), "on a line"), ((0, 0, 0), "one point")], ids=["line", "point"]
+)
+def test_what_no_registration_could_place_is_refused(
+    small_plant: GaussianModel, factors: tuple[float, ...], words: str
+) -> None:
+    flat = small_plant.with_(means=small_plant.means * np.array(factors, dtype=np.float32))
+    with pytest.raises(InputError, match=words):
+        quick(flat)
+
+
+def test_centres_that_float32_rounds_together_are_refused(small_plant: GaussianModel) -> None:
+    far = small_plant.with_(means=small_plant.means + np.float32(1e9))
+    with pytest.raises(InputError, match="float32 cannot tell its centres apart"):
+        quick(far)

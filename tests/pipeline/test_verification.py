@@ -160,3 +160,13 @@ def test_chips_of_the_record_follow_from_its_contents(scene: MarkedScene) -> Non
     flipped[:2000] *= -1
     altered = replace(scene.opened, spreading=replace(spreading, chips=flipped))
     assert verify_model(scene.marked, altered).claim.z < verify_model(scene.marked, scene.opened).claim.z - 5
+
+
+def test_a_handful_of_gaussians_is_not_enough_to_say_no(scene: MarkedScene) -> None:
+    """Registration finds pieces of 64 Gaussians and more; below, that it found nothing says nothing."""
+    rng = np.random.default_rng(0)
+    for count, verdict in ((2, "inconclusive"), (200, "not_marked")):
+        few = scene.marked.take(np.arange(count)).with_(means=rng.normal(size=(count, 3)).astype(np.float32))
+        claim = verify_model(few, scene.opened, VerifyConfig(route="model")).claim
+        assert claim.derived_fraction == 0.0
+        assert claim.verdict.value == verdict

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from engine.evaluate.null.report import report
+from engine.evaluate.null.suspects import FOUND
 from engine.evaluate.study import Cell, Options, Study
 
 __all__ = ["STUDY"]
@@ -22,7 +23,10 @@ def cells(options: Options) -> list[Cell]:
     """One cell for each kind of suspect and scene; each pair of neighbouring scenes once."""
     quick = options.quick
     work: dict[str, tuple[str, dict[str, Any]]] = {
-        "found": ("suspects:try_marked", {"keys": 100_000 if quick else 1_000_000}),
+        **{
+            f"found-{name}": ("suspects:try_found", {"name": name, "keys": 100_000 if quick else 1_000_000})
+            for name in FOUND
+        },
         "crafted": ("suspects:try_crafted", {"keys": 100_000 if quick else 1_000_000}),
         "copies": ("suspects:try_copies", {"copies": 200 if quick else 10_000}),
         "wrong-detector": ("counterexamples:rebuild_reference", {"keys": 5 if quick else 100}),

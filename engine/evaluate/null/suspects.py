@@ -24,9 +24,13 @@ from engine.raster import render
 from engine.sim.attacks import model_attack
 from engine.watermark.copies import copies_z, copy_mark
 
-__all__ = ["config_of", "marked_scene", "try_copies", "try_crafted", "try_marked", "try_pairs"]
+__all__ = ["FOUND", "config_of", "marked_scene", "try_copies", "try_crafted", "try_found", "try_pairs"]
 
 BITS = 32
+FOUND = {
+    "marked": "marked by the owner", "noised": "marked, noise 0.1", "unmarked": "unmarked",
+    "foreign": "marked by another key",
+}  # fmt: skip
 LOUD = 40
 """Code vectors that drown all others in one of the crafted suspects."""
 
@@ -67,25 +71,33 @@ def _routes(scene: MarkedScene, suspect: GaussianModel, routes: Sequence[str]) -
         yield verify_images([to_8_bit(render(suspect, camera))], scene.opened, cameras=[camera])
 
 
-def try_marked(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
-    """Wrong keys on all evidence of the marked model, the unmarked one, and one that carries a foreign mark."""
-    scene, foreign = (marked_scene(path, quick, seed + k) for k in range(2))
-    noised = model_attack("noise_all").apply(scene.marked, 0.1, rng=seed)
-    suspects = {
-        "marked by the owner": (scene.marked, True),
-        "marked, noise 0.1": (noised, True),
-        "unmarked": (scene.original, False),
-        "marked by another key": (foreign.marked, False),
-    }
-    rows = []
-    for name, (suspect, own) in suspects.items():
-        routes = ["model", "render", "image"]
-        if quick:
-            routes = ["model", "image"] if suspect is scene.marked else ["model"]
-        rows += [
-            _row("found", scene, name, result, keys, seed, own) for result in _routes(scene, suspect, routes)
-        ]
-    return rows
+def try_found(path: str, name: str, keys: int, quick: bool, seed: int) -> list[Row]:
+    """Wrong keys on all evidence of a model that turned up.
+
+    Parameters
+    ----------
+    path : str
+    name : {"marked", "noised", "unmarked", "foreign"}
+        The owner's; the same with noise of 0.1 on every attribute; the original; marked by another key.
+    keys : int
+    quick : bool
+        The Gaussians alone; of the marked model one picture, too.
+    seed : int
+    """
+    scene = marked_scene(path, quick, seed)
+    if name == "foreign":
+        suspect = marked_scene(path, quick, seed + 1).marked
+    elif name == "noised":
+        suspect = model_attack("noise_all").apply(scene.marked, 0.1, rng=seed)
+    else:
+        suspect = {"marked": scene.marked, "unmarked": scene.original}[name]
+    routes = ["model", "render", "image"]
+    if quick:
+        routes = ["model", "image"] if name == "marked" else ["model"]
+    return [
+        _row("found", scene, FOUND[name], result, keys, seed, name in ("marked", "noised"))
+        for result in _routes(scene, suspect, routes)
+    ]
 
 
 def try_crafted(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
