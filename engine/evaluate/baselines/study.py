@@ -1,7 +1,7 @@
 """Suite 6: other methods on the same scenes, at the same fidelity, under the same attacks.
 
 Full: 3 keys of ours and of each method, 16 attacks on the model and 9 on each of 3 pictures, 100 wrong keys; on 2 cores
-and a scene of 100k Gaussians about 15 minutes, 25 where RivaGAN is installed. Quick: one key, few attacks, small views.
+and a scene of 100k Gaussians about 20 minutes, 35 where RivaGAN is installed. Quick: one key, few attacks, small views.
 """
 
 from __future__ import annotations
