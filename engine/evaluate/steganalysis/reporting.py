@@ -164,7 +164,7 @@ def _learned_section(rows: Sequence[Row]) -> Section:
             "that came as .splat or .sog should be delivered so.",
             "The shift says what many regions add up to: a mean over n regions stands out by about shift x sqrt(n) "
             "standard deviations to someone who knows the unmarked mean. Knowing that there is a mark removes none.",
-            "An AUC well below 0.5 is a difference too: one that lies the other way round than in the scenes learnt from.",
+            "An AUC well below 0.5 is a difference too, one that lies the other way round than what was learnt.",
         ],
         [Table(columns, lines)],
         [Drawing("learned", partial(draw_areas, rows, _learned_title(worst)),
