@@ -37,6 +37,8 @@ LEAST_ALPHA = 0.5
 """Pixels more transparent than this show a background nobody knows."""
 CLIPPED = 0.985
 """Brighter pixels of the picture say nothing about position."""
+FARTHEST = 2.0
+"""A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
 LEAST_PIXELS = 400
 """Fewer usable pixels than this cannot carry nine unknowns."""
 ACCELERATE_BELOW = 0.5
@@ -162,7 +164,10 @@ def refine_level(
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
             return None
-        camera = moved(camera, memory.improve(motion, flow, step) if blur == BLUR else motion, unit)
+        move = memory.improve(motion, flow, step) if blur == BLUR else motion
+        if not np.abs(move).max() < FARTHEST:
+            return None  # a picture of something else: motions that hardly show run away
+        camera = moved(camera, move, unit)
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
