@@ -124,22 +124,22 @@ def draw_detectability(rows: Sequence[Row], title: str) -> Figure:
                 [names.index((row["features"], row["against"])) for row in own],
                 label=scene, **{**style, "linestyle": "none"},
             )  # fmt: skip
-        highest = max((row["null_highest"] / row["null_median"] for row in rows), default=1.0)
-        axes.axvspan(0.1, highest, color="#efefef", zorder=0)
-        axes.text(
-            highest,
-            len(names) - 0.55,
-            "chance reaches here ",
-            ha="right",
-            va="bottom",
-            fontsize=7.0,
-            color="#6a6a6a",
-        )
+        for number, name in enumerate(names):
+            own = [row for row in rows if (row["features"], row["against"]) == name]
+            highest = max(row["null_highest"] / row["null_median"] for row in own)
+            label = "as far as chance reached" if number == 0 else None
+            axes.barh(number, highest - 0.1, left=0.1, height=0.5, color="#e2e2e2", zorder=0, label=label)
         axes.set_yticks(range(len(names)), [f"{features}: {against}" for features, against in names])
-        axes.set_ylim(-0.5, len(names) - 0.1)
+        axes.set_ylim(-0.5, len(names) - 0.5)
         axes.set_xscale("log")
+        ticks = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+        largest = max((row["distance"] / row["null_median"] for row in rows), default=1.0)
+        axes.set_xlim(0.1, 1.5 * max(largest, 3.0))
+        axes.set_xticks([tick for tick in ticks if tick < 1.5 * max(largest, 3.0)])
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.minorticks_off()
         axes.set_xlabel("Sinkhorn divergence, in medians of chance")
-        axes.legend(fontsize=7.0, loc="lower right")
+        drawn.legend(fontsize=7.0, loc="outside lower center", ncols=4)
         drawn.suptitle(title, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
     return drawn
 

@@ -52,7 +52,10 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
             for label, side in zip(axis.get_xticklabels(), ("left", "right"), strict=True):
                 label.set_horizontalalignment(side)
             axis.set_yticks(
-                range(len(own)), [one.name.replace("_", " ") for one in own] if not column else []
+                range(len(own)),
+                [one.name.replace("-as_code", " (as code)").replace("_", " ") for one in own]
+                if not column
+                else [],
             )
             axis.tick_params(axis="y", labelsize=6.5, length=0)
             pictures.append(picture)
@@ -84,7 +87,12 @@ def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
         threshold = max((one.z_threshold for one in worst), default=6.4)
         for style, one in zip(styles(), worst, strict=False):
             look = np.minimum(one.psnr, 60.0)
-            axes.plot(look, np.maximum(one.z.mean(axis=0), 1.0), label=one.name.replace("_", " "), **style)
+            axes.plot(
+                look,
+                np.maximum(one.z.mean(axis=0), 1.0),
+                label=one.name.replace("-as_code", " (as code)").replace("_", " "),
+                **style,
+            )
             spread = np.array([one.z_interval(step) for step in range(len(one.strengths))])
             axes.vlines(
                 look, np.maximum(spread[:, 0], 1.0), np.maximum(spread[:, 1], 1.0), color=style["color"]
@@ -93,7 +101,11 @@ def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
         axes.set_ylim(0.9, None)
         axes.invert_xaxis()
         label_line(axes, threshold, "claim at 1e-9")
-        label_line(axes, CHEAP_DB, f"{CHEAP_DB:g} dB: right of it the look is lost", along="y")
+        label_line(axes, CHEAP_DB, "", along="y")
+        axes.text(
+            CHEAP_DB - 0.4, 0.02, f"below {CHEAP_DB:g} dB\nthe look is lost", fontsize=7.5, color="#6a6a6a",
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
         axes.set_xlabel("look that is left: PSNR against the marked model, dB (60 and more at 60)")
         axes.set_ylabel("z, mean and 95 % interval (1 and less at 1)")
         axes.legend(fontsize=7.0, loc="lower left")

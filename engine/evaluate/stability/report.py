@@ -109,7 +109,8 @@ def _section(swept: Sequence[Swept], kind: str, refused: Sequence[Row]) -> Secti
         "Rows are sorted by how well the attacker still looks when the claim goes; names end in as_code where "
         "public code does something else than the papers say, and in up or down where strengths go both ways. "
         "Strengths are interpolated along the sweep; intervals come from resampled trials (scenes, keys, seeds"
-        f"{', views' if kind == 'image' else ''}), exact ones from shares. Few trials give rough intervals.",
+        f"{', views' if kind == 'image' else ''}), exact ones from shares. Few trials give rough intervals; between "
+        "two strengths that were tried a curve may fall anywhere.",
     ]
     if kind == "model":
         text.append(
@@ -173,7 +174,9 @@ def _where(one: Swept, broken: Break) -> str:
     if broken.step == 0.0:
         return f"{one.strengths[0]} (the mildest)"
     upper = "the end" if not math.isfinite(broken.high) else f"{high:.3g}"
-    return f"{one.strength_of(broken.step):.3g} ({low:.3g} to {upper})"
+    before = one.strengths[math.ceil(broken.step) - 1]
+    after = one.strengths[math.ceil(broken.step)]
+    return f"{one.strength_of(broken.step):.3g} (between {before} and {after}; trials: {low:.3g} to {upper})"
 
 
 def _odd_section(odd: Sequence[Row]) -> Section:
