@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,8 @@ class Result:
     point : Point
     embed_seconds : float
         Sum of the medians of all stages, the landmark bank included.
+    cpu_seconds : float
+        Processor time of the same, all threads together: it hardly depends on what else the machine does.
     worst_z : float
         Lowest of all attacks and pictures.
     worst_attack : str
@@ -36,6 +39,7 @@ class Result:
 
     point: Point
     embed_seconds: float
+    cpu_seconds: float
     worst_z: float
     worst_attack: str
     matching: int
@@ -71,16 +75,24 @@ def results(rows: Sequence[Row]) -> list[Result]:
     """Results of one scene's rows, in their order; settings that were refused are left out."""
     measured = [row for row in rows if "refused" not in row]
     base = next((row for row in measured if Point.make(row["point"]) == BASE), None)
-    bank = 0.0 if base is None else float(base["stages"].get("landmarks", 0.0))
-    return [_result(row, bank if row["shares_landmarks"] else 0.0) for row in measured]
+    wall, cpu = 0.0, 0.0
+    if base is not None:
+        first, *others = base["cpu_seconds"]
+        wall, cpu = float(base["stages"]["landmarks"]), first - statistics.median(others or [first])
+    return [
+        _result(row, wall, cpu) if row["shares_landmarks"] else _result(row, 0.0, None) for row in measured
+    ]
 
 
-def _result(row: Row, bank: float) -> Result:
+def _result(row: Row, bank: float, bank_cpu: float | None) -> Result:
+    """One row's result, with the time of a landmark bank that it shares."""
+    cpu = row["cpu_seconds"]
     attacks: dict[str, Any] = row["attacks"]
     worst = min(attacks, key=lambda label: attacks[label]["z"])
     return Result(
         Point.make(row["point"]),
         sum(row["stages"].values()) + bank,
+        cpu[0] if bank_cpu is None else statistics.median(cpu) + bank_cpu,
         float(attacks[worst]["z"]),
         worst,
         sum(told["matching"] for told in attacks.values()),
