@@ -37,7 +37,7 @@ from engine.watermark.spreading import signed_amplitudes
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
 LEAST_WIDTH = 1e-4
-"""Of the centres across a line through them, as a share of their length: a line's rotation about itself shows nowhere."""
+"""Of the centres across a line through them, in its length: a rotation about the line itself shows nowhere."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,4 +171,14 @@ def test_a_constant_loss_is_found_whatever_the_views_differ_by() -> None:
     assert math.isclose(found.percent, -10.0, abs_tol=1e-9)
     assert math.isclose(found.low, found.high, abs_tol=1e-9)
     line = next(line for line in LINES if line.setting.name == "texture-0")
-    assert verdict(line, rows) == "lowers z"
+    rows += [
+        {
+            "scene": "a", "setting": name, "seed": 0, "kind": "marked", "z": 100.0, "gaussians_in": 10,
+            "gaussians_out": left,
+        }
+        for name, left in (("default", 10), ("texture-0", 5))
+    ]  # fmt: skip
+    assert (
+        verdict(line, rows)
+        == "picture -10 %; picture, JPEG 10 -10 %; picture, noise 0.1 -10 %; Gaussians -50 %"
+    )

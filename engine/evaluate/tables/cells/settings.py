@@ -13,7 +13,7 @@ from engine.evaluate.study import Row
 from engine.evaluate.tables.cells.shots import cameras_for, read_bits, readings_of_picture
 from engine.evaluate.tables.setting import Setting, configure
 from engine.evaluate.tables.without import without
-from engine.formats import encode_model, read_model
+from engine.formats import read_model
 from engine.numerics.image_metrics import psnr, ssim
 from engine.numerics.multiscale_ssim import ms_ssim_distance
 from engine.pipeline.embedding import embed
@@ -81,7 +81,6 @@ def measure_setting(
             **about, "kind": "marked", **{name: marked.report[name] for name in _REPORTED},
             **read_bits(whole, marked, "model"), "embed_seconds": marked.report["seconds"],
             "refine_seconds": marked.report["seconds_by_stage"].get("refine", 0.0),
-            "sog_bytes": len(encode_model(shown, "sog")),
         }
     ]  # fmt: skip
     for k, camera in enumerate(cameras_for(marked.original, views, size, seed)):
