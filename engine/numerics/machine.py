@@ -8,7 +8,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["machine_info", "peak_memory_mb"]
+__all__ = ["load_per_core", "machine_info", "peak_memory_mb"]
 
 _PACKAGES = ("numpy", "numba", "scipy", "opencv-python-headless", "torch", "gsplat")
 
@@ -57,6 +57,17 @@ def peak_memory_mb() -> float:
         return float("nan")
     peak = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # bytes there, KiB elsewhere
+
+
+def load_per_core() -> float | None:
+    """Programs that wanted to run during the last minute, per usable core; None where the system does not say.
+
+    A measurement on all cores brings it to 1 by itself; well above, its times are too long.
+    """
+    try:
+        return os.getloadavg()[0] / _usable_cores()
+    except (AttributeError, OSError):  # Windows has none
+        return None
 
 
 def _cpu_model() -> str:

@@ -80,7 +80,7 @@ def _size(
     from engine.evaluate.cost.scenes import sized
     from engine.evaluate.marked_scene import bench_key
     from engine.formats import read_model
-    from engine.numerics.machine import peak_memory_mb
+    from engine.numerics.machine import load_per_core, peak_memory_mb
     from engine.pipeline.embedding import embed
     from engine.pipeline.profiles import EmbedConfig, profile
     from engine.pipeline.rigs import make_rig
@@ -117,7 +117,7 @@ def _size(
     raster = bench_raster(made.model, *raster_size, repeats=3 if repeats == 1 else 7)
     return {
         "gaussians": len(model), "views": views, "view_size": view_size, "repeats": repeats,
-        "stages": stage_medians(runs),
+        "busy": load_per_core(), "stages": stage_medians(runs),
         "verify_model_s": statistics.median(run.seconds for run in whole),
         "verify_picture_s": statistics.median(run.seconds for run in seen),
         "z_model": whole[0].claim.z, "z_picture": seen[0].claim.z,

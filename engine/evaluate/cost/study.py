@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from engine.evaluate.busy import busy_words
 from engine.evaluate.cost.charts import Curve, draw_formats, draw_growth, draw_roofline
 from engine.evaluate.cost.growth import fit_growth
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
@@ -28,7 +29,7 @@ EMBED_BAR, VERIFY_BAR, BAR_GAUSSIANS = 15.0, 3.0, 500_000
 AXES = {
     "gaussians": "Gaussians",
     "views": "key views",
-    "pixels": "side of key views and picture, pixels",
+    "pixels": "pixels a side, key views and picture",
 }
 COSTS: dict[str, Callable[[Row], float]] = {
     "embed, s": lambda row: float(sum(row["stages"].values())),
@@ -88,8 +89,8 @@ def _report(rows: list[Row], options: Options) -> Report:
     formats = [row for row in rows if "format" in row]
     roofs = [row for row in rows if "peak_flops" in row]
     sections += [_roofline_section(roofs), _formats_section(formats)]
-    return Report(bars, sections, answer=[_answer(scene, said) for scene, said in summary.items()],
-                  summary={"exponents": summary})  # fmt: skip
+    answer = [*(_answer(scene, said) for scene, said in summary.items()), *busy_words(rows)]
+    return Report(bars, sections, answer, {"exponents": summary})
 
 
 def _answer(scene: str, exponents: dict[str, dict[str, str]]) -> str:
@@ -114,8 +115,8 @@ def _growth_section(
     assert embed is not None
     low, high = found[0], found[-1]
     finding = (
-        f"From {low['size']:,} to {high['size']:,}: embedding from {COSTS['embed, s'](low):.2g} to "
-        f"{COSTS['embed, s'](high):.2g} s"
+        f"From {low['size']:,} to {high['size']:,} {words.split(',')[0]}: embedding takes "
+        f"{COSTS['embed, s'](low):.2g} to {COSTS['embed, s'](high):.2g} s"
     )
     text = [
         "Each size runs in a process of its own; medians of repeats, one from 1,000,000 Gaussians on. Exponents are of "
@@ -185,9 +186,10 @@ def _roofline_section(rows: Sequence[Row]) -> Section:
         [
             "Work: 32 operations for each pixel and Gaussian that the kernel evaluated (offsets 2, quadratic form 8, "
             "power of two 13, weight 3, three colours 6; a fused multiply-add is two, comparisons and integer steps "
-            "none). Traffic: 48 bytes for each pair of tile and Gaussian (number, record, colour), an upper bound as "
-            "tiles end early, and 16 for each pixel. The roof: a stream triad and chains of fused multiply-adds in "
-            "sixteen lanes, measured in the same process, best of five.",
+            "none). Traffic: 48 bytes for each pair of tile and Gaussian (number, record, colour) and 16 for each "
+            "pixel: an upper bound, as tiles end early and neighbours share records in the caches, so the fraction is "
+            "one too. The roof: a stream triad and chains of fused multiply-adds in sixteen lanes, measured in the "
+            "same process, best of five.",
         ],
         [Table(columns, table)],
         [Drawing("roofline", partial(draw_roofline, rows), "Achieved against attainable operations a second.")],

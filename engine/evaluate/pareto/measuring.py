@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import statistics
 import time
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from engine.evaluate.study import Row
 from engine.formats import LoadedModel, encode_model, read_model
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
+from engine.numerics.machine import load_per_core
 from engine.pipeline.choosing import AUTO, choose, rehearse
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.profiles import EmbedConfig
@@ -105,8 +105,8 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         **about,
         "views": config.views, "view_size": config.view_size, "cells": config.quantize.cells,
         "psnr_asked": config.psnr_db, "landmark_views": config_of(setting).landmark_views, "bits": setting.bits,
-        "gaussians_out": len(made.model), "stages": timed.stages, "cpu_seconds": timed.cpu_seconds, "busy": _busy(),
-        "shares_landmarks": setting.shares_landmarks and not quick, "predicted_worst_z": foretold,
+        "gaussians_out": len(made.model), "stages": timed.stages, "cpu_seconds": timed.cpu_seconds,
+        "busy": load_per_core(), "shares_landmarks": setting.shares_landmarks and not quick, "predicted_worst_z": foretold,
         "choice": timed.choice,
         **_fidelity(subject, loaded.model, views),
         "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
@@ -157,14 +157,6 @@ def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bo
         runs.append({**clock.seconds, **again.report["seconds_by_stage"]})
         runs[-1]["landmarks"] = runs[0]["landmarks"]
     return _Timed(made, used, stage_medians(runs), cpu, said)
-
-
-def _busy() -> float | None:
-    """Programs that wanted to run in the last minute, per core: above 1, timings are too long."""
-    try:
-        return os.getloadavg()[0] / (os.cpu_count() or 1)
-    except OSError:
-        return None
 
 
 @lru_cache(maxsize=1)

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from engine.evaluate.busy import busy_words
 from engine.evaluate.intervals import bootstrap, share_interval
 from engine.evaluate.pareto.charts import (
     draw_foretold,
@@ -88,7 +89,7 @@ def _report(rows: list[Row], options: Options) -> Report:
     return Report(
         [bar for scene, own in found.items() for bar in _bars(scene, own)],
         sections,
-        answer=[said for said, _ in advice.values()] + _busy_words(everything),
+        answer=[*(said for said, _ in advice.values()), *busy_words(rows)],
         summary={"recommended": {scene: kept for scene, (_, kept) in advice.items()}},
     )
 
@@ -131,16 +132,6 @@ def _named(result: Result) -> str:
     changed = ", ".join(f"{name.replace('_', ' ')} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
                         for name, value in result.point.changes)  # fmt: skip
     return f"profile {result.point.profile}" + (f" with {changed}" if changed else "")
-
-
-def _busy_words(found: Sequence[Result]) -> list[str]:
-    busy = max((result.row["busy"] or 0.0 for result in found), default=0.0)
-    if busy <= 1.5:
-        return []
-    return [
-        f"The machine was busy with other work (up to {busy:.1f} programs a core): all seconds here are too long, "
-        "and differences between settings in time are not to be trusted; processor time (CPU s) still is."
-    ]
 
 
 def _bars(scene: str, found: Sequence[Result]) -> list[Bar]:
