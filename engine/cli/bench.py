@@ -91,6 +91,7 @@ def bench(
 
     with console.progress() as progress:
         prepare_kernels(console, progress, "everything")
+        progress(what, 0.0)
         job = Job(
             scenes, profile, repeats, trials, size, seed, lambda fraction: progress(what, fraction),
             setting or [], colors_only,

@@ -40,12 +40,15 @@ class PlanConfig:
         Displacement grows with this power of a patch's texture (0: not at all). SSIM forgives texture.
     balance_rounds : int
         Rounds that even out the mark's energy over the key views.
+    mass_share : float
+        A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all.
     """
 
     stages: int = 1
     residual_share: float = 0.08
     texture_exponent: float = 0.5
     balance_rounds: int = 12
+    mass_share: float = 0.02
 
 
 @dataclass(frozen=True, eq=False)

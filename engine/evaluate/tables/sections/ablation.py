@@ -60,6 +60,7 @@ LINES = (
     Line("frequency", "no texture in the mask", Setting("texture-0", {"plan": {"texture_exponent": 0.0}})),
     Line("frequency", "lambda_freq 0 instead of 0.1, compact", compact(0.0), compact(0.1)),
     Line("SVD", "RGB axes instead of singular vectors", Setting("no-svd", without="svd")),
+    Line("masses", "clipped values move too", Setting("masses-move", {"plan": {"mass_share": 1.0}})),
     Line("balance", "views not balanced", Setting("no-balance", {"plan": {"balance_rounds": 0}})),
     Line("refinement", "60 steps, weights of the text", refined("loss-text", 0.4, 1.0, 0.3)),
     Line("refinement", "60 steps, weights of the appendix", refined("loss-appendix", 0.2, 0.5, 0.05)),

@@ -1,0 +1,45 @@
+"""Gaussians that hold still: a value which very many share would scatter in sight of anybody (no key needed).
+
+Files of few values clip: on real scenes up to half of all Gaussians have a channel at pure white or black. A mark that
+moved them would tear such a mass apart, and a histogram shows that. They get a code vector of their own that carries
+nothing; the others then carry a little more for the same PSNR.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.compress.hvq import Stage
+from engine.model import Float32
+
+MOST = 2.0 / 3.0
+"""Share of the Gaussians that may hold still. More means that the scene has few values, not that some were clipped."""
+GRID = 512.0
+"""Values are compared in steps of 1/512, as the reference keeps them."""
+
+
+def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
+    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would.
+
+    Parameters
+    ----------
+    dc : (N, 3) float32
+    share : float
+        0 to 1; at 1 nothing is a mass.
+    """
+    still = np.zeros(len(dc), dtype=bool)
+    for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
+        _, place, count = np.unique(channel, return_inverse=True, return_counts=True)
+        still |= (count > share * len(dc))[place]
+    return still if still.mean() <= MOST else np.zeros_like(still)
+
+
+def set_aside(stage: Stage, still: npt.NDArray[np.bool_]) -> Stage:
+    """The stage with one more code, the last, which all that hold still have."""
+    if not still.any():
+        return stage
+    count = len(stage.codebook)
+    labels = np.where(still, np.int32(count), stage.labels).astype(np.int32)
+    mean = (stage.codebook[stage.labels[still]]).mean(axis=0, keepdims=True)
+    return Stage(np.concatenate([stage.codebook, mean]), labels)
