@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,6 +112,18 @@ def is_picture(path: Path) -> bool:
     except OSError as error:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
     return head.startswith(_PICTURE_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
+
+
+def are_pictures(suspects: Sequence[Path], cameras: Path | None) -> bool:
+    """Whether suspects are pictures; InputError where they are neither that nor one model without cameras."""
+    pictures = [is_picture(path) for path in suspects]
+    if any(pictures) and not all(pictures):
+        raise InputError("suspects are one model, or pictures of one model, not both at once")
+    if not any(pictures) and len(suspects) > 1:
+        raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path in suspects)}")
+    if cameras is not None and not any(pictures):
+        raise InputError("--cameras belongs to pictures; a model needs none")
+    return any(pictures)
 
 
 def read_picture(path: Path) -> Float32:

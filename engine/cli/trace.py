@@ -11,7 +11,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import is_picture, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes, read_picture
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key
@@ -61,13 +61,7 @@ def trace(
     """
     console = Console(json)
     began = time.perf_counter()
-    pictures = [is_picture(path) for path in suspects]
-    if any(pictures) and not all(pictures):
-        raise InputError("suspects are one model, or pictures of one model, not both at once")
-    if not any(pictures) and len(suspects) > 1:
-        raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path in suspects)}")
-    if cameras is not None and not any(pictures):
-        raise InputError("--cameras belongs to pictures; a model needs none")
+    pictures = are_pictures(suspects, cameras)
     files = _files(records)
 
     from engine.formats import read_cameras, read_model
@@ -83,8 +77,8 @@ def trace(
             yield open_record(read_bytes(file, "record"), owner)
 
     with console.progress() as progress:
-        prepare_kernels(console, progress, "pictures" if any(pictures) else "model")
-        if any(pictures):
+        prepare_kernels(console, progress, "pictures" if pictures else "model")
+        if pictures:
             known = read_cameras(cameras) if cameras is not None else None
             found = trace_images([read_picture(path) for path in suspects], opened(), config, known, progress)
         else:

@@ -11,11 +11,10 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import is_picture, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes, read_picture
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import repair_entries, say_repairs
 from engine.cli.options import Json, Key, SpzFrame
-from engine.errors import InputError
 
 if TYPE_CHECKING:
     from engine.pipeline.sealing import OpenedRecord
@@ -69,11 +68,7 @@ def verify(
     """
     console = Console(json)
     began = time.perf_counter()
-    pictures = [is_picture(path) for path in suspects]
-    if any(pictures) and not all(pictures):
-        raise InputError("suspects are one model, or pictures of one model, not both at once")
-    if not any(pictures) and len(suspects) > 1:
-        raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path in suspects)}")
+    pictures = are_pictures(suspects, cameras)
 
     from engine.pipeline.sealing import open_record
     from engine.pipeline.verification import VerifyConfig
@@ -87,13 +82,11 @@ def verify(
         progress("open record", 0.0)
         opened = open_record(read_bytes(record, "record"), owner)
         open_seconds = time.perf_counter() - started
-        compile_seconds = prepare_kernels(console, progress, "pictures" if any(pictures) else "model")
+        compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
         started = time.perf_counter()
-        if any(pictures):
+        if pictures:
             read_seconds, found = _look_at_pictures(suspects, opened, config, cameras, progress)
         else:
-            if cameras is not None:
-                raise InputError("--cameras belongs to pictures; a model needs none")
             from engine.formats import read_model
             from engine.pipeline.verification import verify_model
 
