@@ -26,6 +26,7 @@ from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import Extent, make_rig, measure_extent
 from engine.pipeline.scenes import ViewSet, look
 from engine.pipeline.strength import add_dc, solve_strength
+from engine.watermark.masses import spare_masses
 from engine.watermark.planning import BIT_Z, capacity_bits, make_plan
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
@@ -203,7 +204,8 @@ class _Rehearsing:
         self._held_out = self._look(model, HELD_OUT, rng, extent)
         impact = measure_impact(model, self._views.views, self._views.images)
         stages = quantize(model, color_weights(model, impact), extent.radius, config.quantize)
-        self._plan = make_plan(stages, impact, config.plan)
+        stages, emphasis = spare_masses(model.sh[:, 0], stages, config.plan.mass_share)
+        self._plan = make_plan(stages, impact, config.plan, emphasis)
         layout = self._plan.layout
         self._displacement = layout.displace(layout.amplitudes * rng.choice((-1.0, 1.0), layout.chips))
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.compress.hvq import Stage, quantize
-from engine.compress.impact import Impact, measure_impact, uncertainty
+from engine.compress.hvq import quantize
+from engine.compress.impact import measure_impact, uncertainty
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pipeline.delivery import color_weights, slim_down, unmarked_delivery
@@ -28,7 +28,7 @@ from engine.pipeline.strength import Strength, add_dc, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.landmarks import Landmarks, make_landmarks
-from engine.watermark.masses import find_masses, set_aside
+from engine.watermark.masses import spare_masses
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
 from engine.watermark.planning import capacity_bits, check_capacity, make_plan, predict_z
 from engine.watermark.record import Record
@@ -133,7 +133,10 @@ def embed(
         weights = color_weights(slim, impact)
         stages = variant.own_stages(slim, weights) or quantize(slim, weights, extent.radius, config.quantize)
         delivered, stages = unmarked_delivery(slim, stages, original, impact, config)
-        stages, emphasis = _spare(delivered, stages, variant, impact, config)
+        emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
+        # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
+        if variant.labels is None and config.output == "fidelity":
+            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, config.plan.mass_share, emphasis)
         reference_arrays = encode_reference(delivered)
         digest = reference_digest(reference_arrays)
     with clock.stage("landmarks"):
@@ -193,24 +196,6 @@ def embed(
         "seconds_by_stage": clock.seconds,
     }
     return Embedding(marked, record, report)
-
-
-def _spare(
-    delivered: GaussianModel, stages: tuple[Stage, ...], variant: Variant, impact: Impact, config: EmbedConfig
-) -> tuple[tuple[Stage, ...], Float32 | Float64 | None]:
-    """Stages in which masses of equal values hold still, and each Gaussian's emphasis.
-
-    A file's own codebook and the compact output keep few values on purpose: there a mass is no sign of clipping.
-    """
-    emphasis = variant.emphasis_on(impact)
-    if variant.labels is not None or config.output == "compact":
-        return stages, emphasis
-    still = find_masses(delivered.sh[:, 0], config.plan.mass_share)
-    if not still.any():
-        return stages, emphasis
-    return (set_aside(stages[0], still), *stages[1:]), np.where(
-        still, 0.0, 1.0 if emphasis is None else emphasis
-    )
 
 
 def _check_placeable(model: GaussianModel, extent: Extent) -> None:

@@ -11,12 +11,41 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.compress.hvq import Stage
-from engine.model import Float32
+from engine.model import Float32, Float64
 
 MOST = 2.0 / 3.0
 """Share of the Gaussians that may hold still. More means that the scene has few values, not that some were clipped."""
 GRID = 512.0
 """Values are compared in steps of 1/512, as the reference keeps them."""
+
+
+def spare_masses(
+    dc: Float32, stages: tuple[Stage, ...], share: float, emphasis: Float32 | Float64 | None = None
+) -> tuple[tuple[Stage, ...], Float32 | Float64 | None]:
+    """Quantiser and emphasis under which masses hold still.
+
+    Parameters
+    ----------
+    dc : (N, 3) float32
+    stages : tuple of Stage
+    share : float
+        See `find_masses`.
+    emphasis : (N,) float, optional
+        See `make_plan`.
+
+    Returns
+    -------
+    stages : tuple of Stage
+        The first one with one more code where there are masses.
+    emphasis : (N,) float or None
+        0 on the masses.
+    """
+    still = find_masses(dc, share)
+    if not still.any():
+        return stages, emphasis
+    return (set_aside(stages[0], still), *stages[1:]), np.where(
+        still, 0.0, 1.0 if emphasis is None else emphasis
+    )
 
 
 def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
@@ -37,8 +66,6 @@ def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
 
 def set_aside(stage: Stage, still: npt.NDArray[np.bool_]) -> Stage:
     """The stage with one more code, the last, which all that hold still have."""
-    if not still.any():
-        return stage
     count = len(stage.codebook)
     labels = np.where(still, np.int32(count), stage.labels).astype(np.int32)
     mean = (stage.codebook[stage.labels[still]]).mean(axis=0, keepdims=True)

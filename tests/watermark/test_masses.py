@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from engine.compress.hvq import Stage
-from engine.watermark.masses import find_masses, set_aside
+from engine.watermark.masses import find_masses, set_aside, spare_masses
 
 
 def test_a_value_in_one_channel_that_many_share_is_a_mass() -> None:
@@ -34,7 +34,17 @@ def test_set_aside_gives_them_one_code_and_leaves_the_others_theirs() -> None:
     assert apart.labels.dtype == np.int32
     assert apart.codebook[:3].tolist() == stage.codebook.tolist()
     assert apart.codebook[3].tolist() == [1.5, 2.5, 3.5]
-    assert set_aside(stage, np.zeros(6, bool)) is stage
+
+
+def test_spared_masses_carry_nothing_and_without_masses_nothing_changes() -> None:
+    dc = np.random.default_rng(2).normal(0.0, 1.0, (100, 3)).astype(np.float32)
+    stages = (Stage(np.zeros((2, 3), np.float32), np.zeros(100, np.int32)),)
+    assert spare_masses(dc, stages, 0.1) == (stages, None)
+    dc[:20, 0] = 6.0
+    spared, emphasis = spare_masses(dc, stages, 0.1, np.full(100, 0.5))
+    assert emphasis is not None
+    assert emphasis.tolist() == [0.0] * 20 + [0.5] * 80
+    assert spared[0].labels.tolist() == [2] * 20 + [0] * 80
 
 
 def test_a_scene_of_few_values_is_marked_all_over() -> None:
