@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle
@@ -20,6 +21,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 SEQUENTIAL, DIVERGING = "cividis", "PuOr"
 """Colour maps whose lightness says what their colour says."""
+TITLE_LETTERS = 11.5
+"""Of a bold title, an inch."""
 INK, FAINT = "#1a1a1a", "#9a9a9a"
 
 STYLE: dict[str, Any] = {
@@ -83,5 +86,25 @@ def png(drawn: Figure, dpi: int = 160) -> bytes:
 def _bytes(drawn: Figure, kind: str, **options: Any) -> bytes:
     out = io.BytesIO()
     with house_style():
+        _wrap_titles(drawn)
         drawn.savefig(out, format=kind, facecolor="white", **options)
     return out.getvalue()
+
+
+def _wrap_titles(drawn: Figure) -> None:
+    """Break titles that would run out of the picture or into the next panel."""
+    inches = float(drawn.get_figwidth())
+    whole = drawn.get_suptitle()
+    if whole != (broken := _broken(whole, inches)):
+        drawn.suptitle(broken, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
+    for axes in drawn.axes:
+        place = axes.get_subplotspec()
+        columns = 1.0 if place is None else place.get_gridspec().ncols / len(place.colspan)
+        title = axes.get_title("left")
+        if title != (broken := _broken(title, inches / columns)):
+            axes.set_title(broken, loc="left")
+
+
+def _broken(title: str, inches: float) -> str:
+    lines = textwrap.wrap(title, max(12, int(TITLE_LETTERS * inches)))
+    return title if len(lines) <= title.count("\n") + 1 else "\n".join(lines)
