@@ -23,6 +23,8 @@ NEAR, FAR = 8, 48
 """Neighbours: the nearest, and about as many as share a code vector of the coarsest stage."""
 OFTEN = 4
 """Occurrences of a value that floating point does not give by chance."""
+LONGEST_TAIL = 0.5
+"""Mean of what was clipped beyond an end of a format's range, DC units: a seventh of black to white."""
 EDGES = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
 OPPONENT = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.5, 0.5, -1.0]]) / np.sqrt([[3.0], [2.0], [1.5]])
 """Lightness and two colour differences."""
@@ -91,18 +93,29 @@ def measure_regions(model: GaussianModel, regions: Regions) -> Float64:
 
 
 def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
-    """The model with DC colours spread evenly over the cells of their lattice, as before a format rounded them.
+    """The model with DC colours spread over the cells of their lattice, as before a format rounded and clipped them.
 
-    Scenes that can be had went through a format with few values; this is what their training had before it.
+    Scenes that can be had went through a format with few values; this is what their training had before it. Inner
+    values lie anywhere in their cell. An outermost value also stands for all that was clipped there (training bounds
+    no colour from above): where it holds more than its neighbour, it spreads in an exponential tail that begins with
+    the neighbour's density.
     """
     dc = model.sh[:, 0].astype(np.float64)
     for c in range(3):
-        values, place = np.unique(dc[:, c], return_inverse=True)
+        values, place, count = np.unique(dc[:, c], return_inverse=True, return_counts=True)
+        if len(values) < 2:
+            continue
         middle = 0.5 * (values[1:] + values[:-1])
-        # The outermost cells hold whatever was clipped there; they are as wide as their neighbours.
         low = np.concatenate([2 * values[:1] - middle[:1], middle])
         high = np.concatenate([middle, 2 * values[-1:] - middle[-1:]])
-        dc[:, c] = rng.uniform(low[place], high[place])
+        spread = rng.uniform(low[place], high[place])
+        for end, beside, wall, away in ((0, 1, high[0], -1.0), (-1, -2, low[-1], 1.0)):
+            if count[end] > count[beside]:
+                clipped = place == np.arange(len(values))[end]
+                scale = count[end] / count[beside] * (high[beside] - low[beside])
+                tail = rng.exponential(min(scale, LONGEST_TAIL), int(clipped.sum()))
+                spread[clipped] = wall + away * tail
+        dc[:, c] = spread
     return model.with_dc(dc.astype(np.float32))
 
 
