@@ -49,7 +49,7 @@ PRUNED = pruned(BUDGET_DB)
 LINES = (
     Line("pruning", f"pruned to {BUDGET_DB:g} dB instead of not at all", PRUNED),
     Line("pruning", "ranked by Eq 4 instead of squared error", pruned(BUDGET_DB, rank="paper"), PRUNED),
-    Line("pruning", "gamma 0 instead of 0.2", pruned(BUDGET_DB, 0.0), PRUNED),
+    Line("pruning", "gamma 0.2, the paper's, instead of 0", pruned(BUDGET_DB, 0.2), PRUNED),
     Line("pruning", "near-duplicates not merged", pruned(BUDGET_DB, merge_distance=0.0), PRUNED),
     Line("HVQ", "1024 code vectors instead of 8192", Setting("cells-1024", {"quantize": {"cells": 1024}})),
     Line("HVQ", "mark in a residual stage too", Setting(

@@ -41,7 +41,7 @@ def knobs(quick: bool) -> dict[str, Knob]:
         "budget": Knob("pruning budget, dB", {v: pruned(v) for v in budgets}, 0.0),
         "gamma": Knob(
             f"gamma (at {BUDGET_DB:g} dB)",
-            {v: pruned(BUDGET_DB) if v == 0.2 else pruned(BUDGET_DB, v) for v in gammas}, 0.2, 0.2,
+            {v: pruned(BUDGET_DB) if v == 0.0 else pruned(BUDGET_DB, v) for v in gammas}, 0.0, 0.2,
         ),
         "strength": Knob("PSNR of the mark, dB", {v: strength(v) for v in levels}, 47.0),
     }  # fmt: skip
@@ -140,7 +140,8 @@ def _draw_gamma(axes: Axes, knob: Knob, rows: list[Row]) -> None:
     axes.set_ylabel("Gaussians removed, %")
     axes.set_title(_gamma_finding(rows, knob))
     if values:
-        label_line(axes, 0.2, "ours and the paper's", along="y")
+        label_line(axes, knob.ours, "ours", along="y")
+        label_line(axes, 0.2, "the paper's", along="y")
 
 
 def _gamma_finding(rows: list[Row], knob: Knob) -> str:
