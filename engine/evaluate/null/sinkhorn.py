@@ -16,7 +16,7 @@ def squared_distances(a: Float64, b: Float64) -> Float64:
 
 
 def transport_cost(cost: Float64, epsilon: float, *, tolerance: float = 1e-6, rounds: int = 500) -> float:
-    """Entropic optimal transport between two uniform samples, iterated on the dual in the log domain.
+    """Entropic optimal transport between two uniform samples, iterated on the dual; in logarithms where needed.
 
     Parameters
     ----------
@@ -37,11 +37,16 @@ def transport_cost(cost: Float64, epsilon: float, *, tolerance: float = 1e-6, ro
     -----
     Cuturi, "Sinkhorn distances", NIPS 2013; symmetrised steps as in Feydy et al., AISTATS 2019.
     """
+    kernel = np.exp(-cost / epsilon)
     n, m = cost.shape
     f, g = np.zeros(n), np.zeros(m)
     for _ in range(rounds):
-        new_f = -epsilon * (_log_sum_exp((g[None] - cost) / epsilon) - np.log(m))
-        new_g = -epsilon * (_log_sum_exp((new_f[:, None] - cost).T / epsilon) - np.log(n))
+        with np.errstate(all="ignore"):  # what over- or underflows is done again with logarithms
+            new_f = -epsilon * np.log(kernel @ np.exp(g / epsilon) / m)
+            new_g = -epsilon * np.log(np.exp(new_f / epsilon) @ kernel / n)
+        if not (np.isfinite(new_f).all() and np.isfinite(new_g).all()):
+            new_f = -epsilon * (_log_sum_exp((g[None] - cost) / epsilon) - np.log(m))
+            new_g = -epsilon * (_log_sum_exp((new_f[:, None] - cost).T / epsilon) - np.log(n))
         change = max(float(np.abs(new_f - f).max()), float(np.abs(new_g - g).max()))
         f, g = new_f, new_g
         if change <= tolerance * epsilon:
