@@ -13,7 +13,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["DIVERGING", "INK", "SEQUENTIAL", "figure", "house_style", "label_line", "png", "styles", "svg"]
+__all__ = [
+    "DIVERGING",
+    "INK",
+    "MARKERS",
+    "SEQUENTIAL",
+    "figure",
+    "house_style",
+    "label_line",
+    "png",
+    "styles",
+    "svg",
+]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from engine.evaluate.drawing import INK, figure, label_line, styles
+from engine.evaluate.drawing import INK, MARKERS, figure, label_line, styles
 from engine.evaluate.pareto.summing import Result, pareto_front
 from engine.evaluate.published import Published
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold
@@ -116,30 +116,35 @@ def _evidence(axes: Axes, found: Sequence[Result]) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     kinds = dict.fromkeys(result.point.axis for result in found)
-    for kind, style in zip(kinds, styles(), strict=False):
+    for number, (kind, style) in enumerate(zip(kinds, styles(), strict=False)):
         own = [result for result in found if result.point.axis == kind]
-        look = {name: value for name, value in style.items() if name != "linestyle"}
+        look = {"color": style["color"], "marker": style["marker"]}
+        if number < len(MARKERS):
+            look |= {"markeredgecolor": "white", "markeredgewidth": 0.5}
+        else:  # colours and markers come round again: hollow this time
+            look |= {"markerfacecolor": "none", "markeredgewidth": 1.2}
         axes.plot(
-            [r.embed_seconds for r in own], [r.worst_z for r in own], linestyle="none", markersize=5.5,
-            markeredgecolor="white", markeredgewidth=0.5, label=kind, **look,
+            [r.embed_seconds for r in own], [r.worst_z for r in own], linestyle="none", markersize=5.5, label=kind,
+            **look,
         )  # fmt: skip
     points = [(result.embed_seconds, result.worst_z) for result in found]
     front = [points[index] for index in pareto_front(points)]
     axes.step([x for x, _ in front], [y for _, y in front], where="post", color=INK, linewidth=1.0, zorder=1)
-    for result in found:
-        if result.point.name in NAMED:
-            axes.annotate(
-                result.point.name, (result.embed_seconds, result.worst_z), xytext=(4, 5),
-                textcoords="offset points", fontsize=8, fontweight="bold",
-            )  # fmt: skip
+    named = sorted((r for r in found if r.point.name in NAMED), key=lambda r: r.embed_seconds)
+    for number, result in enumerate(named):  # in steps, so that near ones do not hide each other
+        axes.annotate(
+            result.point.name, (result.embed_seconds, result.worst_z), xytext=(0, 14 + 11 * (number % 3)),
+            textcoords="offset points", ha="center", fontsize=8, fontweight="bold",
+            arrowprops={"arrowstyle": "-", "color": OTHERS, "linewidth": 0.7},
+        )  # fmt: skip
     label_line(axes, z_threshold(CHANCE_RATE), "claim at 1e-9")
     label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), "claim at 2^-128")
     top = max(y for _, y in points)
-    axes.set_ylim(5.0, 1.25 * max(top, 16.0))
+    axes.set_ylim(5.0, 1.5 * max(top, 16.0))
     _plain_ticks(axes, [5, 10, 20, 40, 80])
     axes.set_xlabel("seconds to embed (log scale)")
     axes.set_ylabel("z of the claim after the worst attack (log scale)")
-    axes.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.06), fontsize=7)
+    axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 0.16), fontsize=7)
 
 
 def _plain_ticks(axes: Axes, values: Sequence[int]) -> None:
