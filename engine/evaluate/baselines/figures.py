@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_matrix"]
 
+COLUMN_LETTERS = 14
+"""What fits above a column."""
+
 
 def draw_matrix(
     attacks: Sequence[str], methods: Sequence[str], shares: Mapping[tuple[str, str], float], title: str
@@ -22,9 +26,7 @@ def draw_matrix(
     values = np.array([[shares.get((attack, method), np.nan) for method in methods] for attack in attacks])
     drawn, axes = figure(width=3.4 + 1.4 * len(methods), height=1.3 + 0.26 * len(attacks))
     image = axes.imshow(values, cmap=SEQUENTIAL, vmin=50, vmax=100, aspect="auto")
-    axes.set_xticks(
-        range(len(methods)), [method.replace(", ", ",\n").replace(" over ", "\nover ") for method in methods]
-    )
+    axes.set_xticks(range(len(methods)), [textwrap.fill(method, COLUMN_LETTERS) for method in methods])
     axes.set_yticks(range(len(attacks)), attacks)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)

@@ -70,7 +70,7 @@ def draw_roofline(rows: Sequence[Row]) -> Figure:
     axes.set_ylabel("GFLOP/s (log scale)")
     axes.set_title("The forward kernel is bound by arithmetic, not by memory" if _by_arithmetic(rows, ridge)
                    else "The forward kernel under the machine's roof")  # fmt: skip
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower right")
     return drawn
 
 

@@ -227,7 +227,7 @@ def _detect_section(seen: Sequence[Row]) -> Section:
         for row in seen
     ]  # fmt: skip
     text = (
-        "Two disjoint random samples of one scene's Gaussians, compared by Sinkhorn divergence (log-domain, entropy a "
+        "Two disjoint random samples of one scene's Gaussians, compared by Sinkhorn divergence (entropy a "
         "tenth of the median cost, attributes in standard deviations); p is the share of random divisions of the joint "
         "sample at least as far apart. Samples of a few hundred see what stands out, not what millions of values "
         "together might; the learned detector of the study steganalysis looks further."
