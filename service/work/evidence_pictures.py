@@ -92,14 +92,18 @@ def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Boo
         For each Gaussian its cell's share of the claim's statistic in standard deviations: around 0 +- 1 where
         there is no mark.
     seen : (N,) bool
-        Whether the suspect says anything about that cell.
+        Whether the suspect says anything about that cell; not where the mark leaves a Gaussian as it was (`masses`).
     """
     layout, evidence = opened.layout, found.evidence
     signs = opened.spreading.chips * opened.message[opened.spreading.bit_of]
     terms = weighted_evidence(evidence.y, evidence.weights) * signs
-    cells = max(1, layout.codes[0] // CELL_CODES)
-    # Neighbouring numbers of stage 0 are neighbours in the scene.
-    cell = np.minimum(layout.labels[0] // CELL_CODES, cells - 1).astype(np.int64)
+    # Neighbouring numbers of stage 0 are neighbours in the scene. Only codes that carry something count: a cell of few
+    # would show their secret signs.
+    carries = (layout.split(layout.amplitudes)[0] > 0).any(axis=1)
+    carries &= np.bincount(layout.labels[0], minlength=layout.codes[0]) > 0
+    cells = max(1, int(carries.sum()) // CELL_CODES)
+    group = np.clip((np.cumsum(carries) - 1) // CELL_CODES, 0, cells - 1)
+    cell = group[layout.labels[0]]
     total, variance = np.zeros(cells), np.zeros(cells)
     for term, label, codes in zip(layout.split(terms), layout.labels, layout.codes, strict=True):
         members = np.bincount(cell * codes + label, minlength=cells * codes).reshape(cells, codes)
@@ -107,7 +111,7 @@ def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Boo
         total += share @ term.sum(axis=1)
         variance += share**2 @ (term**2).sum(axis=1)
     z = np.divide(total, np.sqrt(variance), out=np.zeros(cells), where=variance > 0)
-    return z[cell], (variance > 0)[cell]
+    return z[cell], (variance > 0)[cell] & carries[layout.labels[0]]
 
 
 def _heatmap(
