@@ -10,6 +10,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -33,7 +34,7 @@ DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1)), (0, (3, 1, 1, 1)),
 SEQUENTIAL, DIVERGING = "cividis", "PuOr"
 """Colour maps whose lightness says what their colour says."""
 TITLE_LETTERS = 11.5
-"""Of a bold title, an inch."""
+"""Of a bold title of 10 points, an inch."""
 INK, FAINT = "#1a1a1a", "#9a9a9a"
 
 STYLE: dict[str, Any] = {
@@ -105,17 +106,20 @@ def _bytes(drawn: Figure, kind: str, **options: Any) -> bytes:
 def _wrap_titles(drawn: Figure) -> None:
     """Break titles that would run out of the picture or into the next panel."""
     inches = float(drawn.get_figwidth())
-    whole = drawn.get_suptitle()
-    if whole != (broken := _broken(whole, inches)):
-        drawn.suptitle(broken, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
+    _wrap(drawn, drawn.get_suptitle(), inches)
     for axes in drawn.axes:
         place = axes.get_subplotspec()
         columns = 1.0 if place is None else place.get_gridspec().ncols / len(place.colspan)
-        title = axes.get_title("left")
-        if title != (broken := _broken(title, inches / columns)):
-            axes.set_title(broken, loc="left")
+        _wrap(axes, axes.get_title("left"), inches / columns)
 
 
-def _broken(title: str, inches: float) -> str:
-    lines = textwrap.wrap(title, max(12, int(TITLE_LETTERS * inches)))
-    return title if len(lines) <= title.count("\n") + 1 else "\n".join(lines)
+def _wrap(holder: Artist, title: str, inches: float) -> None:
+    """Break a title of a figure or of axes where it is longer than the room it has."""
+    from matplotlib.text import Text
+
+    for text in holder.findobj(Text) if title else []:
+        if isinstance(text, Text) and text.get_text() == title:
+            room = TITLE_LETTERS * inches * 10.0 / float(text.get_fontsize())
+            lines = textwrap.wrap(title, max(12, int(room)))
+            if len(lines) > title.count("\n") + 1:
+                text.set_text("\n".join(lines))
