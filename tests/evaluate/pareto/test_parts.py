@@ -59,23 +59,22 @@ def row(point: Point, seconds: float, z: float, *, bits: int = 32, db: float = 4
 
 
 def test_sums_and_the_cheapest_that_will_do() -> None:
-    lean, blind = (
-        Point("lean", "views", changes=(("views", 2),)),
-        Point("l", "l", changes=(("landmark_views", 0),)),
-    )
+    lean = Point("lean", "views", changes=(("views", 2),))
+    thin, blind = (Point("l", "l", changes=(("landmark_views", views),)) for views in (16, 0))
     rows = [
         row(BASE, 2.0, 20.0), row(lean, 1.0, 20.0, db=41.0),
         row(Point("a", "cells", changes=(("cells", 1024),)), 1.5, 15.0),
-        row(Point("b", "cells", changes=(("cells", 2048),)), 0.5, 7.0), row(blind, 0.1, 30.0), {"refused": "no"},
+        row(Point("b", "cells", changes=(("cells", 2048),)), 0.5, 7.0), row(blind, 0.1, 30.0),
+        row(thin, 0.2, 30.0), {"refused": "no"},
     ]  # fmt: skip
     found = results(rows)
-    assert [result.embed_seconds for result in found] == [6.0, 5.0, 5.5, 4.5, 0.1]
-    assert [result.cpu_seconds for result in found] == [9.0, 8.0, 8.5, 7.5, 0.1]
+    assert [result.embed_seconds for result in found] == [6.0, 5.0, 5.5, 4.5, 0.1, 0.2]
+    assert [result.cpu_seconds for result in found] == [9.0, 8.0, 8.5, 7.5, 0.1, 0.2]
     assert found[0].worst_attack == "picture, JPEG 10"
     assert found[0].picture_z == 20.0
     best = cheapest(found, margin=1.5, least_db=45.0)
     assert best is not None
-    assert best.point.name == "a", "too dim, too weak and unfindable ones are cheaper"
+    assert best.point.name == "a", "too dim, too weak, and hardly or never findable ones are cheaper"
     assert cheapest(found, margin=10.0, least_db=45.0) is None
     spoilt = results([row(BASE, 2.0, 20.0, bits=31)])
     assert not spoilt[0].all_bits
