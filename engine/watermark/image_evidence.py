@@ -7,7 +7,7 @@ suspect and the unmarked reference alone, never a chip.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -59,16 +59,7 @@ def gather_image_evidence(
         y is in units of precision times displacement, so evidence of several pictures is summed (`add_evidence`).
     """
     weights = layout.amplitudes
-    quality = find_quality(warped)
-    spread = block_spread(_public_pattern(layout, view, float(np.std(mark_image)))) if quality else None
-
-    def pull(known: Float32) -> Float64:
-        if quality is not None and spread is not None:
-            cotangent = jpeg_cotangent(known, warped, mask, spread, quality)
-        else:
-            cotangent = image_cotangent(known, warped, mask)
-        return SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent)))
-
+    pull = _reader(layout, view, warped, mask, float(np.std(mark_image)))
     y = pull(reference)
     limits = _limits(weights * y, len(layout.directions[0]))
     y = _saturate(y, weights, limits)
@@ -77,6 +68,34 @@ def gather_image_evidence(
     # reference carries the mark: right for a marked suspect and for an unmarked one.
     response = y - _saturate(pull(reference + mark_image), weights, limits)
     return Evidence(y, weights, mark_signs * response)
+
+
+def gather_displacements(
+    layout: Layout, view: View, reference: Float32, warped: Float32, mask: Bool, mark_rms: float
+) -> Float64:
+    """(C,) `Evidence.y` of `gather_image_evidence` alone, in half its time: what a claim rests on, without its power.
+
+    `mark_rms` is the standard deviation of what the mark adds to the picture, range 0 to 1; the rest as there.
+    """
+    y = _reader(layout, view, warped, mask, mark_rms)(reference)
+    return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
+
+
+def _reader(
+    layout: Layout, view: View, warped: Float32, mask: Bool, mark_rms: float
+) -> Callable[[Float32], Float64]:
+    """Function from a render (H, W, 3) that the picture is held against to y (C,), before it saturates."""
+    quality = find_quality(warped)
+    spread = block_spread(_public_pattern(layout, view, mark_rms)) if quality else None
+
+    def pull(known: Float32) -> Float64:
+        if quality is not None and spread is not None:
+            cotangent = jpeg_cotangent(known, warped, mask, spread, quality)
+        else:
+            cotangent = image_cotangent(known, warped, mask)
+        return SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent)))
+
+    return pull
 
 
 def _public_pattern(layout: Layout, view: View, rms: float) -> Float32:

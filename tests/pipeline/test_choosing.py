@@ -35,9 +35,9 @@ def test_a_rich_scene_keeps_its_fidelity(plant: GaussianModel) -> None:
 
 
 def test_a_longer_message_takes_more_strength_unless_fidelity_was_asked_for(plant: GaussianModel) -> None:
-    longer = choose(plant, 64, profile("fast"))
+    longer = choose(plant, 80, profile("fast"))
     assert longer.config.psnr_db < 47.0
-    kept = choose(plant, 64, profile("fast", psnr_db=50.0), keep_psnr=True)
+    kept = choose(plant, 80, profile("fast", psnr_db=50.0), keep_psnr=True)
     assert kept.config.psnr_db == 50.0
     assert not kept.met
     out_of_reach = choose(plant, 256, profile("fast"))
