@@ -72,6 +72,8 @@ def fit_light(
     for (i, j), value in zip(_ORDERS, solution, strict=False):
         weights[i, j] = value
     uneven = down @ weights @ across.T + (waves @ solution[len(_ORDERS) : count])[:, None]
+    # Over a small object the functions may add up to a constant, which belongs to the tone: it would run away.
+    uneven -= np.average(uneven.ravel()[where], weights=expected)
     return np.clip(1.0 + uneven, *LIMITS).astype(np.float32)
 
 

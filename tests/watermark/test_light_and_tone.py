@@ -49,6 +49,18 @@ def test_even_light_is_left_alone() -> None:
     assert fit_light(plain, plain, np.zeros_like(WHOLE)) is None
 
 
+def test_over_a_small_object_the_light_does_not_run_away() -> None:
+    """There the smooth functions add up to a constant, which gain and tone could trade for ever."""
+    plain = np.zeros_like(picture())
+    plain[60:110, 70:120] = 0.2 + 0.6 * picture()[60:110, 70:120]
+    lit = plain.max(axis=2) > 0
+    y, x = np.mgrid[: plain.shape[0], : plain.shape[1]] / 12.0
+    seen = plain * (1.0 + 0.03 * np.sin(x) * np.cos(y))[..., None].astype(np.float32)
+    toned = fit_colors(plain, seen, WHOLE)
+    assert np.abs(toned.slope[lit] - 1.0).max() < 0.3
+    assert np.abs(toned.predicted - seen)[lit].max() < np.abs(plain - seen)[lit].max() + 0.02
+
+
 @pytest.mark.parametrize(
     ("name", "strength"),
     [("gamma", 2.2), ("gamma", 0.33), ("filmic", 4.0), ("viewer_color", "srgb_twice"), ("vignette", 0.7)],
