@@ -61,7 +61,7 @@ class AlignmentConfig:
     ransac_pixels: float = 3.0
     least_matches: int = 8
     least_correlation: float = 0.4
-    sure_correlation: float = 0.9
+    sure_correlation: float = 0.98
     perspective_gain: float = 0.97
     snap_pixels: float = 0.06
     margin: int = 3

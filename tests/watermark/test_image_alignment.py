@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from engine.errors import InputError
 from engine.numerics.resampling import map_points
+from engine.watermark import image_alignment
+from engine.watermark.brightness_fit import Fit, fit_warp
 from engine.watermark.image_alignment import AlignmentConfig, align_image
 from tests.watermark.image_cases import SIDE, attack, marked, picture, turn
 
@@ -47,6 +52,23 @@ def test_motion_is_undone(name: str, limit: float) -> None:
     inside = np.abs(alignment.warped - case.plain)[alignment.mask]
     assert np.median(inside) < 0.08
     assert alignment.inliers > 1000
+
+
+def test_a_rival_that_looks_alike_does_not_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Smooth stone: a cut piece, enlarged to the whole, correlated to 0.92 and was taken for it."""
+    case = marked()
+    suspect, true = np.ascontiguousarray(case.image[40:220, 60:240]), np.eye(3)
+    true[:2, 2] = -60.0, -40.0
+
+    def fit(*arguments: Any, **more: Any) -> Fit | None:
+        found = fit_warp(*arguments, **more)
+        first = more["levels"] == (8, 4) and abs(arguments[2][0, 0] - 1.0) > 0.1
+        return replace(found, matrix=arguments[2], correlation=0.92) if found and first else found
+
+    monkeypatch.setattr(image_alignment, "fit_warp", fit)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    assert error_pixels(alignment.matrix, true, suspect.shape[:2]) < 0.06
 
 
 def test_perspective_is_undone() -> None:
