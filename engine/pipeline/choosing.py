@@ -13,6 +13,7 @@ promise against what was measured.
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -229,7 +230,8 @@ class _Rehearsing:
             psnr(image, self._held_out.render(k, marked)) for k, image in enumerate(self._held_out.images)
         ]
         shy = np.argsort(unseen, kind="stable")[-READ:]
-        read = min(self._read(marked, self._held_out.cameras[k]) for k in shy)
+        with ThreadPoolExecutor(READ) as pool:  # most of it is NumPy on one thread
+            read = min(pool.map(lambda k: self._read(marked, self._held_out.cameras[k]), shy))
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
         signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
