@@ -20,7 +20,7 @@ import numpy as np
 
 from engine.compress.hvq import quantize
 from engine.compress.impact import measure_impact
-from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.delivery import color_weights
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
@@ -30,7 +30,7 @@ from engine.pipeline.strength import add_dc, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.masses import spare_masses
 from engine.watermark.planning import BIT_Z, capacity_bits, make_plan
-from engine.watermark.statistics import CHANCE_RATE, z_threshold
+from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
 
 __all__ = ["AUTO", "START", "Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
 
@@ -210,7 +210,7 @@ class _Rehearsing:
         stages, emphasis = spare_masses(model.sh[:, 0], stages, config.plan.mass_share)
         self._plan = make_plan(stages, impact, config.plan, emphasis)
         layout = self._plan.layout
-        self._signs: Float64 = rng.choice((-1.0, 1.0), layout.chips)
+        self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
         self._displacement = layout.displace(layout.amplitudes * self._signs)
 
     def _look(self, model: GaussianModel, count: int, rng: np.random.Generator, extent: Extent) -> ViewSet:
@@ -244,8 +244,8 @@ class _Rehearsing:
         everywhere, rms = np.ones(plain.shape[:2], dtype=bool), float(np.std(marked - plain))
         layout = self._plan.layout
         y = gather_displacements(layout, seen.views[0], plain, _spoil(marked), everywhere, rms)
-        terms = layout.amplitudes * y
-        return float(terms @ self._signs) / max(math.sqrt(float(terms @ terms)), 1e-300)
+        one_bit = np.zeros(layout.chips, dtype=np.int32)
+        return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
 
 
 def _spoil(picture: Float32) -> Float32:
