@@ -152,6 +152,11 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return Camera(self.viewmat, np.diag([sx, sy, 1.0]) @ self.K, width, height)
 
+    def with_side(self, side: int) -> Camera:
+        """The same view with `side` pixels along its longer side."""
+        scale = side / max(self.width, self.height)
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
 
 def look_at(
     eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike, focal: float, width: int, height: int

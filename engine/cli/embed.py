@@ -122,14 +122,16 @@ def embed(
         loaded = read_model(model, spz_frame=spz_frame)
         read_seconds = time.perf_counter() - started
         choosing = Clock(progress)
-        choice = None
+        choice, ground = None, None
         if profile == AUTO:
-            length = len(signs) if signs is not None else bits or 32
-            choice = choose(loaded.model, length, config, keep_psnr=psnr is not None, clock=choosing)
-            config = choice.config
+            choice = choose(
+                loaded.model, owner, len(signs) if signs is not None else bits or 32, config,
+                original_sha256=loaded.sha256, cameras=views, keep_psnr=psnr is not None, clock=choosing,
+            )  # fmt: skip
+            config, ground = choice.config, choice.ground
         made = embed_mark(
             loaded.model, owner, original_sha256=loaded.sha256, message=signs, bits=bits or 32, config=config,
-            cameras=views, copy=copy, registered_at=when, progress=progress,
+            cameras=views, copy=copy, registered_at=when, progress=progress, ground=ground,
         )  # fmt: skip
         started = time.perf_counter()
         progress("write", 0.0)

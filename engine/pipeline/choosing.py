@@ -13,21 +13,21 @@ promise against what was measured.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.compress.hvq import quantize
-from engine.compress.impact import measure_impact
 from engine.model import Camera, Float32, GaussianModel
-from engine.pipeline.delivery import color_weights
+from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import Extent, make_rig, measure_extent
-from engine.pipeline.scenes import ViewSet, look, psnr
-from engine.pipeline.strength import add_dc, solve_strength
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.scenes import look, psnr
+from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
+from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
 from engine.watermark.planning import BIT_Z, capacity_bits, make_plan
 from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
@@ -47,14 +47,14 @@ MARGIN = 1.15
 """Promised over needed z: with other chips z is one more or less, in other views a little, too."""
 SLACK_DB = 2.0
 """By how much the mark may fall short of its PSNR in a view that no key view was near."""
-VIEW_SIZE = 400
-"""Key views of 400 pixels shape the same mark as those of 800: z within 3 %, PSNR elsewhere within 0.3 dB."""
+VIEW_SIZE = 256
+"""Key views of 256 pixels shape the same mark as those of 800: docs/RESULTS.md, pareto."""
 VIEWS = (6, 10, 16)
 LOWER_DB = (1.0, 2.0)
 """What may be taken off the fidelity where evidence is short; the last gives the fidelity of `strong`."""
 SSIM_PER_DB = 0.0005
 """And off SSIM with it, as in `strong`."""
-REHEARSAL_SIZE, REHEARSAL_SEED = 256, 0x5EED
+REHEARSAL_SEED = 0x5EED
 HELD_OUT, READ = 6, 3
 """Views that no key view was, and how many of them are read: those that show least of the mark."""
 
@@ -97,6 +97,8 @@ class Choice:
         strongest; better pictures, several, or the model itself may still show everything.
     tried : int
         Settings rehearsed.
+    ground : Groundwork
+        What was rehearsed on; `embed` goes on from it.
     """
 
     config: EmbedConfig
@@ -104,6 +106,7 @@ class Choice:
     wanted_z: float
     met: bool
     tried: int
+    ground: Groundwork
 
     def report(self) -> dict[str, float | int | bool]:
         """Plain values for `embed --json`."""
@@ -125,9 +128,12 @@ def wanted_z(bits: int) -> float:
 
 def choose(
     model: GaussianModel,
+    key: OwnerKey,
     bits: int,
     asked: EmbedConfig,
     *,
+    original_sha256: str,
+    cameras: Sequence[Camera] | None = None,
     keep_psnr: bool = False,
     clock: Clock | None = None,
 ) -> Choice:
@@ -136,10 +142,16 @@ def choose(
     Parameters
     ----------
     model : GaussianModel
+    key : OwnerKey
+        Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
     bits : int
     asked : EmbedConfig
         Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew. The number of
         cells is not: fewer save no time, more show no better.
+    original_sha256 : str
+        Hex digest of the owner's file.
+    cameras : sequence of Camera, optional
+        The owner's own.
     keep_psnr : bool
         The owner named this fidelity: evidence may not be bought with it.
     clock : Clock, optional
@@ -148,6 +160,11 @@ def choose(
     -------
     Choice
         Deterministic. The fewest views that do, then the highest fidelity that does.
+
+    Raises
+    ------
+    InputError
+        If no copy of the model could be registered.
     """
     clock = clock or Clock()
     wanted = wanted_z(bits)
@@ -156,7 +173,7 @@ def choose(
         for views in VIEWS:
             tried += 1
             config = replace(asked, views=views, view_size=VIEW_SIZE)
-            scene = _Rehearsing(model, config)
+            scene = _Rehearsing(lay_groundwork(model, key, original_sha256, config, cameras), cameras)
             found = scene.at(config)
             if found.held_out_db >= config.psnr_db - SLACK_DB:
                 break
@@ -169,26 +186,28 @@ def choose(
                 config, found, tried = weaker, scene.at(weaker), tried + 1
                 if found.predicted_z >= wanted:
                     break
-        if found.capacity_bits < bits:  # the planner counts the pixels of key views: give it what others get
-            config = replace(config, view_size=max(asked.view_size, VIEW_SIZE))
-            found, tried = scene.at(config), tried + 1
-    return Choice(config, found, wanted, found.predicted_z >= wanted, tried)
+    return Choice(config, found, wanted, found.predicted_z >= wanted, tried, scene.ground)
 
 
-def rehearse(model: GaussianModel, config: EmbedConfig) -> Rehearsal:
+def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
     """Plan a mark on small views, with chips from a fixed seed, and see what it promises.
 
     Parameters
     ----------
     model : GaussianModel
         Before any pruning.
+    key : OwnerKey
+        Draws the key views.
     config : EmbedConfig
+    original_sha256 : str
+        Hex digest of the owner's file.
 
     Returns
     -------
     Rehearsal
     """
-    return _Rehearsing(model, config).at(config)
+    small = replace(config, view_size=VIEW_SIZE)
+    return _Rehearsing(lay_groundwork(model, key, original_sha256, small), None).at(small)
 
 
 def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:
@@ -197,49 +216,54 @@ def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:
 
 
 class _Rehearsing:
-    """A scene with a mark planned on small views, whose strength is still open."""
+    """A scene with a mark planned on its key views, whose strength is still open."""
 
-    def __init__(self, model: GaussianModel, config: EmbedConfig) -> None:
-        self._size = REHEARSAL_SIZE
-        extent = measure_extent(model)
+    def __init__(self, ground: Groundwork, cameras: Sequence[Camera] | None) -> None:
+        self.ground = ground
+        model, config = ground.model, ground.config
         rng = np.random.default_rng(REHEARSAL_SEED)
-        self._views = self._look(model, config.views, rng, extent)
-        self._held_out = self._look(model, HELD_OUT, rng, extent)
-        impact = measure_impact(model, self._views.views, self._views.images)
-        stages = quantize(model, color_weights(model, impact), extent.radius, config.quantize)
-        stages, emphasis = spare_masses(model.sh[:, 0], stages, config.plan.mass_share)
-        self._plan = make_plan(stages, impact, config.plan, emphasis)
+        self._large = self._unseen(cameras, rng)
+        small = [camera.with_side(config.view_size) for camera in self._large]
+        self._held_out = look(model, small, lambda fraction: None)
+        stages, emphasis = spare_masses(model.sh[:, 0], ground.stages, config.plan.mass_share)
+        self._plan = make_plan(stages, ground.impact, config.plan, emphasis)
         layout = self._plan.layout
         self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
         self._displacement = layout.displace(layout.amplitudes * self._signs)
 
-    def _look(self, model: GaussianModel, count: int, rng: np.random.Generator, extent: Extent) -> ViewSet:
-        rig = make_rig(model, count, self._size, self._size, jitter=rng.random((count, 4)), extent=extent)
-        return look(model, rig, lambda fraction: None)
+    def _unseen(self, cameras: Sequence[Camera] | None, rng: np.random.Generator) -> list[Camera]:
+        """Views that are no key views, at the size of the bad picture: of the owner's cameras where some are left."""
+        taken = {camera.viewmat.tobytes() for camera in self.ground.cameras}
+        left = [camera for camera in cameras or () if camera.viewmat.tobytes() not in taken]
+        if left:
+            spread = np.linspace(0, len(left) - 1, min(HELD_OUT, len(left))).round().astype(int)
+            return [left[i].with_side(PICTURE) for i in spread]
+        jitter = rng.random((HELD_OUT, 4))
+        extent = self.ground.extent
+        return make_rig(self.ground.model, HELD_OUT, PICTURE, PICTURE, jitter=jitter, extent=extent)
 
     def at(self, config: EmbedConfig) -> Rehearsal:
         """What these settings' fidelity promises."""
-        energies = self._plan.energies  # (V, C)
+        ground, energies = self.ground, self._plan.energies  # (V, C)
         totals = energies.sum(axis=1)
-        start = 10 ** (-config.psnr_db / 20.0) * self._size * math.sqrt(3.0 / max(totals.max(), 1e-30))
-        strength = solve_strength(self._views, self._displacement, config.psnr_db, config.ssim, start)
-        marked = add_dc(self._views.model.sh, np.float32(strength.factor) * self._displacement)
-        scale = (config.view_size / self._size) ** 2
-        capacity = capacity_bits(energies * scale, strength.factor, self._plan.layout.chips)
+        start = first_guess(energies, ground.cameras, config.psnr_db)
+        strength = solve_strength(ground.views, self._displacement, config.psnr_db, config.ssim, start)
+        marked = add_dc(ground.model.sh, np.float32(strength.factor) * self._displacement)
+        capacity = capacity_bits(energies * ground.picture_scale, strength.factor, self._plan.layout.chips)
         unseen = [
             psnr(image, self._held_out.render(k, marked)) for k, image in enumerate(self._held_out.images)
         ]
         shy = np.argsort(unseen, kind="stable")[-READ:]
         with ThreadPoolExecutor(READ) as pool:  # most of it is NumPy on one thread
-            read = min(pool.map(lambda k: self._read(marked, self._held_out.cameras[k]), shy))
+            read = min(pool.map(lambda k: self._read(marked, self._large[k]), shy))
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
         signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
         return Rehearsal(min(read, noisy), strength.psnr_db, min(unseen), capacity)
 
     def _read(self, marked_sh: Float32, camera: Camera) -> float:
-        """z of the claim from a view rendered large and kept as a bad picture."""
-        seen = look(self._views.model, [camera.resized(PICTURE, PICTURE)], lambda fraction: None)
+        """z of the claim from a view kept as a bad picture."""
+        seen = look(self.ground.model, [camera], lambda fraction: None)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (seen.images[0], seen.render(0, marked_sh)))
         everywhere, rms = np.ones(plain.shape[:2], dtype=bool), float(np.std(marked - plain))
         layout = self._plan.layout

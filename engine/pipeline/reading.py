@@ -27,7 +27,8 @@ from engine.watermark.spreading import signed_amplitudes
 __all__ = ["Seen", "read_gaussians", "read_pictures", "read_renders"]
 
 RENDER_SIZE = 512
-"""Longest side of a suspect's render at the pose key, pixels."""
+"""Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
+enough, and soon."""
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 LEAST_CORRELATION = 0.75
@@ -88,7 +89,7 @@ def read_renders(
     if registration.found and not registration.deformed:
         moved = transform_model(suspect, registration.scale, registration.R, registration.t)
         return Seen(_read_placed(moved, opened, clock), (), True)
-    cameras = [_no_larger(camera) for camera in opened.cameras]
+    cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
     parts, notes = [], []
     moved = suspect
     place = None
@@ -117,7 +118,7 @@ def read_renders(
 def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> Evidence:
     """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
     parts = []
-    for number, camera in enumerate(_no_larger(camera) for camera in opened.cameras):
+    for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         view, reference, mark, signs = _reference_view(opened, camera)
         everywhere = np.ones(picture.shape[:2], dtype=bool)
@@ -179,12 +180,6 @@ def read_pictures(
         else:
             parts.append(evidence)
     return add_evidence(parts) if parts else _nothing(opened), tuple(notes)
-
-
-def _no_larger(camera: Camera) -> Camera:
-    """The camera at no more than RENDER_SIZE pixels a side: all key views together see enough, and soon."""
-    shrink = min(1.0, RENDER_SIZE / max(camera.width, camera.height))
-    return camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
 
 
 def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidence | None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from engine.model import Float32
+from engine.model import Camera, Float32, Float64
 from engine.numerics.image_metrics import psnr, ssim
 from engine.pipeline.scenes import ViewSet
 
@@ -31,6 +32,21 @@ def add_dc(sh: Float32, displacement: Float32) -> Float32:
     marked = sh.copy()
     marked[:, 0] += displacement
     return marked
+
+
+def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) -> float:
+    """Factor at which the view of most energy would have this PSNR if chips did not meet in pixels.
+
+    Parameters
+    ----------
+    energies : (V, C)
+        Of `Plan`.
+    cameras : sequence of Camera
+    psnr_db : float
+    """
+    pixels = 3.0 * cameras[0].width * cameras[0].height
+    most = max(float(energies.sum(axis=1).max()), 1e-30)
+    return 10 ** (-psnr_db / 20.0) * float(np.sqrt(pixels / most))
 
 
 def solve_strength(

@@ -15,7 +15,10 @@ from engine.watermark.carriers import make_carriers
 from engine.watermark.layout import MARK_SCALE, Layout
 
 REFERENCE_NOISE = 0.05
-"""Per-channel noise (std, range 1) of the channel for which z is predicted: one key view, badly compressed."""
+"""Per-channel noise (std, range 1) of the channel for which z is predicted: one picture, badly compressed."""
+
+REFERENCE_PIXELS = 800 * 800
+"""Pixels of that picture: what a suspect shows has nothing to do with how large the key views were."""
 
 BIT_Z = 2.3
 """Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
@@ -160,12 +163,12 @@ def _balance_views(energy: Float64, rounds: int) -> Float64:
 
 
 def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> Float64:
-    """(V, B) z of each bit, read from one key view through the reference channel.
+    """(V, B) z of each bit, read from one picture of each key view through the reference channel.
 
     Parameters
     ----------
     energies : (V, C)
-        Of `Plan`.
+        Of `Plan`, for a picture of REFERENCE_PIXELS.
     strength : float
         Factor on all amplitudes.
     bit_of : (C,) int
@@ -188,7 +191,7 @@ def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> F
 
 
 def capacity_bits(energies: Float64, strength: float, chips: int) -> int:
-    """Bits the scene carries at this strength: the median key view must give every bit BIT_Z."""
+    """Bits the scene carries at this strength: the median picture (see `predict_z`) must give every bit BIT_Z."""
     energy = energies * strength**2
     signal = energy.sum(axis=1) / REFERENCE_NOISE**2
     effective = energy.sum(axis=1) ** 2 / np.maximum((energy**2).sum(axis=1), 1e-300)

@@ -100,7 +100,9 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
     views = make_rig(loaded.model, HELD_OUT, size, size, jitter=jitter)[: 2 if quick else None]
     subject = MarkedScene(scene_name(scene), loaded.model, made.model, open_record(record, key), made.report)
     camera = bench_camera(loaded.model, *((320, 200) if quick else FPS_SIZE))
-    foretold = rehearse(model, config).predicted_z if setting.axis in PREDICTED and not quick else None
+    foretold = None
+    if setting.axis in PREDICTED and not quick:
+        foretold = rehearse(model, key, config, loaded.sha256).predicted_z
     row = {
         **about,
         "views": config.views, "view_size": config.view_size, "cells": config.quantize.cells,
@@ -142,15 +144,15 @@ def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bo
     runs: list[dict[str, float]] = []
     cpu: list[float] = []
     for number in range(1 if quick else REPEATS):
-        clock, choice = Clock(), None
+        clock, choice, ground = Clock(), None, None
         began = time.process_time()
         config = config_of(point, **more)
         if point.profile == AUTO:
-            chosen = choose(model, point.bits, config, clock=clock)
-            config, choice = chosen.config, chosen.report()
+            chosen = choose(model, key, point.bits, config, original_sha256=digest, clock=clock)
+            config, choice, ground = chosen.config, chosen.report(), chosen.ground
         if number > 0:
             config = replace(config, landmark_views=0)
-        again = embed(model, key, original_sha256=digest, bits=point.bits, config=config)
+        again = embed(model, key, original_sha256=digest, bits=point.bits, config=config, ground=ground)
         cpu.append(time.process_time() - began)
         if number == 0:
             made, used, said = again, config, choice

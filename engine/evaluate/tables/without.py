@@ -2,6 +2,7 @@
 
 - ``uncertainty weights``: stage 0 weighs all Gaussians alike, not by the curvature of the render error.
 - ``uncertainty mask``: code vectors that the views are uncertain about are displaced like the others.
+- ``uncertainty``: both of these.
 - ``svd``: carriers are the RGB axes, not the right singular vectors of the codebook.
 """
 
@@ -21,7 +22,7 @@ from engine.pipeline.variant import PLAIN, Variant
 
 __all__ = ["STEPS", "without"]
 
-STEPS = ("uncertainty weights", "uncertainty mask", "svd")
+STEPS = ("uncertainty weights", "uncertainty mask", "uncertainty", "svd")
 
 
 def without(step: str, config: HvqConfig) -> Variant:
@@ -29,7 +30,8 @@ def without(step: str, config: HvqConfig) -> Variant:
 
     Parameters
     ----------
-    step : {"", "uncertainty weights", "uncertainty mask", "svd"}
+    step : str
+        One of STEPS, or empty.
     config : HvqConfig
         Of the embedding.
 
@@ -52,14 +54,14 @@ class _Without(Variant):
     seen: list[Int32] = field(default_factory=list)
 
     def own_stages(self, model: GaussianModel, weights: Float64) -> tuple[Stage, ...]:
-        if self.step == "uncertainty weights":
+        if self.step in ("uncertainty weights", "uncertainty"):
             weights = np.ones(len(model))
         stages = quantize(model, weights, measure_extent(model).radius, self.config)
         self.seen.append(stages[0].labels)
         return _on_rgb_axes(stages) if self.step == "svd" else stages
 
     def emphasis_on(self, impact: Impact) -> Float64 | None:
-        if self.step != "uncertainty mask":
+        if self.step not in ("uncertainty mask", "uncertainty"):
             return None
         labels = self.seen[-1]
         return np.asarray(1.0 / doubt(labels, impact))[labels]

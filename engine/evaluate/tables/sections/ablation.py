@@ -57,6 +57,7 @@ LINES = (
     Line("HVQ", "compact output: own residuals dropped", compact(0.1)),
     Line("uncertainty", "cells weighted evenly", Setting("no-unc-weights", without="uncertainty weights")),
     Line("uncertainty", "no uncertainty in the mask", Setting("no-unc-mask", without="uncertainty mask")),
+    Line("uncertainty", "neither", Setting("no-uncertainty", without="uncertainty")),
     Line("frequency", "no texture in the mask", Setting("texture-0", {"plan": {"texture_exponent": 0.0}})),
     Line("frequency", "lambda_freq 0 instead of 0.1, compact", compact(0.0), compact(0.1)),
     Line("SVD", "RGB axes instead of singular vectors", Setting("no-svd", without="svd")),

@@ -1,0 +1,173 @@
+"""What a mark is planned on: the model as its key views see it, and its cells.
+
+Made once for an embedding; `choosing` rehearses on it and hands it on, so that a choice costs no second look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from engine.compress.hvq import Stage, quantize
+from engine.compress.impact import Impact, measure_impact
+from engine.errors import InputError
+from engine.model import Camera, Float64, GaussianModel
+from engine.pipeline.delivery import color_weights
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Clock
+from engine.pipeline.rigs import Extent, make_rig, measure_extent
+from engine.pipeline.scenes import ViewSet, look
+from engine.pipeline.variant import PLAIN, Variant
+from engine.watermark.keys import POSE, OwnerKey, uniform
+from engine.watermark.planning import REFERENCE_PIXELS
+
+__all__ = ["Groundwork", "lay_groundwork"]
+
+LEAST_WIDTH = 1e-4
+"""Of the centres across a line through them, in its length: a rotation about the line itself shows nowhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Groundwork:
+    """A model seen from its key views.
+
+    Parameters
+    ----------
+    extent : Extent
+        Of the model as it came.
+    views : ViewSet
+        With the model and the cameras.
+    impact : Impact
+    config : EmbedConfig
+        Under which it was made.
+    variant : Variant
+    """
+
+    extent: Extent
+    views: ViewSet
+    impact: Impact
+    config: EmbedConfig
+    variant: Variant
+
+    @property
+    def model(self) -> GaussianModel:
+        """Whose groundwork it is."""
+        return self.views.model
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        """The key views."""
+        return self.views.cameras
+
+    @cached_property
+    def stages(self) -> tuple[Stage, ...]:
+        """The quantiser: the file's own codes where the variant says so, else ours."""
+        weights = color_weights(self.model, self.impact)
+        own = self.variant.own_stages(self.model, weights)
+        return own or quantize(self.model, weights, self.extent.radius, self.config.quantize)
+
+    @property
+    def picture_scale(self) -> Float64:
+        """(V, 1) by how much more a picture of REFERENCE_PIXELS shows than each key view does."""
+        return np.array([[REFERENCE_PIXELS / (camera.width * camera.height)] for camera in self.cameras])
+
+    def of(self, model: GaussianModel, clock: Clock) -> Groundwork:
+        """Of another model in the same place, seen from the same views."""
+        if model is self.model:
+            return self
+        return _seen(model, self.cameras, self.extent, self.config, self.variant, clock)
+
+    def views_of(self, model: GaussianModel, clock: Clock) -> ViewSet:
+        """Another model from the same views, without its impact."""
+        if model is self.model:
+            return self.views
+        return look(model, self.cameras, clock.advance, self.variant.at_view)
+
+
+def lay_groundwork(
+    model: GaussianModel,
+    key: OwnerKey,
+    original_sha256: str,
+    config: EmbedConfig,
+    cameras: Sequence[Camera] | None = None,
+    variant: Variant = PLAIN,
+    clock: Clock | None = None,
+) -> Groundwork:
+    """Look at a model from the views that the owner's key draws.
+
+    Parameters
+    ----------
+    model : GaussianModel
+    key : OwnerKey
+    original_sha256 : str
+        Hex digest of the owner's file.
+    config : EmbedConfig
+        Number and size of the key views; the quantiser.
+    cameras : sequence of Camera, optional
+        The owner's own; key views are chosen among them. Generated from the model otherwise.
+    variant : Variant
+    clock : Clock, optional
+
+    Raises
+    ------
+    InputError
+        If no copy of the model could be registered: too few Gaussians, or centres in a point or on a line.
+    """
+    extent = measure_extent(model)
+    _check_placeable(model, extent)
+    key_cameras = _key_cameras(model, key, bytes.fromhex(original_sha256), config, cameras, extent)
+    return _seen(model, key_cameras, extent, config, variant, clock or Clock())
+
+
+def _seen(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    extent: Extent,
+    config: EmbedConfig,
+    variant: Variant,
+    clock: Clock,
+) -> Groundwork:
+    views = look(model, cameras, clock.advance, variant.at_view)
+    return Groundwork(extent, views, measure_impact(model, views.views, views.images), config, variant)
+
+
+def _check_placeable(model: GaussianModel, extent: Extent) -> None:
+    """Refuse what no registration could place again: centres in one point, on a line, or rounded away."""
+    if len(model) < 64:
+        raise InputError(f"a mark needs at least 64 Gaussians, this model has {len(model)}")
+    means = model.means.astype(np.float64)
+    furthest = float(np.abs(means).max())
+    if extent.radius <= float(np.spacing(np.float32(np.abs(extent.center).max()))):
+        raise InputError(
+            f"this model lies {furthest:.3g} from the origin and is {extent.radius:.3g} across: float32 cannot tell "
+            "its centres apart; move it nearer"
+        )
+    spread = np.linalg.svd(np.cov(means.T, bias=True), compute_uv=False)  # variances along the principal axes
+    if spread[1] <= LEAST_WIDTH**2 * spread[0]:
+        raise InputError(
+            "the centres of this model lie in one point or on a line: a copy of it could not be registered"
+        )
+
+
+def _key_cameras(
+    model: GaussianModel,
+    key: OwnerKey,
+    asset: bytes,
+    config: EmbedConfig,
+    cameras: Sequence[Camera] | None,
+    extent: Extent,
+) -> list[Camera]:
+    """The pose key: views chosen by the owner's key, among the owner's cameras or around the model."""
+    draw = uniform(key.derive(POSE, asset), 4 * config.views).reshape(config.views, 4)
+    if not cameras:
+        return make_rig(model, config.views, config.view_size, config.view_size, jitter=draw, extent=extent)
+    count = min(config.views, len(cameras))
+    slots = np.linspace(0, len(cameras), count + 1)
+    slot = [
+        int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)
+    ]
+    chosen = [cameras[min(i, len(cameras) - 1)] for i in slot]
+    return [camera.with_side(min(config.view_size, max(camera.width, camera.height))) for camera in chosen]
