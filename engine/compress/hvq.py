@@ -32,7 +32,8 @@ class HvqConfig:
     decay : float
         EMA decay lambda_d of the residual codebooks (paper: 0.8).
     lambda_freq : float
-        Weight of the high-frequency part of the error (Eq 7; paper's appendix: 0.1).
+        Weight of the high-frequency part of the error (Eq 7; paper's appendix: 0.1). No profile uses it: it buys
+        nothing (docs/RESULTS.md, ablation).
     rounds : int
         EMA rounds over the sample.
     sample : int
@@ -45,7 +46,7 @@ class HvqConfig:
     residual_codes: tuple[int, ...] = ()
     min_members: int = 8
     decay: float = 0.8
-    lambda_freq: float = 0.1
+    lambda_freq: float = 0.0
     rounds: int = 12
     sample: int = 32768
     seed: int = 0
@@ -115,11 +116,11 @@ def detail_metric(values: Float32, lambda_freq: float) -> Float32:
     """Coordinates in which squared distance is Eq 7: error plus lambda_freq times its detail (Haar) part.
 
     The Haar transform runs over the coefficients of each channel; being orthonormal it turns the extra term into
-    a scale of sqrt(1 + lambda_freq) on the detail half. With one coefficient there is no detail.
+    a scale of sqrt(1 + lambda_freq) on the detail half. With one coefficient, or no weight, nothing is to be done.
     """
     n, width = values.shape
     coefficients = width // 3
-    if coefficients == 1:
+    if coefficients == 1 or lambda_freq == 0.0:
         return values
     x = values.reshape(n, coefficients, 3)
     even = coefficients // 2 * 2

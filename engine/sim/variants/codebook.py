@@ -136,7 +136,7 @@ def make_codebook(
             continue
         values = np.ascontiguousarray(values)
         ones = np.ones(len(model))
-        stage = learn_residual_stage(values, ones, codes[name], HvqConfig(lambda_freq=0.0), seed)
+        stage = learn_residual_stage(values, ones, codes[name], HvqConfig(), seed)
         centers[name], indices[name] = stage.codebook, stage.labels
     bits = max((len(book) - 1).bit_length() for book in centers.values())
     return CodebookModel(plain, centers, indices, max(bits, 1))

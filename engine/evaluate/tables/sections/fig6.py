@@ -20,12 +20,12 @@ TEXT = refined("loss-text", 0.4, 1.0, 0.3)
 NO_COUNTERPART = (
     ("tau_unc", "none: displacement falls continuously with certainty, there is no threshold to choose"),
     ("tau_occ", "none: accumulated opacity never exceeds 1, so 1.2 never stops a pixel; transmittance ends it at 1e-4"),
-    ("lambda_freq", "weight of detail in the residual codebooks, which only the compact output has"),
+    ("lambda_freq", "weight of detail in the residual codebooks, which only the compact output has; 0 in every profile"),
     ("lambda_msg, lambda_rec, lambda_wavelet", "the same, in a refinement that no profile uses"),
 )  # fmt: skip
 
 
-def compact(lambda_freq: float) -> Setting:
+def compact(lambda_freq: float = 0.0) -> Setting:
     """Codebooks alone, learnt with this weight of detail."""
     return Setting(f"freq-{lambda_freq:g}", {"output": "compact", "quantize": {"lambda_freq": lambda_freq}})
 
@@ -56,7 +56,7 @@ def knobs(quick: bool) -> list[Knob]:
         Knob(
             "lambda_freq (compact output)",
             {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)},
-            0.1, best["lambda_freq"],
+            0.0, best["lambda_freq"],
         ),
         Knob(
             "texture exponent",
