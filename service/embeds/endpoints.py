@@ -49,7 +49,9 @@ class EmbedRequest(BaseModel):
     bits: Annotated[int, Field(ge=16, le=256, multiple_of=8), WHOLE] | None = Field(
         None, description="Length of a drawn message (32)."
     )
-    profile: Literal["fast", "balanced", "strong"] = Field("balanced", description="Speed against accuracy.")
+    profile: Literal["fast", "balanced", "strong", "auto"] = Field(
+        "balanced", description="Speed against accuracy; auto: no more than the scene needs."
+    )
     psnr: float | None = Field(None, ge=20, le=90, description="Least PSNR of the mark, dB (47).")
     budget: float | None = Field(
         None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all."

@@ -10,8 +10,10 @@ from typing import Any
 
 from engine.cli.models import loss_note, repair_entries
 from engine.formats import encode_model
+from engine.pipeline.choosing import AUTO, START, choose
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import EmbedConfig, profile
+from engine.pipeline.progress import Clock
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from engine.watermark.sketch import make_sketch
@@ -39,10 +41,17 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     screen_seconds = time.perf_counter() - began - read_seconds
     if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
         return {"screening": found}
+    clock, choice = Clock(progress), None
+    if request["profile"] == AUTO:
+        choice = choose(
+            loaded.model, key, bits if message is None else len(message), config, original_sha256=loaded.sha256,
+            cameras=cameras, keep_psnr=request.get("psnr") is not None, clock=clock,
+        )  # fmt: skip
     made = embed(
-        loaded.model, key, original_sha256=loaded.sha256, message=message, bits=bits, config=config,
-        cameras=cameras, copy=request.get("copy") or "", registered_at=request.get("registered_at") or "",
-        progress=progress,
+        loaded.model, key, original_sha256=loaded.sha256, message=message, bits=bits,
+        config=config if choice is None else choice.config, cameras=cameras, copy=request.get("copy") or "",
+        registered_at=request.get("registered_at") or "", progress=progress,
+        ground=None if choice is None else choice.ground,
     )  # fmt: skip
     started = time.perf_counter()
     progress("write", 0.0)
@@ -68,12 +77,14 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "bytes_out": len(model),
         "record_bytes": len(record),
         "profile": request["profile"],
+        "choice": None if choice is None else choice.report(),
         "repairs": repair_entries(loaded.repairs),
         "notes": loss_note(made.model, kind),
         "seconds": ended - began,
         "seconds_by_stage": {
             "read": read_seconds,
             "screen": screen_seconds,
+            **clock.seconds,
             **made.report["seconds_by_stage"],
             "write": drawing - started,
             "picture": ended - drawing,
@@ -94,7 +105,8 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
 def _config(request: Mapping[str, Any]) -> EmbedConfig:
     """Settings of the profile with what the request changes."""
     changes = {"psnr_db": request.get("psnr"), "output": request.get("output")}
-    config = profile(request["profile"], **{name: v for name, v in changes.items() if v is not None})
+    named = START if request["profile"] == AUTO else request["profile"]
+    config = profile(named, **{name: v for name, v in changes.items() if v is not None})
     if request.get("budget") is None:
         return config
     return replace(config, prune=replace(config.prune, budget_db=float(request["budget"])))

@@ -8,6 +8,7 @@ const STAGES = {
   compile: "Making the kernels ready",
   read: "Reading the model",
   look: "Looking at the model from all sides",
+  choose: "Trying what this scene needs",
   prune: "Leaving out what nobody sees",
   quantize: "Learning the code book",
   landmarks: "Noting landmarks, to recognise screenshots later",

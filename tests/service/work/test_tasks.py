@@ -56,6 +56,14 @@ def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
     assert marked.path("sketch").read_bytes() == make_sketch(model).to_bytes()
 
 
+def test_auto_says_what_it_chose_and_keeps_the_fidelity_that_was_asked_for(tmp_path: Path) -> None:
+    reply = embed_mark(EMBED | {"model": str(SCENE), "profile": "auto", "psnr": 44.0}, tmp_path, silent)
+    choice = reply["report"]["choice"]
+    assert (choice["views"], choice["view_size"], choice["psnr_db"]) == (6, 256, 44.0)
+    assert reply["report"]["seconds_by_stage"]["choose"] > 0.0
+    assert open_record((tmp_path / reply["files"]["record"]).read_bytes(), OwnerKey(bytes.fromhex(KEY)))
+
+
 def test_preview_shows_original_marked_and_difference(marked: Marked) -> None:
     with Image.open(marked.path("preview")) as picture:
         assert picture.width <= 1200
