@@ -20,7 +20,7 @@ TEXT = refined("loss-text", 0.4, 1.0, 0.3)
 NO_COUNTERPART = (
     ("tau_unc", "none: displacement falls continuously with certainty, there is no threshold to choose"),
     ("tau_occ", "none: accumulated opacity never exceeds 1, so 1.2 never stops a pixel; transmittance ends it at 1e-4"),
-    ("lambda_freq", "weight of detail in the residual codebooks, which only the compact output has; 0 in every profile"),
+    ("lambda_freq", "weight of detail in the residual codebooks of the compact output; 0 in every profile"),
     ("lambda_msg, lambda_rec, lambda_wavelet", "the same, in a refinement that no profile uses"),
 )  # fmt: skip
 
