@@ -55,8 +55,9 @@ LOWER_DB = (1.0, 2.0)
 SSIM_PER_DB = 0.0005
 """And off SSIM with it, as in `strong`."""
 REHEARSAL_SEED = 0x5EED
-HELD_OUT, READ = 6, 2
-"""Views that no key view was, and how many of them are read: those that show least of the mark."""
+HELD_OUT, WORST = 6, 2
+"""Views that no key view was; the one that shows least of the mark decides. At another fidelity only those are read
+that showed least before."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class Rehearsal:
     Parameters
     ----------
     predicted_z : float
-        Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of those read, or under
-        noise of std 0.1, whichever is lower.
+        Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise
+        of std 0.1, whichever is lower.
     psnr_db : float
         Of the mark, worst key view; above the one asked for where SSIM limits.
     held_out_db : float
@@ -220,16 +221,15 @@ class _Rehearsing:
         self.ground = ground
         model, config = ground.model, ground.config
         rng = np.random.default_rng(REHEARSAL_SEED)
-        self._large = self._unseen(cameras, rng)
-        small = [camera.with_side(config.view_size) for camera in self._large]
-        self._held_out = look(model, small, lambda fraction: None)
+        self._unseen = look(model, self._unseen_cameras(cameras, rng), lambda fraction: None)
+        self._telling = list(range(len(self._unseen.views)))  # which of them are read
         stages, emphasis = spare_masses(model.sh[:, 0], ground.stages, config.plan.mass_share)
         self._plan = make_plan(stages, ground.impact, config.plan, emphasis)
         layout = self._plan.layout
         self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
         self._displacement = layout.displace(layout.amplitudes * self._signs)
 
-    def _unseen(self, cameras: Sequence[Camera] | None, rng: np.random.Generator) -> list[Camera]:
+    def _unseen_cameras(self, cameras: Sequence[Camera] | None, rng: np.random.Generator) -> list[Camera]:
         """Views that are no key views, at the size of the bad picture: of the owner's cameras where some are left."""
         taken = {camera.viewmat.tobytes() for camera in self.ground.cameras}
         left = [camera for camera in cameras or () if camera.viewmat.tobytes() not in taken]
@@ -248,24 +248,22 @@ class _Rehearsing:
         strength = solve_strength(ground.views, self._displacement, config.psnr_db, config.ssim, start)
         marked = add_dc(ground.model.sh, np.float32(strength.factor) * self._displacement)
         capacity = capacity_bits(energies * ground.picture_scale, strength.factor, self._plan.layout.chips)
-        unseen = [
-            psnr(image, self._held_out.render(k, marked)) for k, image in enumerate(self._held_out.images)
-        ]
-        shy = np.argsort(unseen, kind="stable")[-READ:]
-        with ThreadPoolExecutor(READ) as pool:  # most of it is NumPy on one thread
-            read = min(pool.map(lambda k: self._read(marked, self._large[k]), shy))
+        pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
+        held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
+        with ThreadPoolExecutor() as pool:  # most of it is NumPy on one thread
+            read = list(pool.map(lambda k: self._read(pictures[k], k), self._telling))
+        found = sorted(zip(read, self._telling, strict=True))
+        self._telling = [k for _, k in found[:WORST]]
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
         signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
-        return Rehearsal(min(read, noisy), strength.psnr_db, min(unseen), capacity)
+        return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db, capacity)
 
-    def _read(self, marked_sh: Float32, camera: Camera) -> float:
-        """z of the claim from a view kept as a bad picture."""
-        seen = look(self.ground.model, [camera], lambda fraction: None)
-        plain, marked = (np.clip(image, 0.0, 1.0) for image in (seen.images[0], seen.render(0, marked_sh)))
-        everywhere, rms = np.ones(plain.shape[:2], dtype=bool), float(np.std(marked - plain))
-        layout = self._plan.layout
-        y = gather_displacements(layout, seen.views[0], plain, _spoil(marked), everywhere, rms)
+    def _read(self, picture: Float32, number: int) -> float:
+        """z of the claim from an unseen view of the marked model, kept badly."""
+        plain, marked = (np.clip(image, 0.0, 1.0) for image in (self._unseen.images[number], picture))
+        layout, rms = self._plan.layout, float(np.std(marked - plain))
+        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), rms, QUALITY)
         one_bit = np.zeros(layout.chips, dtype=np.int32)
         return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
 

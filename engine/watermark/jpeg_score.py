@@ -109,7 +109,7 @@ def jpeg_cotangent(
     Parameters
     ----------
     reference : (H, W, 3) float32
-        Unmarked render, range 0 to 1, with the suspect's exposure.
+        Unmarked render, range 0 to 1, with the suspect's exposure (`match_exposure`).
     picture : (H, W, 3) float32
         Suspect in the same pixels, never resampled since it was compressed.
     mask : (H, W) bool
@@ -124,7 +124,6 @@ def jpeg_cotangent(
     (H, W, 3) float32
         In log-likelihood per unit of colour.
     """
-    reference = _match_exposure(reference, picture, mask)
     observed = blocks_of(255.0 * picture @ LUMA)
     steps = luma_table(quality)
     known = blocks_of(255.0 * reference @ LUMA)
@@ -153,7 +152,7 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
     return np.asarray(start + np.round((observed - dctn(decoded, axes=(2, 3), norm="ortho")) / steps))
 
 
-def _match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
+def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
     """The reference in the picture's colours, where these are not its own.
 
     Gain and offset of each channel tell whether they are; tone and light are fitted in full only where that explains

@@ -9,6 +9,8 @@ from engine.errors import InputError, WrongKeyError
 from engine.evaluate.bars_images import to_8_bit
 from engine.evaluate.bars_truth import forge, wrong_key_rates
 from engine.evaluate.marked_scene import MarkedScene, bench_key
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
@@ -170,3 +172,13 @@ def test_a_handful_of_gaussians_is_not_enough_to_say_no(scene: MarkedScene) -> N
         claim = verify_model(few, scene.opened, VerifyConfig(route="model")).claim
         assert claim.derived_fraction == 0.0
         assert claim.verdict.value == verdict
+
+
+def test_renders_say_as_much_however_small_the_key_views_were(small_plant: GaussianModel) -> None:
+    found = {}
+    for size in (128, 512):
+        config = profile("fast", landmark_views=0, views=3, view_size=size, psnr_db=44.0, ssim=0.99)
+        made = embed(small_plant, bench_key(1), original_sha256="11" * 32, bits=16, config=config)
+        opened = open_record(made.record.to_bytes(bench_key(1)), bench_key(1))
+        found[size] = verify_model(made.model, opened, VerifyConfig(route="render")).claim.z
+    assert found[128] > 0.85 * found[512]

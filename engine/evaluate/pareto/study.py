@@ -180,7 +180,7 @@ def _foretold_section(told: Sequence[Result]) -> Section:
     return Section(
         "What auto predicts, and what came",
         [
-            "A scene is rehearsed: its mark is planned on views of 256 pixels, without landmarks, and read from two "
+            "A scene is rehearsed: its mark is planned on views of 256 pixels, without landmarks, and read from six "
             "unseen views of 800 pixels at JPEG quality 10 (engine/pipeline/choosing.py). What is measured beside is "
             "the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
             f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(told)} settings, mean "
