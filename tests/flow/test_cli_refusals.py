@@ -78,12 +78,12 @@ def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
 import signal, sys
 from engine.cli.app import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from engine.pipeline import embedding
-quantize = embedding.quantize
+from engine.pipeline import groundwork
+quantize = groundwork.quantize
 def told(*given, **named):
     sys.stderr.write("in the middle\\n")
     return quantize(*given, **named)
-embedding.quantize = told
+groundwork.quantize = told
 main()
 """
     with subprocess.Popen(
