@@ -29,7 +29,7 @@ from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
-from engine.watermark.planning import BIT_Z, capacity_bits, make_plan
+from engine.watermark.planning import BIT_Z, make_plan
 from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
 
 __all__ = ["AUTO", "START", "Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
@@ -73,14 +73,11 @@ class Rehearsal:
         Of the mark, worst key view; above the one asked for where SSIM limits.
     held_out_db : float
         Of the mark, worst of some views that are not key views.
-    capacity_bits : int
-        As the planner will count it.
     """
 
     predicted_z: float
     psnr_db: float
     held_out_db: float
-    capacity_bits: int
 
 
 @dataclass(frozen=True)
@@ -247,7 +244,6 @@ class _Rehearsing:
         start = first_guess(energies, ground.cameras, config.psnr_db)
         strength = solve_strength(ground.views, self._displacement, config.psnr_db, config.ssim, start)
         marked = add_dc(ground.model.sh, np.float32(strength.factor) * self._displacement)
-        capacity = capacity_bits(energies * ground.picture_scale, strength.factor, self._plan.layout.chips)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
         held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
         with ThreadPoolExecutor() as pool:  # most of it is NumPy on one thread
@@ -257,7 +253,7 @@ class _Rehearsing:
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
         signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
-        return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db, capacity)
+        return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db)
 
     def _read(self, picture: Float32, number: int) -> float:
         """z of the claim from an unseen view of the marked model, kept badly."""
