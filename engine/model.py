@@ -56,9 +56,12 @@ class GaussianModel:
     def __post_init__(self) -> None:
         n = len(self.means)
         shapes = {
-            "means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,),
+            "means": (n, 3),
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "opacity_logits": (n,),
             "sh": (n, self.sh.shape[1] if self.sh.ndim == 3 else -1, 3),
-        }  # fmt: skip
+        }
         for name, shape in shapes.items():
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             if array.shape != shape:
@@ -97,9 +100,8 @@ class GaussianModel:
     def take(self, index: npt.NDArray[Any]) -> GaussianModel:
         """The Gaussians at an integer index or under a boolean mask, in that order."""
         return GaussianModel(
-            self.means[index], self.log_scales[index], self.quats[index], self.opacity_logits[index],
-            self.sh[index],
-        )  # fmt: skip
+            self.means[index], self.log_scales[index], self.quats[index], self.opacity_logits[index], self.sh[index]
+        )
 
     def with_(self, **arrays: npt.NDArray[Any]) -> GaussianModel:
         """A copy with some attributes replaced."""

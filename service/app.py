@@ -57,9 +57,14 @@ def make_app(service: Service) -> FastAPI:
         service.close()
 
     app = FastAPI(
-        title="Mark3DGS", version=version("mark3dgs"), description=DESCRIPTION, docs_url=None, redoc_url=None,
-        lifespan=life, redirect_slashes=False,
-    )  # fmt: skip
+        title="Mark3DGS",
+        version=version("mark3dgs"),
+        description=DESCRIPTION,
+        docs_url=None,
+        redoc_url=None,
+        lifespan=life,
+        redirect_slashes=False,
+    )
     app.state.service = service
     for router in (keys, uploads, embeds, verifications, jobs, assets, claims, health):
         app.include_router(router)
@@ -85,9 +90,12 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     """The document, with our own error body in place of the framework's."""
     if app.openapi_schema is None:
         document = get_openapi(
-            title=app.title, version=app.version, description=app.description, routes=app.routes,
+            title=app.title,
+            version=app.version,
+            description=app.description,
+            routes=app.routes,
             openapi_version=app.openapi_version,
-        )  # fmt: skip
+        )
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
         for name in ("HTTPValidationError", "ValidationError"):
             schemas.pop(name, None)

@@ -28,9 +28,7 @@ class Service:
         db = Database(settings.database())
         db.migrate()
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
-        return cls(
-            settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database())
-        )
+        return cls(settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database()))
 
     def close(self) -> None:
         """Give connections back."""

@@ -51,9 +51,7 @@ class Problem(Exception):
         Further members of the problem object.
     """
 
-    def __init__(
-        self, kind: str, detail: str, *, headers: Mapping[str, str] | None = None, **extra: Any
-    ) -> None:
+    def __init__(self, kind: str, detail: str, *, headers: Mapping[str, str] | None = None, **extra: Any) -> None:
         self.status, self.title = KINDS[kind]
         self.kind, self.detail, self.headers, self.extra = kind, detail, dict(headers or {}), extra
         super().__init__(detail)

@@ -20,8 +20,7 @@ class Settings(BaseSettings):
     database_url: str = Field("", description="postgresql://...; empty: a SQLite file in the data folder.")
     blob_url: str = Field("", description="s3://bucket/prefix; empty: a folder in the data folder.")
     master_key: SecretStr | None = Field(
-        None,
-        description="64 hex digits that seal all secrets; empty: the file master.key in the data folder.",
+        None, description="64 hex digits that seal all secrets; empty: the file master.key in the data folder."
     )
     workers: int = Field(1, ge=0, le=64, description="Worker processes that `serve` starts.")
     worker_silence_seconds: float = Field(
@@ -29,15 +28,11 @@ class Settings(BaseSettings):
     )
 
     max_upload_bytes: int = Field(2 * GIB, gt=0, description="Largest upload.")
-    max_form_bytes: int = Field(
-        64 * MIB, gt=0, description="Largest multipart form; larger files go by upload."
-    )
+    max_form_bytes: int = Field(64 * MIB, gt=0, description="Largest multipart form; larger files go by upload.")
     max_body_bytes: int = Field(1 * MIB, gt=0, description="Largest JSON body.")
     upload_hours: float = Field(24.0, gt=0, description="An upload not finished by then is dropped.")
 
-    suspect_days: float = Field(
-        30.0, gt=0, description="Uploads are kept that long; what was made of them stays."
-    )
+    suspect_days: float = Field(30.0, gt=0, description="Uploads are kept that long; what was made of them stays.")
 
     inspect_seconds: float = Field(
         4.5, gt=0, description="A look at an upload that takes longer is left to the job that uses it."

@@ -52,9 +52,7 @@ def attack(
     seed: Seed = 0,
     reading: Annotated[
         str | None,
-        typer.Option(
-            "--reading", metavar="literal|as_code", help="As papers word it, or as public code runs it."
-        ),
+        typer.Option("--reading", metavar="literal|as_code", help="As papers word it, or as public code runs it."),
     ] = None,
     into: Annotated[Path | None, typer.Option("--into", help="merge_into: the foreign scene.")] = None,
     to: Annotated[
@@ -62,10 +60,7 @@ def attack(
     ] = None,
     spz_frame: SpzFrame = "auto",
     list_all: Annotated[
-        bool,
-        typer.Option(
-            "--list", callback=_list_attacks, is_eager=True, help="List all attacks with their units."
-        ),
+        bool, typer.Option("--list", callback=_list_attacks, is_eager=True, help="List all attacks with their units.")
     ] = False,
     json: Json = False,
 ) -> int:
@@ -112,9 +107,7 @@ def attack(
         "bytes_out": out.stat().st_size,
         "seconds": time.perf_counter() - began,
     }
-    console.say(
-        f"{name} {report['strength']} ({report['meaning']}), seed {seed}: {target} -> {out}, {report['said']}"
-    )
+    console.say(f"{name} {report['strength']} ({report['meaning']}), seed {seed}: {target} -> {out}, {report['said']}")
     for note in report.get("notes", []):
         console.say(f"  note: {note}")
     del report["said"]
@@ -134,9 +127,16 @@ def _strength(text: str | None, chosen: Attack[Any]) -> float | str | None:
 
 
 def _attack_model(
-    console: Console, chosen: Attack[Any], target: Path, out: Path, value: float | str | None, seed: int,
-    reading: str | None, into: Path | None, spz_frame: str,
-) -> dict[str, Any]:  # fmt: skip
+    console: Console,
+    chosen: Attack[Any],
+    target: Path,
+    out: Path,
+    value: float | str | None,
+    seed: int,
+    reading: str | None,
+    into: Path | None,
+    spz_frame: str,
+) -> dict[str, Any]:
     from engine.formats import read_model, write_model
 
     kind = format_for(out)
@@ -158,9 +158,16 @@ def _attack_model(
 
 
 def _attack_picture(
-    console: Console, chosen: Attack[Any], target: Path, out: Path, value: float | str | None, seed: int,
-    reading: str | None, into: Path | None, spz_frame: str,
-) -> dict[str, Any]:  # fmt: skip
+    console: Console,
+    chosen: Attack[Any],
+    target: Path,
+    out: Path,
+    value: float | str | None,
+    seed: int,
+    reading: str | None,
+    into: Path | None,
+    spz_frame: str,
+) -> dict[str, Any]:
     check_picture_ending(out)
     image = read_picture(target)
     result = chosen.apply(image, value, rng=seed, reading=reading)

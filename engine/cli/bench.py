@@ -19,29 +19,22 @@ from engine.numerics.plain import plain
 
 
 def bench(
-    what: Annotated[
-        str,
-        typer.Argument(metavar="WHAT", help=", ".join(BENCHES) + "."),
-    ],
+    what: Annotated[str, typer.Argument(metavar="WHAT", help=", ".join(BENCHES) + ".")],
     scene: Annotated[
-        list[Path] | None,
-        typer.Option("--scene", help="Model to measure on; repeatable (default: the shipped one)."),
+        list[Path] | None, typer.Option("--scene", help="Model to measure on; repeatable (default: the shipped one).")
     ] = None,
-    profile: Annotated[
-        str, typer.Option("--profile", metavar="P", help="fast, balanced or strong.")
-    ] = "fast",
+    profile: Annotated[str, typer.Option("--profile", metavar="P", help="fast, balanced or strong.")] = "fast",
     repeats: Annotated[int, typer.Option("--repeats", min=1, help="Timed runs; the median is reported.")] = 3,
     trials: Annotated[
         int | None,
         typer.Option(
-            "--trials",
-            min=1,
-            help="Screenshots (50), epochs (500), wrong keys (100,000) or innocent copies (10,000).",
+            "--trials", min=1, help="Screenshots (50), epochs (500), wrong keys (100,000) or innocent copies (10,000)."
         ),
     ] = None,
-    size: Annotated[
-        tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")
-    ] = (1297, 840),
+    size: Annotated[tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")] = (
+        1297,
+        840,
+    ),
     setting: Annotated[
         list[str] | None,
         typer.Option(
@@ -51,13 +44,9 @@ def bench(
             "repeatable (default: all).",
         ),
     ] = None,
-    colors_only: Annotated[
-        bool, typer.Option("--colors-only", help="finetune: leave the geometry alone.")
-    ] = False,
+    colors_only: Annotated[bool, typer.Option("--colors-only", help="finetune: leave the geometry alone.")] = False,
     seed: Seed = 0,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write the JSON report to this file, too.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the JSON report to this file, too.")] = None,
     json: Json = False,
 ) -> int:
     """Measure on real scenes.
@@ -93,15 +82,20 @@ def bench(
         prepare_kernels(console, progress, "everything")
         progress(what, 0.0)
         job = Job(
-            scenes, profile, repeats, trials, size, seed, lambda fraction: progress(what, fraction),
-            setting or [], colors_only,
-        )  # fmt: skip
+            scenes,
+            profile,
+            repeats,
+            trials,
+            size,
+            seed,
+            lambda fraction: progress(what, fraction),
+            setting or [],
+            colors_only,
+        )
         found = BENCHES[what](job)
     report = {"bench": what, "machine": machine_info(), **found}
     for row in report["rows"]:
-        console.say(
-            "  ".join(f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
-        )
+        console.say("  ".join(f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict)))
     if out is not None:
         with whole_file(out) as part:
             part.write_text(json_text.dumps(plain(report), indent=1) + "\n")

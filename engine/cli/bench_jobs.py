@@ -138,9 +138,13 @@ def _fine_tuning(job: Job) -> dict[str, Any]:
     for scene in job.marked():
         for name in wanted:
             rows += bench_fine_tuning(
-                scene, SETTINGS[name], epochs=epochs, seed=job.seed,
-                trained="colors" if job.colors_only else "all", advance=job.advance,
-            )  # fmt: skip
+                scene,
+                SETTINGS[name],
+                epochs=epochs,
+                seed=job.seed,
+                trained="colors" if job.colors_only else "all",
+                advance=job.advance,
+            )
     return {"profile": job.profile, "epochs": epochs, "rows": rows}
 
 

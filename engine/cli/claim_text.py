@@ -16,11 +16,7 @@ ROUTES = {
     "image": "the pictures, compared with renders of the registered reference",
 }
 
-HEADLINES = {
-    "marked": "MARKED",
-    "not_marked": "NOT MARKED",
-    "inconclusive": "INCONCLUSIVE",
-}
+HEADLINES = {"marked": "MARKED", "not_marked": "NOT MARKED", "inconclusive": "INCONCLUSIVE"}
 
 
 def odds(log10_probability: float) -> str:
@@ -100,18 +96,14 @@ def meaning(report: Mapping[str, Any]) -> tuple[str, str]:
         not_says = "It does not mean that whoever published the suspect made it, or knew of the mark." + (
             " The bound also meets 2^-128, so it stands even where the date of the record is disputed."
             if report["meets_dishonest_claimant_rate"]
-            else " The bound does not reach 2^-128: it counts only if the record is known to be older than"
-            " the suspect."
+            else " The bound does not reach 2^-128: it counts only if the record is known to be older than the suspect."
         )
     elif report["verdict"] == "not_marked":
         says = "It means that, had this suspect carried this copy's mark, the evidence would have shown it."
-        not_says = (
-            "It does not mean that the suspect is lawful, or free of the mark of another copy or owner. "
-            + (
-                "Part of this asset is in it, unmarked: compare it with the original."
-                if report["derived_but_unmarked"]
-                else "Each copy has a record of its own."
-            )
+        not_says = "It does not mean that the suspect is lawful, or free of the mark of another copy or owner. " + (
+            "Part of this asset is in it, unmarked: compare it with the original."
+            if report["derived_but_unmarked"]
+            else "Each copy has a record of its own."
         )
     else:
         says = "It means neither yes nor no. More pictures, or more of the model, can decide it."
@@ -123,9 +115,7 @@ def claim_lines(report: Mapping[str, Any], suspect: str) -> list[str]:
     """The whole claim as lines of at most WIDTH characters."""
     lines = [headline(report, suspect), ""]
     for label, text in facts(report):
-        lines += textwrap.wrap(
-            text, WIDTH, initial_indent=f"  {label:<{_LABEL}}", subsequent_indent=" " * (_LABEL + 2)
-        )
+        lines += textwrap.wrap(text, WIDTH, initial_indent=f"  {label:<{_LABEL}}", subsequent_indent=" " * (_LABEL + 2))
     for text in meaning(report):
         lines += ["", *textwrap.wrap(text, WIDTH)]
     return lines

@@ -48,12 +48,9 @@ class _Work:
 
 def demo(
     model: Annotated[
-        Path | None,
-        typer.Argument(metavar="MODEL", help="Model to play with (default: the scene of the repository)."),
+        Path | None, typer.Argument(metavar="MODEL", help="Model to play with (default: the scene of the repository).")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is made.")] = Path(
-        "demo-out"
-    ),
+    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is made.")] = Path("demo-out"),
     json: Json = False,
 ) -> int:
     """Mark a real captured scene, steal it in several ways, claim every piece.
@@ -82,9 +79,12 @@ def demo(
         stolen = outcomes["piece"]
         _picture(out / "demo.png", scene.name, original, made, stolen)
     expected = {
-        "moved": "marked", "piece": "marked", "screenshot": "marked", "unmarked": "not_marked",
+        "moved": "marked",
+        "piece": "marked",
+        "screenshot": "marked",
+        "unmarked": "not_marked",
         "another key": "wrong_key",
-    }  # fmt: skip
+    }
     found = {name: outcome["verdict"] for name, outcome in outcomes.items()}
     console.say()
     for line in claim_lines(stolen, STOLEN):
@@ -130,9 +130,13 @@ def _mark(work: _Work, scene: Path) -> tuple[GaussianModel, Embedding, OpenedRec
         f"2. {scene.name}: a captured scene of {len(loaded.model):,} Gaussians, {size(loaded.source_bytes)}."
     )
     made = embed(
-        loaded.model, work.owner, original_sha256=loaded.sha256, config=profile("fast"), copy="demo",
+        loaded.model,
+        work.owner,
+        original_sha256=loaded.sha256,
+        config=profile("fast"),
+        copy="demo",
         progress=work.progress,
-    )  # fmt: skip
+    )
     sealed = made.record.to_bytes(work.owner)
     with whole_file(work.folder / "scene.record") as part:
         write_secret(part, sealed)
@@ -225,9 +229,7 @@ def _wrong_key(work: _Work) -> dict[str, Any]:
     try:
         open_record((work.folder / "scene.record").read_bytes(), OwnerKey.generate())
     except WrongKeyError as error:
-        work.console.say(
-            f"   {'somebody else with a key of their own':<50} refused: this key did not make this record"
-        )
+        work.console.say(f"   {'somebody else with a key of their own':<50} refused: this key did not make this record")
         return {"verdict": "wrong_key", "message": str(error)}
     return {"verdict": "opened", "message": "another key opened the record"}
 
@@ -238,9 +240,7 @@ def _wider(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
-def _picture(
-    path: Path, name: str, original: GaussianModel, made: Embedding, stolen: Mapping[str, Any]
-) -> None:
+def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, stolen: Mapping[str, Any]) -> None:
     """Original, marked, their difference, the stolen piece and the claim, in one picture."""
     import numpy as np
 

@@ -29,9 +29,7 @@ class Panel:
     image: Float32
 
 
-def draw_demo(
-    path: Path, original: Panel, marked: Panel, suspect: Panel, headline: str, lines: Sequence[str]
-) -> None:
+def draw_demo(path: Path, original: Panel, marked: Panel, suspect: Panel, headline: str, lines: Sequence[str]) -> None:
     """Write the picture as PNG.
 
     Parameters

@@ -23,52 +23,36 @@ if TYPE_CHECKING:
 
 def embed(
     model: Annotated[
-        Path,
-        typer.Argument(metavar="MODEL", help="Model to mark: .ply, .compressed.ply, .splat, .spz, .sog."),
+        Path, typer.Argument(metavar="MODEL", help="Model to mark: .ply, .compressed.ply, .splat, .spz, .sog.")
     ],
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")
-    ],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")],
     key: Key,
     record: Annotated[Path, typer.Option("--record", help="Record to write (mode 0600): keep it.")],
     message: Annotated[
-        str | None,
-        typer.Option("--message", metavar="HEX", help="16 to 256 bits; drawn from the key if left out."),
+        str | None, typer.Option("--message", metavar="HEX", help="16 to 256 bits; drawn from the key if left out.")
     ] = None,
     bits: Annotated[
         int | None, typer.Option("--bits", metavar="N", help="Length of a drawn message (default 32).")
     ] = None,
     profile: Annotated[
-        str,
-        typer.Option(
-            "--profile", metavar="P", help="fast, balanced, strong; auto: no more than the scene needs."
-        ),
+        str, typer.Option("--profile", metavar="P", help="fast, balanced, strong; auto: no more than the scene needs.")
     ] = "balanced",
     psnr: Annotated[
-        float | None,
-        typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47)."),
+        float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47).")
     ] = None,
     budget: Annotated[
         str,
-        typer.Option(
-            "--budget", metavar="DB|none", help="Prune to this PSNR against the original; none: keep all."
-        ),
+        typer.Option("--budget", metavar="DB|none", help="Prune to this PSNR against the original; none: keep all."),
     ] = "none",
     output: Annotated[
         str | None,
-        typer.Option(
-            "--output", metavar="fidelity|compact", help="Keep each Gaussian's residual, or drop it."
-        ),
+        typer.Option("--output", metavar="fidelity|compact", help="Keep each Gaussian's residual, or drop it."),
     ] = None,
     cameras: Annotated[
         Path | None,
-        typer.Option(
-            "--cameras", help="cameras.json, transforms.json or COLMAP folder; else views are generated."
-        ),
+        typer.Option("--cameras", help="cameras.json, transforms.json or COLMAP folder; else views are generated."),
     ] = None,
-    copy: Annotated[
-        str, typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own.")
-    ] = "",
+    copy: Annotated[str, typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own.")] = "",
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Time of registration to record, or 'now'.")
     ] = "",
@@ -125,14 +109,29 @@ def embed(
         choice, ground = None, None
         if profile == AUTO:
             choice = choose(
-                loaded.model, owner, len(signs) if signs is not None else bits or 32, config,
-                original_sha256=loaded.sha256, cameras=views, keep_psnr=psnr is not None, clock=choosing,
-            )  # fmt: skip
+                loaded.model,
+                owner,
+                len(signs) if signs is not None else bits or 32,
+                config,
+                original_sha256=loaded.sha256,
+                cameras=views,
+                keep_psnr=psnr is not None,
+                clock=choosing,
+            )
             config, ground = choice.config, choice.ground
         made = embed_mark(
-            loaded.model, owner, original_sha256=loaded.sha256, message=signs, bits=bits or 32, config=config,
-            cameras=views, copy=copy, registered_at=when, progress=progress, ground=ground,
-        )  # fmt: skip
+            loaded.model,
+            owner,
+            original_sha256=loaded.sha256,
+            message=signs,
+            bits=bits or 32,
+            config=config,
+            cameras=views,
+            copy=copy,
+            registered_at=when,
+            progress=progress,
+            ground=ground,
+        )
         started = time.perf_counter()
         progress("write", 0.0)
         sealed = made.record.to_bytes(owner)
@@ -188,9 +187,7 @@ def compose(profile: str, *, psnr: float | None, budget: str | None, output: str
     return replace(config, prune=replace(config.prune, budget_db=limit))
 
 
-def _say(
-    console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path
-) -> None:
+def _say(console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path) -> None:
     say_repairs(console, repairs)
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report["seconds_by_stage"].items())
     lines = {
@@ -215,9 +212,7 @@ def _say(
         console.say(f"  {label:<11} {text}")
     for note in report["notes"]:
         console.say(f"  {'note':<11} {note}")
-    console.say(
-        f"Keep {record} and your key: together they prove the mark. Keep the unmarked original private."
-    )
+    console.say(f"Keep {record} and your key: together they prove the mark. Keep the unmarked original private.")
 
 
 def size(count: int) -> str:

@@ -27,12 +27,10 @@ def _list_suites(wanted: bool) -> None:
 def evaluate(
     suite: Annotated[str, typer.Option("--suite", metavar="NAME", help="What to find out; see --list.")],
     out: Annotated[
-        Path,
-        typer.Option("--out", help="Folder for cells, figures and report; a run goes on where it stopped."),
+        Path, typer.Option("--out", help="Folder for cells, figures and report; a run goes on where it stopped.")
     ],
     scene: Annotated[
-        list[Path] | None,
-        typer.Option("--scene", help="Model to measure on; repeatable (default: the shipped one)."),
+        list[Path] | None, typer.Option("--scene", help="Model to measure on; repeatable (default: the shipped one).")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A few cells only: does everything run?")] = False,
     workers: Annotated[

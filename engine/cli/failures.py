@@ -16,13 +16,7 @@ INTERRUPTED = 130
 
 VERDICT_CODES = {"marked": MARKED, "not_marked": NOT_MARKED, "inconclusive": INCONCLUSIVE}
 
-_USAGE_OS_ERRORS = (
-    FileNotFoundError,
-    IsADirectoryError,
-    NotADirectoryError,
-    PermissionError,
-    FileExistsError,
-)
+_USAGE_OS_ERRORS = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError, FileExistsError)
 
 
 def exit_code(error: BaseException) -> int:
@@ -49,12 +43,7 @@ def describe(error: BaseException) -> dict[str, Any]:
         return {"type": "UsageError", "message": _one_line(error.format_message())}  # type: ignore[attr-defined]
     found: dict[str, Any] = {"type": type(error).__name__, "message": _message(error)}
     if isinstance(error, FormatError):
-        place = {
-            "file": error.file or None,
-            "element": error.element,
-            "row": error.row,
-            "property": error.prop,
-        }
+        place = {"file": error.file or None, "element": error.element, "row": error.row, "property": error.prop}
         found |= {name: value for name, value in place.items() if value is not None}
     if isinstance(error, CapacityError):
         found |= {"wanted": error.wanted, "capacity": error.capacity}

@@ -141,9 +141,7 @@ def read_picture(path: Path) -> Float32:
     try:
         with Image.open(path) as picture:
             if picture.width * picture.height > MAX_PICTURE_PIXELS:
-                raise FormatError(
-                    f"picture of {picture.width}x{picture.height} pixels is too large", file=name
-                )
+                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=name)
             picture.load()
             upright = ImageOps.exif_transpose(picture)
     except FormatError:

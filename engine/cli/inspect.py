@@ -38,13 +38,9 @@ def inspect(
     report = describe_model(loaded) | {"file": str(model), "seconds": time.perf_counter() - began}
     low, high = report["bounds"]
     console.say(f"{model}: {report['format']}, {size(report['bytes'])}")
-    console.say(
-        f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each"
-    )
+    console.say(f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each")
     console.say(f"  colour      spherical harmonics of degree {report['sh_degree']}")
-    console.say(
-        f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}"
-    )
+    console.say(f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}")
     console.say(f"  centre      {_vector(report['center'])}, radius {report['radius']:.4g}")
     console.say(f"  bounds      {_vector(low)} to {_vector(high)}")
     console.say(f"  opacity     median {report['opacity_median']:.3f}")

@@ -13,10 +13,7 @@ Key = Annotated[Path, typer.Option("--key", help="Owner key file, from `mark3dgs
 
 SpzFrame = Annotated[
     str,
-    typer.Option(
-        "--spz-frame",
-        help="Axes of .spz input: auto, spec (as specified) or ply (as many tools write it).",
-    ),
+    typer.Option("--spz-frame", help="Axes of .spz input: auto, spec (as specified) or ply (as many tools write it)."),
 ]
 
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]

@@ -32,22 +32,17 @@ def render(
         Path | None, typer.Option("--camera", help="cameras.json, transforms.json or COLMAP folder.")
     ] = None,
     view: Annotated[
-        int,
-        typer.Option(
-            "--view", min=0, help=f"Which camera of the file, or which of {RIG_VIEWS} views around."
-        ),
+        int, typer.Option("--view", min=0, help=f"Which camera of the file, or which of {RIG_VIEWS} views around.")
     ] = 0,
     size: Annotated[
         tuple[int, int] | None,
         typer.Option("--size", metavar="W H", help="Pixels (default: the camera's, or 800 600)."),
     ] = None,
     background: Annotated[
-        float,
-        typer.Option("--background", min=0.0, max=1.0, help="Grey behind the model, 0 black to 1 white."),
+        float, typer.Option("--background", min=0.0, max=1.0, help="Grey behind the model, 0 black to 1 white.")
     ] = 0.0,
     save_camera: Annotated[
-        Path | None,
-        typer.Option("--save-camera", help="Write the camera as cameras.json, for `verify --cameras`."),
+        Path | None, typer.Option("--save-camera", help="Write the camera as cameras.json, for `verify --cameras`.")
     ] = None,
     spz_frame: SpzFrame = "auto",
     json: Json = False,
@@ -97,16 +92,12 @@ def render(
         "render_ms": render_ms,
         "seconds": time.perf_counter() - began,
     }
-    console.say(
-        f"{out}: {chosen.width} x {chosen.height}, {len(loaded.model):,} Gaussians in {render_ms:.0f} ms"
-    )
+    console.say(f"{out}: {chosen.width} x {chosen.height}, {len(loaded.model):,} Gaussians in {render_ms:.0f} ms")
     console.emit(report)
     return 0
 
 
-def choose_camera(
-    model: GaussianModel, camera_file: Path | None, view: int, size: tuple[int, int] | None
-) -> Camera:
+def choose_camera(model: GaussianModel, camera_file: Path | None, view: int, size: tuple[int, int] | None) -> Camera:
     """The asked camera: of a file, or of the rig around the model."""
     from engine.pipeline.rigs import make_rig
 
@@ -119,8 +110,6 @@ def choose_camera(
 
     cameras = read_cameras(camera_file)
     if view >= len(cameras):
-        raise InputError(
-            f"{str(camera_file)!r} holds {len(cameras)} cameras, counted from 0; got view {view}"
-        )
+        raise InputError(f"{str(camera_file)!r} holds {len(cameras)} cameras, counted from 0; got view {view}")
     chosen = cameras[view]
     return chosen if size is None else chosen.resized(*size)

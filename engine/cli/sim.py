@@ -37,8 +37,7 @@ def sim(
         bool, typer.Option("--keep-model", help="Also write the model as it is at the end (model.ply).")
     ] = False,
     list_all: Annotated[
-        bool,
-        typer.Option("--list", callback=_list_steps, is_eager=True, help="List all kinds of steps."),
+        bool, typer.Option("--list", callback=_list_steps, is_eager=True, help="List all kinds of steps.")
     ] = False,
     json: Json = False,
 ) -> int:
@@ -136,8 +135,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
         "title": run.scenario.title,
         "seed": run.scenario.seed,
         "steps": [
-            {"label": r.label, "seconds": r.seconds, "notes": list(r.notes), "found": list(r.rows)}
-            for r in run.results
+            {"label": r.label, "seconds": r.seconds, "notes": list(r.notes), "found": list(r.rows)} for r in run.results
         ],
         "files": [*files, "report.json", "report.md"],
     }
@@ -151,11 +149,13 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
 def _markdown(run: Run) -> str:
     """The table for people; pictures beside it."""
     lines = [
-        f"# {run.scenario.title}", "",
-        "Reading is informed: it uses the owner's record, which holds the unmarked original.", "",
+        f"# {run.scenario.title}",
+        "",
+        "Reading is informed: it uses the owner's record, which holds the unmarked original.",
+        "",
         "| step | object | verdict | bits | z | chance of a false claim, at most | cost to the look | seconds |",
         "|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     for result in run.results:
         for row in result.rows:
             lines.append(

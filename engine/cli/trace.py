@@ -26,12 +26,10 @@ SHOWN = 10
 
 def trace(
     suspects: Annotated[
-        list[Path],
-        typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model."),
+        list[Path], typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model.")
     ],
     records: Annotated[
-        list[Path],
-        typer.Option("--records", help="Folder of records (*.record), or a record; repeatable."),
+        list[Path], typer.Option("--records", help="Folder of records (*.record), or a record; repeatable.")
     ],
     key: Key,
     cameras: Annotated[
@@ -40,9 +38,7 @@ def trace(
     false_claim_rate: Annotated[
         float,
         typer.Option(
-            "--false-claim-rate",
-            metavar="P",
-            help="Largest acceptable chance that any innocent copy is named.",
+            "--false-claim-rate", metavar="P", help="Largest acceptable chance that any innocent copy is named."
         ),
     ] = 1e-9,
     json: Json = False,
@@ -86,8 +82,9 @@ def trace(
             say_repairs(console, loaded.repairs)
             found = trace_model(loaded.model, opened(), config, progress)
     report: dict[str, Any] = found.to_json() | {
-        "suspects": [str(path) for path in suspects], "seconds": time.perf_counter() - began
-    }  # fmt: skip
+        "suspects": [str(path) for path in suspects],
+        "seconds": time.perf_counter() - began,
+    }
     for line in _lines(report):
         console.say(line)
     console.emit(report)
@@ -118,13 +115,8 @@ def _lines(report: dict[str, Any]) -> list[str]:
         )
     if len(findings) > max(SHOWN, named):
         lines.append(f"... and {len(findings) - max(SHOWN, named)} more, all below")
-    lines += [
-        "",
-        f"A copy is named from z = {report['z_threshold']:.2f} on: the chance that any innocent one",
-    ]
-    lines.append(
-        f"reaches it is at most {report['false_claim_rate']:g}, all {report['tries']} tries counted."
-    )
+    lines += ["", f"A copy is named from z = {report['z_threshold']:.2f} on: the chance that any innocent one"]
+    lines.append(f"reaches it is at most {report['false_claim_rate']:g}, all {report['tries']} tries counted.")
     return lines + list(report["notes"])
 
 

@@ -23,27 +23,21 @@ if TYPE_CHECKING:
 
 def verify(
     suspects: Annotated[
-        list[Path],
-        typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model."),
+        list[Path], typer.Argument(metavar="MODEL|PICTURE...", help="One model, or one or more pictures of one model.")
     ],
     record: Annotated[Path, typer.Option("--record", help="Record of the embedding.")],
     key: Key,
     cameras: Annotated[
         Path | None,
-        typer.Option(
-            "--cameras", help="Cameras of the pictures, in their order; found by search if left out."
-        ),
+        typer.Option("--cameras", help="Cameras of the pictures, in their order; found by search if left out."),
     ] = None,
     false_claim_rate: Annotated[
-        float,
-        typer.Option("--false-claim-rate", metavar="P", help="Largest acceptable chance of a false claim."),
+        float, typer.Option("--false-claim-rate", metavar="P", help="Largest acceptable chance of a false claim.")
     ] = 1e-9,
     route: Annotated[
         str,
         typer.Option(
-            "--route",
-            metavar="auto|model|render|image",
-            help="Evidence: the Gaussians, their renders, or pictures.",
+            "--route", metavar="auto|model|render|image", help="Evidence: the Gaussians, their renders, or pictures."
         ),
     ] = "auto",
     decoder: Annotated[

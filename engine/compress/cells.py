@@ -20,9 +20,7 @@ _KERNEL_VERSION = 2  # numba's cache looks at this file only
 
 
 @parallel_kernel
-def _split_level(
-    features: Float32, weights: Float64, order: Int64, starts: Int64, scratch: Int64, cuts: Int64
-) -> None:
+def _split_level(features: Float32, weights: Float64, order: Int64, starts: Int64, scratch: Int64, cuts: Int64) -> None:
     """Split every node [starts[k], starts[k+1]) of `order` at its weighted median along its widest feature."""
     dims = features.shape[1]
     for k in nb.prange(len(starts) - 1):

@@ -130,9 +130,7 @@ def detail_metric(values: Float32, lambda_freq: float) -> Float32:
     return np.concatenate([approx, detail, x[:, even:]], axis=1).reshape(n, width)
 
 
-def learn_residual_stage(
-    residual: Float32, weights: Float64, codes: int, config: HvqConfig, seed: int
-) -> Stage:
+def learn_residual_stage(residual: Float32, weights: Float64, codes: int, config: HvqConfig, seed: int) -> Stage:
     """One residual codebook by EMA k-means on a sample, dead codes re-seeded, everything assigned once."""
     rng = np.random.default_rng(seed)
     n = len(residual)

@@ -46,9 +46,7 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
     if n < 2:
         return model, rows, np.full(n, -1, np.int32)
     pair = cKDTree(model.means).query(model.means, k=2, workers=2)[1]
-    nearest = np.where(
-        pair[:, 0] == rows, pair[:, 1], pair[:, 0]
-    )  # of exact duplicates either may come first
+    nearest = np.where(pair[:, 0] == rows, pair[:, 1], pair[:, 0])  # of exact duplicates either may come first
     first = np.flatnonzero((nearest[nearest] == rows) & (rows < nearest))
     second = nearest[first]
     close = np.abs(model.sh[first, 0] - model.sh[second, 0]).max(axis=1) < COLOR_GAP

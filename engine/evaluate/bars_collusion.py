@@ -19,10 +19,10 @@ from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import OpenedRecord, draw_spreading, open_record, plan_of
 from engine.pipeline.tracing import trace_model
 from engine.pipeline.verification import VerifyConfig
+from engine.records.header import make_record_id
 from engine.sim.adversaries.collusion import RULES, collude
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import derive_message
-from engine.watermark.record_header import make_record_id
 
 __all__ = ["bench_collusion", "innocent_copies"]
 
@@ -64,9 +64,7 @@ def bench_collusion(
     config = profile("fast", landmark_views=0)
     models, records = [], []
     for number in range(max(copies)):
-        made = embed(
-            loaded.model, key, original_sha256=loaded.sha256, bits=BITS, config=config, copy=f"buyer {number}"
-        )
+        made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=BITS, config=config, copy=f"buyer {number}")
         models.append(made.model)
         records.append(open_record(made.record.to_bytes(key), key))
     bystanders = list(innocent_copies(records[0], key, innocents))
@@ -80,14 +78,18 @@ def bench_collusion(
             others = [finding for finding in traced.findings if not finding.copy.startswith("buyer ")]
             rows.append(
                 {
-                    "scene": path.name, "rule": rule, "colluders": count,
+                    "scene": path.name,
+                    "rule": rule,
+                    "colluders": count,
                     "named": sum(finding.named for finding in guilty),
-                    "z_least": min(finding.z for finding in guilty), "innocents": len(others),
+                    "z_least": min(finding.z for finding in guilty),
+                    "innocents": len(others),
                     "innocents_named": sum(finding.named for finding in others),
                     "innocent_z_largest": max((finding.z for finding in others), default=0.0),
-                    "z_threshold": traced.z_threshold, "seconds": traced.seconds,
+                    "z_threshold": traced.z_threshold,
+                    "seconds": traced.seconds,
                 }
-            )  # fmt: skip
+            )
             if advance is not None:
                 advance(len(rows) / (len(copies) * len(rules)))
     return rows

@@ -15,9 +15,14 @@ from engine.pipeline.verification import VerifyConfig, verify_model
 LENGTHS = (16, 32, 48, 64, 128, 256)
 BUDGETS_DB = (40.0, 35.0, 30.0)
 FIELDS = (
-    "gaussians_out", "psnr_worst_view", "ssim_worst_view", "psnr_total_worst_view", "psnr_pruned_worst_view",
-    "predicted_z_per_bit", "capacity_bits",
-)  # fmt: skip
+    "gaussians_out",
+    "psnr_worst_view",
+    "ssim_worst_view",
+    "psnr_total_worst_view",
+    "psnr_pruned_worst_view",
+    "predicted_z_per_bit",
+    "capacity_bits",
+)
 
 
 def bench_fidelity(path: Path, profile_name: str, seed: int = 0) -> list[dict[str, Any]]:

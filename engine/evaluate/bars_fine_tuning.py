@@ -35,9 +35,7 @@ def bench_fine_tuning(
 
     `psnr_to_clean` is the worst view's PSNR against the unmarked model: what the training has done to the product.
     """
-    cameras, images = pictures_of(
-        setting, scene.original, scene.marked, scene.opened.cameras, size=size, seed=seed
-    )
+    cameras, images = pictures_of(setting, scene.original, scene.marked, scene.opened.cameras, size=size, seed=seed)
     clean = [render(scene.original, camera) for camera in cameras]
     rows = []
     for epoch, tuned in fine_tune_stages(

@@ -78,9 +78,7 @@ def bench_screenshots(
         picture = image_attack("jpeg").apply(to_8_bit(render(source, camera)), 80, rng=rng)
         began = time.perf_counter()
         result = verify_images([picture], scene.opened, VerifyConfig())
-        rows.append(
-            {"scene": scene.name, "trial": trial, **row("screenshot", result, time.perf_counter() - began)}
-        )
+        rows.append({"scene": scene.name, "trial": trial, **row("screenshot", result, time.perf_counter() - began)})
         if advance:
             advance((trial + 1) / trials)
     return rows

@@ -25,9 +25,11 @@ MODEL_BARS: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = (
     (".sog and back", (("convert", "sog"),)),
     (".compressed.ply and back", (("convert", "compressed.ply"),)),
     ("merged into another scene", (("merge_into", 3.0),)),
-    ("crop 25 % + similarity + shuffle + noise 0.02", (
-        ("crop", 0.25), ("similarity", 4.0), ("shuffle", 1.0), ("noise_all", 0.02))),
-)  # fmt: skip
+    (
+        "crop 25 % + similarity + shuffle + noise 0.02",
+        (("crop", 0.25), ("similarity", 4.0), ("shuffle", 1.0), ("noise_all", 0.02)),
+    ),
+)
 """The bars on models: name and chain of attacks."""
 
 

@@ -66,10 +66,16 @@ def bench_retraining(
             cost = quality_lost(model, scene.marked, held_out)
             for route, claim in _claims(scene, model, held_out):
                 yield {
-                    "views": count, "steps": steps, "gaussians": len(model), **cost, "route": route, "z": claim.z,
-                    "log10_false_claim": claim.log10_false_claim, "bit_accuracy": claim.bit_accuracy,
+                    "views": count,
+                    "steps": steps,
+                    "gaussians": len(model),
+                    **cost,
+                    "route": route,
+                    "z": claim.z,
+                    "log10_false_claim": claim.log10_false_claim,
+                    "bit_accuracy": claim.bit_accuracy,
                     "verdict": claim.verdict.value,
-                }  # fmt: skip
+                }
 
 
 def _claims(scene: MarkedScene, model: GaussianModel, cameras: Sequence[Camera]) -> Iterator[tuple[str, Any]]:

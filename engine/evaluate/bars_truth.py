@@ -54,9 +54,7 @@ def wrong_key_rates(scene: MarkedScene, count: int, seed: int = 0) -> list[dict[
     return rows
 
 
-def cross_check(
-    scenes: Sequence[MarkedScene], unmarked: Sequence[tuple[str, GaussianModel]]
-) -> list[dict[str, Any]]:
+def cross_check(scenes: Sequence[MarkedScene], unmarked: Sequence[tuple[str, GaussianModel]]) -> list[dict[str, Any]]:
     """Every record against every unmarked model and every foreign-marked one, by model and by screenshot."""
     rows = []
     for scene in scenes:

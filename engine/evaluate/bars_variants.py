@@ -71,17 +71,13 @@ def bench_variant(kind: str, path: Path, seed: int = 0) -> dict[str, Any]:
     }
 
 
-def _discs(
-    original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int
-) -> VariantRow:
+def _discs(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
     from engine.sim.variants.discs import make_discs, measure_discs
 
     return measure_discs(original, make_discs(original), key, config, seed=seed)
 
 
-def _moving(
-    original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int
-) -> VariantRow:
+def _moving(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
     from engine.sim.variants.measuring import measure_spacetime
     from engine.sim.variants.swaying import fit_spacetime, set_in_motion
 
@@ -89,9 +85,7 @@ def _moving(
     return measure_spacetime(truth, fit_spacetime(truth), key, config, seed=seed)
 
 
-def _codebook(
-    original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int
-) -> VariantRow:
+def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
     from engine.compress.impact import measure_impact
     from engine.pipeline.delivery import slim_down
     from engine.pipeline.rigs import measure_extent
@@ -106,18 +100,14 @@ def _codebook(
     return measure_codebook(original, make_codebook(slim), key, config, folder, seed=seed)
 
 
-def _generated(
-    original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int
-) -> VariantRow:
+def _generated(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
     from engine.sim.variants.generative import FEW_GAUSSIANS, generate_from_views
     from engine.sim.variants.measuring import measure_generated
 
     rig = make_rig(original, GENERATED_VIEWS, GENERATED_SIZE, GENERATED_SIZE)
     pictures = [np.clip(render(original, camera), 0.0, 1.0) for camera in rig]
     generated = generate_from_views(rig, pictures, steps=GENERATED_STEPS)
-    return measure_generated(
-        original, generated, key, replace(FEW_GAUSSIANS, landmark_views=0), folder, seed=seed
-    )
+    return measure_generated(original, generated, key, replace(FEW_GAUSSIANS, landmark_views=0), folder, seed=seed)
 
 
 VARIANTS: dict[str, Callable[[GaussianModel, OwnerKey, EmbedConfig, Path, int], VariantRow]] = {

@@ -20,17 +20,7 @@ from numba import prange
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.numerics.jit import inlined, parallel_kernel, parallel_section, thread_count
 from engine.numerics.machine import machine_info, peak_memory_mb
-from engine.raster import (
-    Gradients,
-    View,
-    backward,
-    draw,
-    prepare_view,
-    render,
-    sh_colors,
-    sh_colors_backward,
-    warm_up,
-)  # fmt: skip
+from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors, sh_colors_backward, warm_up
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -106,9 +96,19 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     log2_skip, clamp, stop, _ = geometry.limits
     with parallel_section():
         _naive(
-            geometry.records, geometry.discs, colors, geometry.ids, geometry.starts, camera.width, camera.height,
-            geometry.tiles_x, log2_skip, clamp, stop, image,
-        )  # fmt: skip
+            geometry.records,
+            geometry.discs,
+            colors,
+            geometry.ids,
+            geometry.starts,
+            camera.width,
+            camera.height,
+            geometry.tiles_x,
+            log2_skip,
+            clamp,
+            stop,
+            image,
+        )
     return image
 
 
@@ -123,9 +123,7 @@ def median_ms(work: Callable[[], object], repeats: int) -> float:
     return round(float(np.median(times)), 2)
 
 
-def bench_raster(
-    model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9
-) -> dict[str, Any]:
+def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9) -> dict[str, Any]:
     """Time the rasterizer on one model and the view of `bench_camera`.
 
     Parameters

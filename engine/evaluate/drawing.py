@@ -14,18 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "DIVERGING",
-    "INK",
-    "MARKERS",
-    "SEQUENTIAL",
-    "figure",
-    "house_style",
-    "label_line",
-    "png",
-    "styles",
-    "svg",
-]
+__all__ = ["DIVERGING", "INK", "MARKERS", "SEQUENTIAL", "figure", "house_style", "label_line", "png", "styles", "svg"]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
@@ -38,12 +27,26 @@ TITLE_LETTERS = 11.5
 INK, FAINT = "#1a1a1a", "#9a9a9a"
 
 STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 9.0, "axes.titlesize": 10.0, "axes.titleweight": "bold",
-    "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": INK,
-    "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6, "axes.axisbelow": True,
-    "legend.frameon": False, "legend.fontsize": 8.0, "lines.linewidth": 1.6, "lines.markersize": 5.0,
-    "svg.hashsalt": "mark3dgs", "svg.fonttype": "path", "figure.constrained_layout.use": True,
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 5.0,
+    "svg.hashsalt": "mark3dgs",
+    "svg.fonttype": "path",
+    "figure.constrained_layout.use": True,
+}
 
 
 @contextmanager
@@ -80,9 +83,16 @@ def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None
     x, y = (0.99, value) if along == "x" else (value, 0.99)
     transform = axes.get_yaxis_transform() if along == "x" else axes.get_xaxis_transform()
     axes.text(
-        x, y, text, transform=transform, ha="right", va="bottom" if along == "x" else "top",
-        rotation=0 if along == "x" else 90, fontsize=7.5, color="#6a6a6a",
-    )  # fmt: skip
+        x,
+        y,
+        text,
+        transform=transform,
+        ha="right",
+        va="bottom" if along == "x" else "top",
+        rotation=0 if along == "x" else 90,
+        fontsize=7.5,
+        color="#6a6a6a",
+    )
 
 
 def svg(drawn: Figure) -> bytes:

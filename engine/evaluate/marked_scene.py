@@ -33,18 +33,11 @@ def bench_key(seed: int) -> OwnerKey:
 
 
 def mark_scene(
-    path: str | Path,
-    config: EmbedConfig,
-    *,
-    bits: int = 32,
-    seed: int = 0,
-    progress: Progress | None = None,
+    path: str | Path, config: EmbedConfig, *, bits: int = 32, seed: int = 0, progress: Progress | None = None
 ) -> MarkedScene:
     """Read a model and mark it; the record makes the round trip through its bytes."""
     loaded = read_model(path)
     key = bench_key(seed)
-    result = embed(
-        loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, progress=progress
-    )
+    result = embed(loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, progress=progress)
     opened = open_record(result.record.to_bytes(key), key)
     return MarkedScene(Path(path).name, loaded.model, result.model, opened, result.report)

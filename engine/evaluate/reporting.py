@@ -46,11 +46,19 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
     bars = sorted(made.bars, key=lambda bar: {False: 0, None: 1, True: 2}[bar.met])
     folder.mkdir(parents=True, exist_ok=True)
     results = {
-        "study": study.name, "title": study.title, "question": study.question,
+        "study": study.name,
+        "title": study.title,
+        "question": study.question,
         "scenes": [Path(scene).name for scene in options.scenes],
-        "quick": options.quick, "seed": options.seed, "machine": machine_info(), "note": INFORMED,
-        "bars": [vars(bar) for bar in bars], "answer": list(made.answer), "summary": made.summary, "rows": rows,
-    }  # fmt: skip
+        "quick": options.quick,
+        "seed": options.seed,
+        "machine": machine_info(),
+        "note": INFORMED,
+        "bars": [vars(bar) for bar in bars],
+        "answer": list(made.answer),
+        "summary": made.summary,
+        "rows": rows,
+    }
     _write(folder / "results.json", (json.dumps(plain(results), indent=1) + "\n").encode())
     parts: list[str] = []
     names: list[str] = []
@@ -58,9 +66,7 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
         parts.append(_section(section, folder, names))
     page = _page(study, made, bars, parts, options)
     _write(folder / "report.html", page.encode())
-    return {
-        "report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": names
-    }  # fmt: skip
+    return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": names}
 
 
 def _section(section: Section, folder: Path, names: list[str]) -> str:
@@ -75,9 +81,7 @@ def _section(section: Section, folder: Path, names: list[str]) -> str:
             names.append(f"figures/{drawing.name}.{ending}")
         source = "data:image/svg+xml;base64," + base64.b64encode(vector).decode()
         caption = _safe(drawing.caption)
-        parts.append(
-            f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
-        )
+        parts.append(f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>')
     return "\n".join(parts + [_table(table) for table in section.tables])
 
 

@@ -23,12 +23,7 @@ Tell = Callable[[str, float], None]
 
 
 def run_cells(
-    cells: Sequence[Cell],
-    folder: Path,
-    *,
-    workers: int = 1,
-    dask: str | None = None,
-    tell: Tell | None = None,
+    cells: Sequence[Cell], folder: Path, *, workers: int = 1, dask: str | None = None, tell: Tell | None = None
 ) -> list[Row]:
     """Rows of all cells, in the order of the cells; what a folder already holds is not measured again.
 
@@ -78,9 +73,14 @@ def measure(cell: Cell) -> dict[str, Any]:
     except Mark3DGSError as error:
         raise InputError(f"cell {cell.name}: {error}") from error
     return {
-        "digest": cell.digest, "work": cell.work, "arguments": cell.arguments, "rows": plain(rows),
-        "seconds": time.perf_counter() - began, "peak_memory_mb": peak_memory_mb(), "machine": machine_info(),
-    }  # fmt: skip
+        "digest": cell.digest,
+        "work": cell.work,
+        "arguments": cell.arguments,
+        "rows": plain(rows),
+        "seconds": time.perf_counter() - began,
+        "peak_memory_mb": peak_memory_mb(),
+        "machine": machine_info(),
+    }
 
 
 def _results(

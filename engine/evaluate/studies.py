@@ -20,17 +20,11 @@ STUDIES = {
     "fig6": ("engine.evaluate.tables.study:fig6", "of it: hyper-parameters"),
     "fig7": ("engine.evaluate.tables.study:fig7", "of it: pruning and strength"),
     "ablation": ("engine.evaluate.tables.study:ablation", "of it: what each stage buys"),
-    "null": (
-        "engine.evaluate.null.study",
-        "false claims: a million wrong keys, foreign marks, hostile suspects",
-    ),
+    "null": ("engine.evaluate.null.study", "false claims: a million wrong keys, foreign marks, hostile suspects"),
     "steganalysis": ("engine.evaluate.steganalysis.study", "can it be seen that there is a mark?"),
     "baselines": ("engine.evaluate.baselines.study", "other methods on the same scenes and attacks"),
     "cost": ("engine.evaluate.cost.study", "time and memory from 10 thousand to 4 million Gaussians"),
-    "perceptual": (
-        "engine.evaluate.perceptual.study",
-        "what eyes may notice: PSNR, SSIM, MS-SSIM, FLIP, LPIPS",
-    ),
+    "perceptual": ("engine.evaluate.perceptual.study", "what eyes may notice: PSNR, SSIM, MS-SSIM, FLIP, LPIPS"),
 }
 """Module and summary of each; the module holds `STUDY`, or after a colon: one of the module's `studies()`."""
 

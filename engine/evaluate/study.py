@@ -66,9 +66,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         if not self.name or not all(c.isalnum() or c in ".-_" for c in self.name):
-            raise InputError(
-                f"the name of a cell is made of letters, digits, '.', '-' and '_', got {self.name!r}"
-            )
+            raise InputError(f"the name of a cell is made of letters, digits, '.', '-' and '_', got {self.name!r}")
 
     @property
     def digest(self) -> str:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
-from engine.formats.compressed_ply import is_compressed, read_compressed_ply
-from engine.formats.ply import read_ply
-from engine.formats.ply_header import parse_header
+from engine.formats.ply.compressed import is_compressed, read_compressed_ply
+from engine.formats.ply.gaussians import read_ply
+from engine.formats.ply.header import parse_header
 from engine.formats.repairs import Repair
 from engine.formats.splat import looks_like_splat, read_splat
 from engine.model import GaussianModel
@@ -111,19 +111,17 @@ def _dispatch(data: bytes, file: str, spz_frame: str) -> tuple[str, Any]:
             return "compressed.ply", read_compressed_ply(data, file=file, header=header)
         return "ply", read_ply(data, file=file, header=header)
     if data.startswith((b"\x1f\x8b", b"NGSP")):
-        from engine.formats.spz import read_spz
+        from engine.formats.spz.stream import read_spz
 
         return "spz", read_spz(data, file=file, frame=spz_frame)
     if data.startswith(b"PK"):
-        from engine.formats.sog import read_sog
+        from engine.formats.sog.bundle import read_sog
 
         return "sog", read_sog(data, file=file)
     if not data:
         raise FormatError("is empty", file=file)
     if file.lower().endswith(".ksplat"):
-        message = (
-            ".ksplat is not read here; convert it to .ply, .spz or .sog with a viewer that still reads it"
-        )
+        message = ".ksplat is not read here; convert it to .ply, .spz or .sog with a viewer that still reads it"
         raise UnsupportedFormatError(message, file=file)
     if data.startswith(b"glTF"):
         raise UnsupportedFormatError("is glTF, which is not read here; export the scene as .ply", file=file)
@@ -133,7 +131,7 @@ def _dispatch(data: bytes, file: str, spz_frame: str) -> tuple[str, Any]:
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:
-    from engine.formats.sog import read_sog_folder
+    from engine.formats.sog.bundle import read_sog_folder
 
     if not (path / _META).is_file():
         raise UnsupportedFormatError(f"is a folder without {_META}: no unpacked SOG scene", file=file)

@@ -163,9 +163,7 @@ def _name_fault(attribute: str, row: Float32) -> tuple[str, float]:
     """INRIA's name of the first unusable value in a Gaussian's attribute, and that value."""
     limits = {"means": MAGNITUDE_LIMIT, "sh": MAGNITUDE_LIMIT}
     flat = row.reshape(-1)
-    fault = (
-        ~(flat < np.inf) if attribute == "log_scales" else ~(np.abs(flat) <= limits.get(attribute, _LARGEST))
-    )
+    fault = ~(flat < np.inf) if attribute == "log_scales" else ~(np.abs(flat) <= limits.get(attribute, _LARGEST))
     index = int(np.argmax(fault))
     value = float(flat[index])
     if attribute == "sh":
@@ -190,9 +188,7 @@ def _clamp_opacities(logits: Float32, log: _Log) -> Float32:
     if logits.min() >= -limit and logits.max() <= limit:
         return logits
     infinite = np.isinf(logits)
-    log.note(
-        "opacities_infinite", np.flatnonzero(infinite), "opacity of exactly 0 or 1 became 1/512 or 511/512"
-    )
+    log.note("opacities_infinite", np.flatnonzero(infinite), "opacity of exactly 0 or 1 became 1/512 or 511/512")
     absurd = (np.abs(logits) > limit) & ~infinite
     log.note("opacities_clamped", np.flatnonzero(absurd), f"opacity logit clamped to +-{limit:g}")
     finite = np.clip(logits, np.float32(-limit), np.float32(limit))

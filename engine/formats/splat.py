@@ -67,9 +67,7 @@ def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, t
         message = f"{len(data)} bytes are no multiple of {RECORD.itemsize}"
         raise FormatError(message, file=file, element="vertex", row=len(data) // RECORD.itemsize)
     records = np.frombuffer(data, dtype=RECORD)
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # a scale of zero is mended, a negative one is a fault
+    with np.errstate(divide="ignore", invalid="ignore"):  # a scale of zero is mended, a negative one is a fault
         log_scales = np.log(records["scales"])
         quats = (records["quats"].astype(np.float32) - 128) / 128
         norms = np.linalg.norm(quats, axis=1, keepdims=True)

@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from engine.errors import InputError, UnsupportedFormatError
-from engine.formats.compressed_ply import write_compressed_ply
-from engine.formats.ply import write_ply
+from engine.formats.ply.compressed import write_compressed_ply
+from engine.formats.ply.gaussians import write_ply
 from engine.formats.reading import FORMATS
 from engine.formats.splat import write_splat
 from engine.model import GaussianModel
@@ -115,11 +115,11 @@ def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
     if format == "splat":
         return [write_splat(model)]
     if format == "spz":
-        from engine.formats.spz import write_spz
+        from engine.formats.spz.stream import write_spz
 
         return [write_spz(model)]
     if format == "sog":
-        from engine.formats.sog import write_sog
+        from engine.formats.sog.bundle import write_sog
 
         return [write_sog(model)]
     raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")

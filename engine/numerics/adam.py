@@ -73,9 +73,7 @@ def adam_step(
     """
     arrays = (parameter, gradient, moments.first, moments.second)
     if any(a.shape != parameter.shape or a.dtype != np.float32 or not a.flags.c_contiguous for a in arrays):
-        raise InputError(
-            f"Adam takes C-contiguous float32 arrays of one shape, got {[a.shape for a in arrays]}"
-        )
+        raise InputError(f"Adam takes C-contiguous float32 arrays of one shape, got {[a.shape for a in arrays]}")
     if step < 1:
         raise InputError(f"step is {step}, counted from 1")
     row = int(np.prod(parameter.shape[1:], dtype=np.int64)) if parameter.ndim > 1 else 1
@@ -83,11 +81,16 @@ def adam_step(
     correction = math.sqrt(1.0 - _BETA2**step) / (1.0 - _BETA1**step)
     with parallel_section():
         _update(
-            parameter.reshape(-1), gradient.reshape(-1), moments.first.reshape(-1),
-            moments.second.reshape(-1), row, head, np.float32(rate * correction),
+            parameter.reshape(-1),
+            gradient.reshape(-1),
+            moments.first.reshape(-1),
+            moments.second.reshape(-1),
+            row,
+            head,
+            np.float32(rate * correction),
             np.float32((rate if rate_rest is None else rate_rest) * correction),
             np.float32(_EPSILON * math.sqrt(1.0 - _BETA2**step)),
-        )  # fmt: skip
+        )
 
 
 @parallel_kernel

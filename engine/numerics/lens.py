@@ -65,9 +65,13 @@ class BrownLens:
             a, b, c, d = self._jacobian(at)
             # Beyond the fold the picture turns back on itself: no step across it.
             scale = np.maximum(a * d - b * c, 0.1)
-            at = at + np.stack(
-                [d * missing[..., 0] - b * missing[..., 1], a * missing[..., 1] - c * missing[..., 0]], axis=-1
-            ) / scale[..., None]  # fmt: skip
+            at = (
+                at
+                + np.stack(
+                    [d * missing[..., 0] - b * missing[..., 1], a * missing[..., 1] - c * missing[..., 0]], axis=-1
+                )
+                / scale[..., None]
+            )
             at = np.clip(at, -1e3, 1e3)
         a, b, c, d = self._jacobian(at)
         found = (np.abs(points - self.distort(at)).max(axis=-1) < 1e-7) & (a * d - b * c > 0) & (a + d > 0)

@@ -63,9 +63,7 @@ class WhitenedGrid:
         Cap, in squared units.
     """
 
-    def __init__(
-        self, points: Float32, quats: Float32, *, quat_weight: float, hard: int, soft_cap: float
-    ) -> None:
+    def __init__(self, points: Float32, quats: Float32, *, quat_weight: float, hard: int, soft_cap: float) -> None:
         spread = np.subtract(*np.percentile(points[:: max(1, len(points) // 20000)], [90, 10], axis=0))
         self.axes = np.ascontiguousarray(np.argsort(-spread[:hard], kind="stable")[:AXES].astype(np.int64))
         cells = int(np.clip(round(1.2 * len(points) ** (1 / AXES)), 1, MAX_CELLS))
@@ -109,10 +107,24 @@ class WhitenedGrid:
         probability = np.zeros(m, np.float32)
         with parallel_section():
             _search(
-            self.points, self.quats, self.start, self.order, self.axes, self.edges, self.hard, self.soft_cap,
-            self.quat_weight, points, quats, order, np.float32(box), np.float32(limit2),
-            index, distance2, probability,
-        )  # fmt: skip
+                self.points,
+                self.quats,
+                self.start,
+                self.order,
+                self.axes,
+                self.edges,
+                self.hard,
+                self.soft_cap,
+                self.quat_weight,
+                points,
+                quats,
+                order,
+                np.float32(box),
+                np.float32(limit2),
+                index,
+                distance2,
+                probability,
+            )
         return Neighbours(index, distance2, probability)
 
 
@@ -226,9 +238,24 @@ def _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, qua
 
 @parallel_kernel
 def _search(  # type: ignore[no-untyped-def]
-    refs, ref_quats, start, ref_order, axes, edges, hard, soft_cap, quat_weight, points, quats, order, box,
-    limit2, index, distance2, probability,
-):  # fmt: skip
+    refs,
+    ref_quats,
+    start,
+    ref_order,
+    axes,
+    edges,
+    hard,
+    soft_cap,
+    quat_weight,
+    points,
+    quats,
+    order,
+    box,
+    limit2,
+    index,
+    distance2,
+    probability,
+):
     per_axis = edges.shape[1] + 1
     for rank in numba.prange(len(order)):
         i = order[rank]
@@ -242,9 +269,19 @@ def _search(  # type: ignore[no-untyped-def]
         state = (limit2, np.float32(0.0), np.int64(-1))
         # The home cells first: a good partner there spares most of the others.
         state = _scan(
-            refs, ref_quats, start[home + low], start[home + high + 1], hard, soft_cap, quat_weight,
-            points, quats, i, limit2, state,
-        )  # fmt: skip
+            refs,
+            ref_quats,
+            start[home + low],
+            start[home + high + 1],
+            hard,
+            soft_cap,
+            quat_weight,
+            points,
+            quats,
+            i,
+            limit2,
+            state,
+        )
         for c0 in range(_cell_along(edges, 0, z0 - box), _cell_along(edges, 0, z0 + box) + 1):
             g0 = _gap2(edges, 0, c0, z0)
             for c1 in range(_cell_along(edges, 1, z1 - box), _cell_along(edges, 1, z1 + box) + 1):
@@ -262,9 +299,19 @@ def _search(  # type: ignore[no-untyped-def]
                         if base == home:
                             continue
                         state = _scan(
-                            refs, ref_quats, start[base + low], start[base + high + 1], hard, soft_cap,
-                            quat_weight, points, quats, i, limit2, state,
-                        )  # fmt: skip
+                            refs,
+                            ref_quats,
+                            start[base + low],
+                            start[base + high + 1],
+                            hard,
+                            soft_cap,
+                            quat_weight,
+                            points,
+                            quats,
+                            i,
+                            limit2,
+                            state,
+                        )
         if state[2] >= 0:
             index[i] = ref_order[state[2]]
             distance2[i] = state[0]

@@ -26,12 +26,7 @@ def _cubic(t):  # type: ignore[no-untyped-def]
     """Weights of the four neighbours at fraction t: Keys' kernel with a = -1/2 (Catmull-Rom)."""
     t2 = t * t
     t3 = t2 * t
-    return (
-        -0.5 * t3 + t2 - 0.5 * t,
-        1.5 * t3 - 2.5 * t2 + 1.0,
-        -1.5 * t3 + 2.0 * t2 + 0.5 * t,
-        0.5 * t3 - 0.5 * t2,
-    )
+    return (-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2)
 
 
 @inlined

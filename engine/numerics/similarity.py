@@ -39,10 +39,16 @@ def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
     q = np.asarray(quats, dtype=np.float64)
     w, x, y, z = (q[..., i] for i in range(4))
     rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
 
 
@@ -88,8 +94,5 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
             wigner = sh_rotation(rotation, model.sh_degree)[1:, 1:].astype(np.float32)
             sh[:, 1:] = np.matmul(wigner, model.sh[:, 1:])
     return model.with_(
-        means=means.astype(np.float32),
-        log_scales=model.log_scales + np.float32(np.log(scale)),
-        quats=quats,
-        sh=sh,
+        means=means.astype(np.float32), log_scales=model.log_scales + np.float32(np.log(scale)), quats=quats, sh=sh
     )

@@ -90,10 +90,7 @@ def umeyama(
 
 
 def robust_umeyama(
-    source: npt.NDArray[Any],
-    target: npt.NDArray[Any],
-    start: Similarity | None = None,
-    rounds: int = 12,
+    source: npt.NDArray[Any], target: npt.NDArray[Any], start: Similarity | None = None, rounds: int = 12
 ) -> Similarity | None:
     """As `umeyama`, but pairs far off the consensus lose their say (Tukey's biweight on the residuals).
 

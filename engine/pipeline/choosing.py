@@ -109,11 +109,16 @@ class Choice:
     def report(self) -> dict[str, float | int | bool]:
         """Plain values for `embed --json`."""
         return {
-            "views": self.config.views, "view_size": self.config.view_size, "psnr_db": self.config.psnr_db,
-            "predicted_z": self.rehearsal.predicted_z, "predicted_psnr_db": self.rehearsal.psnr_db,
-            "predicted_held_out_db": self.rehearsal.held_out_db, "wanted_z": self.wanted_z,
-            "met": self.met, "tried": self.tried,
-        }  # fmt: skip
+            "views": self.config.views,
+            "view_size": self.config.view_size,
+            "psnr_db": self.config.psnr_db,
+            "predicted_z": self.rehearsal.predicted_z,
+            "predicted_psnr_db": self.rehearsal.psnr_db,
+            "predicted_held_out_db": self.rehearsal.held_out_db,
+            "wanted_z": self.wanted_z,
+            "met": self.met,
+            "tried": self.tried,
+        }
 
 
 def wanted_z(bits: int) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 
 from engine.compress.impact import uncertainty
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import EmbedConfig, config_dict
@@ -25,13 +26,12 @@ from engine.pipeline.scenes import worst_psnr_against
 from engine.pipeline.sealing import draw_spreading, make_record, plan_of
 from engine.pipeline.strength import Strength, add_dc, first_guess, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
+from engine.records.record import Record
+from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
-from engine.watermark.landmarks import Landmarks, make_landmarks
 from engine.watermark.masses import spare_masses
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
 from engine.watermark.planning import capacity_bits, check_capacity, make_plan, predict_z
-from engine.watermark.record import Record
-from engine.watermark.reference_codec import encode_reference, reference_digest
 from engine.watermark.spreading import signed_amplitudes
 
 LANDMARK_SIZE = (640, 480)
@@ -153,18 +153,32 @@ def embed(
 
             doubt = uncertainty(impact.squared)
             displacement = refine(
-                delivered, displacement, list(key_cameras), layout, signed, spreading.bit_of, bits, doubt,
-                config.refine, clock.advance,
-            )  # fmt: skip
+                delivered,
+                displacement,
+                list(key_cameras),
+                layout,
+                signed,
+                spreading.bit_of,
+                bits,
+                doubt,
+                config.refine,
+                clock.advance,
+            )
             again = solve_strength(views, displacement, config.psnr_db, config.ssim, 1.0)
             displacement = np.float32(again.factor) * displacement
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
     with clock.stage("record"):  # 8
         record = make_record(
-            key, reference_arrays, committed, strength.factor, original_sha256=original_sha256, copy=copy,
-            registered_at=registered_at, settings=config_dict(config),
-        )  # fmt: skip
+            key,
+            reference_arrays,
+            committed,
+            strength.factor,
+            original_sha256=original_sha256,
+            copy=copy,
+            registered_at=registered_at,
+            settings=config_dict(config),
+        )
         total = strength.psnr_db
         if delivered is not model:
             total = worst_psnr_against(original.images, key_cameras, variant.at_view)(marked)

@@ -123,12 +123,7 @@ def lay_groundwork(
 
 
 def _seen(
-    model: GaussianModel,
-    cameras: Sequence[Camera],
-    extent: Extent,
-    config: EmbedConfig,
-    variant: Variant,
-    clock: Clock,
+    model: GaussianModel, cameras: Sequence[Camera], extent: Extent, config: EmbedConfig, variant: Variant, clock: Clock
 ) -> Groundwork:
     views = look(model, cameras, clock.advance, variant.at_view)
     return Groundwork(extent, views, measure_impact(model, views.views, views.images), config, variant)
@@ -166,8 +161,6 @@ def _key_cameras(
         return make_rig(model, config.views, config.view_size, config.view_size, jitter=draw, extent=extent)
     count = min(config.views, len(cameras))
     slots = np.linspace(0, len(cameras), count + 1)
-    slot = [
-        int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)
-    ]
+    slot = [int(low + u * (high - low)) for low, high, u in zip(slots[:-1], slots[1:], draw[:, 0], strict=False)]
     chosen = [cameras[min(i, len(cameras) - 1)] for i in slot]
     return [camera.with_side(min(config.view_size, max(camera.width, camera.height))) for camera in chosen]

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 from engine.errors import InputError
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.registering import Registration
 from engine.watermark.claim import Claim, ClaimConfig, decide
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import decode_paper
-from engine.watermark.registration import Registration
 from engine.watermark.statistics import log10_binomial_tail
 
 ROUTES = ("auto", "model", "render", "image")
@@ -73,31 +73,44 @@ def judge(
         fraction = registration.derived_fraction
         if registration.found:
             transform = {
-                "scale": registration.scale, "rotation": registration.R.tolist(), "translation": registration.t.tolist()
-            }  # fmt: skip
+                "scale": registration.scale,
+                "rotation": registration.R.tolist(),
+                "translation": registration.t.tolist(),
+            }
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":
             absence = ABSENCE_POWER if len(registration.matches) >= LEAST_PIECE else None
             notes = (*notes, "no piece of the asset was found in the suspect model")
     claim = decide(
-        evidence.y, evidence.weights, evidence.signal, spreading.bit_of, spreading.chips, opened.message,
-        tries=max(tries, config.tries or 1), config=ClaimConfig(false_claim_rate=config.false_claim_rate),
-        route=route, copy=opened.copy,
-        derived_fraction=fraction, absence_power=absence, transform=transform, notes=notes,
-    )  # fmt: skip
+        evidence.y,
+        evidence.weights,
+        evidence.signal,
+        spreading.bit_of,
+        spreading.chips,
+        opened.message,
+        tries=max(tries, config.tries or 1),
+        config=ClaimConfig(false_claim_rate=config.false_claim_rate),
+        route=route,
+        copy=opened.copy,
+        derived_fraction=fraction,
+        absence_power=absence,
+        transform=transform,
+        notes=notes,
+    )
     if config.decoder == "paper":
-        steps = opened.layout.amplitudes * (
-            opened.strength if route == "model" else _image_gain(evidence, opened)
-        )
+        steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
         bits, lead = decode_paper(evidence.y, steps, spreading.chips, spreading.bit_of, len(opened.message))
         matching = int((bits == opened.message).sum())
         claim = replace(
-            claim, message=message_hex(bits), matching_bits=matching, bit_accuracy=matching / len(bits),
+            claim,
+            message=message_hex(bits),
+            matching_bits=matching,
+            bit_accuracy=matching / len(bits),
             bit_reliability=tuple(0.5 + 0.5 * lead),
             log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
             notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
-        )  # fmt: skip
+        )
     return claim
 
 

@@ -23,10 +23,10 @@ from scipy.spatial.transform import Rotation
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.pictures.camera_finding import CameraConfig, find_camera
+from engine.pictures.landmarks import Landmarks
 from engine.pipeline.rigs import make_rig, measure_extent
 from engine.raster import render_depth
-from engine.watermark.camera_finding import CameraConfig, find_camera
-from engine.watermark.landmarks import Landmarks
 
 __all__ = ["Place", "Sighting", "place_by_looking"]
 
@@ -156,9 +156,7 @@ def _views(suspect: GaussianModel, turns: list[Float64]) -> Iterator[Camera]:
             yield Camera(viewmat, camera.K, camera.width, camera.height)
 
 
-def _look(
-    suspect: GaussianModel, camera: Camera, reference: GaussianModel, landmarks: Landmarks
-) -> Sighting | None:
+def _look(suspect: GaussianModel, camera: Camera, reference: GaussianModel, landmarks: Landmarks) -> Sighting | None:
     image, alpha, depth = render_depth(suspect, camera)
     picture = np.clip(image, 0.0, 1.0)
     recognition = replace(RECOGNITION, focals=(camera.K[0, 0] / camera.width,))
@@ -169,9 +167,7 @@ def _look(
     both = (alpha > 0.7) & (known_alpha > 0.7) & (depth > 0) & (known_depth > 0)
     if both.sum() < 100:
         return None
-    return Sighting(
-        picture, camera, found.camera, float(np.median(depth[both])), float(np.median(known_depth[both]))
-    )
+    return Sighting(picture, camera, found.camera, float(np.median(depth[both])), float(np.median(known_depth[both])))
 
 
 def _most_agreeing(seen: list[Sighting]) -> list[Sighting]:

@@ -10,18 +10,18 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.pictures.alignment import align_image
+from engine.pictures.camera_finding import find_camera
+from engine.pictures.features import luma
+from engine.pictures.pose_refinement import refine_level
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
-from engine.watermark.camera_finding import find_camera
-from engine.watermark.features import luma
-from engine.watermark.image_alignment import align_image
+from engine.registration.registering import Registration
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
-from engine.watermark.pose_refinement import refine_level
-from engine.watermark.registration import Registration
 from engine.watermark.spreading import signed_amplitudes
 
 __all__ = ["Seen", "read_gaussians", "read_pictures", "read_renders"]
@@ -57,18 +57,12 @@ class Seen:
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10)."""
     evidence = gather_model_evidence(
-        opened.layout,
-        opened.reference.sh[:, 0],
-        suspect.sh[:, 0],
-        registration.matches,
-        registration.match_quality,
+        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.matches, registration.match_quality
     )
     return Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
 
 
-def read_renders(
-    suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock
-) -> Seen:
+def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:
     """The suspect as a black box: rendered, and read as pictures.
 
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
@@ -96,9 +90,7 @@ def read_renders(
     if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
         if place is None:
-            return Seen(
-                _nothing(opened), ("no view of the suspect model was recognised as this asset",), False
-            )
+            return Seen(_nothing(opened), ("no view of the suspect model was recognised as this asset",), False)
         fit = place.similarity
         moved = transform_model(suspect, fit.scale, fit.R, fit.t)
         count = f"{len(place.sightings)} of {place.views} views"
@@ -188,9 +180,7 @@ def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> Evide
     alignment = align_image(reference, image)
     if alignment is None:
         return None
-    return gather_image_evidence(
-        opened.layout, view, reference, alignment.warped, alignment.mask, mark, signs
-    )
+    return gather_image_evidence(opened.layout, view, reference, alignment.warped, alignment.mask, mark, signs)
 
 
 def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float64]:

@@ -122,13 +122,9 @@ def refine(
         change = marked - renders[k]
         reconstruction = change.abs().mean() / (rms * SH_C0)
         wavelet = sum(band.abs().mean() for band in dwt2(change, 2)[1][0]) / (rms * SH_C0)
-        loss = (
-            config.lambda_msg * message + config.lambda_rec * reconstruction + config.lambda_wavelet * wavelet
-        )
+        loss = config.lambda_msg * message + config.lambda_rec * reconstruction + config.lambda_wavelet * wavelet
         (gradient,) = torch.autograd.grad(loss, delta)
-        with (
-            torch.no_grad()
-        ):  # Adam, its step scaled by the uncertainty (paper: eta by the tile's uncertainty)
+        with torch.no_grad():  # Adam, its step scaled by the uncertainty (paper: eta by the tile's uncertainty)
             moment.mul_(0.9).add_(gradient, alpha=0.1)
             square.mul_(0.99).addcmul_(gradient, gradient, value=0.01)
             update = (moment / (1 - 0.9**step)) / ((square / (1 - 0.99**step)).sqrt() + 1e-12)

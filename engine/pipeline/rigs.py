@@ -103,9 +103,7 @@ def make_rig(
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
     focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
     azimuth = GOLDEN_ANGLE * np.arange(count) + 2 * np.pi * (u[:, 0] - 0.5) / max(count, 1)
-    lowest = (
-        8.0 if extent.axes[1] > 0.2 * max(extent.axes[0], extent.axes[2]) else 25.0
-    )  # flat ground: from above
+    lowest = 8.0 if extent.axes[1] > 0.2 * max(extent.axes[0], extent.axes[2]) else 25.0  # flat ground: from above
     cameras = []
     for k in range(count):
         shell = (k + u[k, 1]) / count  # stratified: the elevations of a rig cover their range

@@ -45,10 +45,7 @@ class ViewSet:
 
 
 def look(
-    model: GaussianModel,
-    cameras: Sequence[Camera],
-    advance: Callable[[float], None],
-    at_view: AtView | None = None,
+    model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None], at_view: AtView | None = None
 ) -> ViewSet:
     """Prepare and render all views, of a moving model each at its moment."""
     views, frames, images = [], [], []
@@ -71,8 +68,7 @@ def worst_psnr_against(
     def measure(candidate: GaussianModel) -> float:
         frames = (candidate if at_view is None else at_view(candidate, k) for k in range(len(cameras)))
         return min(
-            psnr(image, render(frame, camera))
-            for image, frame, camera in zip(images, frames, cameras, strict=True)
+            psnr(image, render(frame, camera)) for image, frame, camera in zip(images, frames, cameras, strict=True)
         )
 
     return measure

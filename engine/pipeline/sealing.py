@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from engine.errors import MalformedRecordError
 from engine.model import Camera, GaussianModel
+from engine.pictures.landmarks import Landmarks
+from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.keys import OwnerKey
-from engine.watermark.landmarks import Landmarks
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
-from engine.watermark.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.spreading import Spreading, spread
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -161,10 +161,17 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
     ]
     landmarks = None
     if "landmarks/points" in arrays:
-        landmarks = Landmarks(
-            arrays["landmarks/points"], arrays["landmarks/descriptors"], arrays["landmarks/views"]
-        )
+        landmarks = Landmarks(arrays["landmarks/points"], arrays["landmarks/descriptors"], arrays["landmarks/views"])
     return OpenedRecord(
-        record.header, record.copy, reference, layout, float(record.extra["strength"]), message, spreading,
-        cameras, landmarks, dict(record.extra["settings"]), dict(record.plan.get("commitments", {})),
-    )  # fmt: skip
+        record.header,
+        record.copy,
+        reference,
+        layout,
+        float(record.extra["strength"]),
+        message,
+        spreading,
+        cameras,
+        landmarks,
+        dict(record.extra["settings"]),
+        dict(record.plan.get("commitments", {})),
+    )

@@ -49,9 +49,7 @@ def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) ->
     return 10 ** (-psnr_db / 20.0) * float(np.sqrt(pixels / most))
 
 
-def solve_strength(
-    views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float
-) -> Strength:
+def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float) -> Strength:
     """Largest factor at which the worst view keeps both targets.
 
     Parameters

@@ -22,9 +22,9 @@ from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.registering import register
 from engine.watermark.copies import CopyMark, copies_z, copy_mark
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.registration import register
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace_images", "trace_model"]
@@ -241,11 +241,16 @@ def _judge(
     threshold = z_threshold(config.false_claim_rate, tries)
     return [
         CopyFinding(
-            mark.copy, mark.record_id, bool(z >= threshold), float(z), log10_false_claim_bound(float(z), tries),
-            route, derived,
+            mark.copy,
+            mark.record_id,
+            bool(z >= threshold),
+            float(z),
+            log10_false_claim_bound(float(z), tries),
+            route,
+            derived,
         )
         for mark, z in zip(group.marks, copies_z(evidence.y, evidence.weights, group.marks), strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _answer(
@@ -253,6 +258,4 @@ def _answer(
 ) -> Tracing:
     strongest_first = tuple(sorted(findings, key=lambda finding: -finding.z))
     threshold = z_threshold(config.false_claim_rate, tries)
-    return Tracing(
-        strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds)
-    )
+    return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))

@@ -61,9 +61,7 @@ class Variant:
         if special and not keeps_rows:
             raise InputError("a variant is marked as it is: no pruning budget and output 'fidelity'")
         if self.at_view is not None and refines:
-            raise InputError(
-                "refinement sees one moment only: a moving model is marked with refine.steps = 0"
-            )
+            raise InputError("refinement sees one moment only: a moving model is marked with refine.steps = 0")
 
     def own_stages(self, model: GaussianModel, weights: Float64) -> tuple[Stage, ...] | None:
         """The one stage of the file's own codes, or None where there are none."""

@@ -16,9 +16,9 @@ from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.registering import register
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.registration import register
 
 __all__ = ["Verification", "VerifyConfig", "judge", "verify_images", "verify_model"]
 
@@ -34,18 +34,11 @@ class Verification:
 
     def report(self) -> dict[str, Any]:
         """Plain values for `verify --json`."""
-        return {
-            **self.claim.to_json(),
-            "seconds": self.seconds,
-            "seconds_by_stage": self.seconds_by_stage,
-        }
+        return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
 
 def verify_model(
-    suspect: GaussianModel,
-    opened: OpenedRecord,
-    config: VerifyConfig | None = None,
-    progress: Progress | None = None,
+    suspect: GaussianModel, opened: OpenedRecord, config: VerifyConfig | None = None, progress: Progress | None = None
 ) -> Verification:
     """Does this model carry the record's mark?
 

@@ -11,8 +11,8 @@ from engine import raster
 from engine.compress.cells import split_cells
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
-from engine.watermark.image_alignment import align_image
-from engine.watermark.registration import register
+from engine.pictures.alignment import align_image
+from engine.registration.registering import register
 
 __all__ = ["Work", "warm_up"]
 
@@ -68,11 +68,7 @@ def _registration(advance: Callable[[float], None]) -> None:
     )
     turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
-    for share, suspect in (
-        (0.3, model.take(rng.permutation(n))),
-        (0.7, moved),
-        (1.0, moved.take(np.arange(n // 2))),
-    ):
+    for share, suspect in ((0.3, model.take(rng.permutation(n))), (0.7, moved), (1.0, moved.take(np.arange(n // 2)))):
         register(model, suspect)
         advance(share)
 

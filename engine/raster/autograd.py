@@ -72,19 +72,21 @@ def rasterize(
         raise InputError("give either sh or colors")
     if means.is_cuda:
         return cuda.rasterize(
-            means, quats, log_scales, opacity_logits, viewmat, K, width, height,
-            sh=sh, colors=colors, background=background, settings=settings,
-        )  # fmt: skip
+            means,
+            quats,
+            log_scales,
+            opacity_logits,
+            viewmat,
+            K,
+            width,
+            height,
+            sh=sh,
+            colors=colors,
+            background=background,
+            settings=settings,
+        )
     image, alpha = _Rasterize.apply(  # type: ignore[no-untyped-call]
-        means,
-        quats,
-        log_scales,
-        opacity_logits,
-        viewmat,
-        K,
-        sh,
-        colors,
-        (width, height, background, settings),
+        means, quats, log_scales, opacity_logits, viewmat, K, sh, colors, (width, height, background, settings)
     )
     return image, alpha
 
@@ -109,9 +111,7 @@ class _Rasterize(torch.autograd.Function):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         width, height, background, settings = options
         coefficients = np.zeros((len(means), 1, 3), np.float32) if sh is None else _array(sh)
-        model = GaussianModel(
-            _array(means), _array(log_scales), _array(quats), _array(opacity_logits), coefficients
-        )
+        model = GaussianModel(_array(means), _array(log_scales), _array(quats), _array(opacity_logits), coefficients)
         camera = Camera(_array(viewmat), _array(K), width, height)
         given = None if colors is None else _array(colors)
         ctx.rendering = draw(model, camera, background, settings, colors=given)
@@ -129,9 +129,15 @@ class _Rasterize(torch.autograd.Function):
             of_image = np.zeros_like(rendering.image)
         g = backward(rendering, of_image, of_alpha)
         arrays = (
-            g.means, g.quats, g.log_scales, g.opacity_logits, g.viewmat, g.K,
-            None if rendering.own_colors else g.sh, g.colors if rendering.own_colors else None,
-        )  # fmt: skip
+            g.means,
+            g.quats,
+            g.log_scales,
+            g.opacity_logits,
+            g.viewmat,
+            g.K,
+            None if rendering.own_colors else g.sh,
+            g.colors if rendering.own_colors else None,
+        )
         results = [
             torch.from_numpy(array).to(tensor.dtype) if tensor is not None and needed else None
             for array, tensor, needed in zip(arrays, ctx.inputs, ctx.needs_input_grad, strict=False)

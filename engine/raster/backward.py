@@ -35,12 +35,17 @@ from engine.raster.tiles import (
     log2_alpha,
     open_tile,
     stage_batch,
-)  # fmt: skip
+)
 
 __all__ = [
-    "WEIGHT_SUMS", "backward_scratch", "gather_maxima", "gather_sums", "pair_colors", "pair_weights",
+    "WEIGHT_SUMS",
+    "backward_scratch",
+    "gather_maxima",
+    "gather_sums",
+    "pair_colors",
+    "pair_weights",
     "pair_width",
-]  # fmt: skip
+]
 
 _KERNEL_VERSION = 2
 
@@ -96,9 +101,23 @@ def write_sums(own, rows, count, spare, out, to):
 
 @parallel_kernel
 def pair_colors(
-    records, discs, channel_tuple, pair_tuple, ids, starts, width, height, tiles_x, limits, impact, cotangent, out,
-    scratch, items, counter,
-):  # fmt: skip
+    records,
+    discs,
+    channel_tuple,
+    pair_tuple,
+    ids,
+    starts,
+    width,
+    height,
+    tiles_x,
+    limits,
+    impact,
+    cotangent,
+    out,
+    scratch,
+    items,
+    counter,
+):
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
 
     `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of

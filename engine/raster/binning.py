@@ -64,9 +64,8 @@ def _columns(records, extents, rects, i, row, log2_skip):
 
 @parallel_kernel
 def list_pairs(
-    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles,
-    owners, counts
-):  # fmt: skip
+    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles, owners, counts
+):
     """Walk the Gaussians front to back and note every (tile, Gaussian) pair.
 
     Each share of the order fills its own row of `tiles` and `owners` (shares, capacity) and counts its

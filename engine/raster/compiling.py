@@ -39,9 +39,7 @@ def warm_up(progress: Callable[[float], None] | None = None) -> None:
         lambda: view.backward_colors(rendering.image[..., :1]),
         lambda: view.backward_colors(rendering.image),
         view.weights,
-        lambda: sh_colors_backward(
-            sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3)
-        ),
+        lambda: sh_colors_backward(sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3)),
         lambda: backward(rendering, rendering.image),
         lambda: discs().render(colors),
         lambda: discs().render(rendering.colors),

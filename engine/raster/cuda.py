@@ -47,9 +47,7 @@ def rasterize(
         alpha_skip, transmittance_stop, impact_stop).
     """
     if importlib.util.find_spec("gsplat") is None:
-        raise InputError(
-            "tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU"
-        )
+        raise InputError("tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU")
     fixed = RasterSettings(eps2d=settings.eps2d, near=settings.near)
     if settings != fixed:
         raise InputError(f"gsplat's alpha limits and stop rule are fixed: expected {fixed}, got {settings}")
@@ -62,11 +60,23 @@ def rasterize(
     if shades is None:
         raise InputError("give either sh or colors")
     options: dict[str, Any] = {
-        "near_plane": settings.near, "eps2d": settings.eps2d, "sh_degree": degree,
-        "packed": False, "backgrounds": behind[None], "rasterize_mode": "classic",
-    }  # fmt: skip
+        "near_plane": settings.near,
+        "eps2d": settings.eps2d,
+        "sh_degree": degree,
+        "packed": False,
+        "backgrounds": behind[None],
+        "rasterize_mode": "classic",
+    }
     image, alpha, _ = rasterization(
-        means.float(), quats.float(), log_scales.float().exp(), opacity_logits.float().sigmoid(),
-        shades.float(), viewmat.float()[None], K.float()[None], width, height, **options,
-    )  # fmt: skip
+        means.float(),
+        quats.float(),
+        log_scales.float().exp(),
+        opacity_logits.float().sigmoid(),
+        shades.float(),
+        viewmat.float()[None],
+        K.float()[None],
+        width,
+        height,
+        **options,
+    )
     return image[0], alpha[0, ..., 0]

@@ -43,9 +43,7 @@ LOW_PASS = 2.0
 """The screen-space kernel is exp(-LOW_PASS |d|^2 / 2), d in pixels: sigma sqrt(2) / 2."""
 
 _WHOLE = MAX_SIGMA_PX**2
-_FLATTEST = (
-    0.01  # least 1 - e^2 of an ellipse that is still worth drawing; beyond, the whole image is searched
-)
+_FLATTEST = 0.01  # least 1 - e^2 of an ellipse that is still worth drawing; beyond, the whole image is searched
 _NO_AREA = 1e-12  # square pixels: such a disc is seen from the edge, only the low pass shows
 _STEEP = np.float32(1e18)
 _LARGEST_EXPONENT = 87.0
@@ -116,9 +114,7 @@ def _tile(pixels, tiles):
 
 
 @parallel_kernel
-def project_discs(
-    means, quats, log_scales, logits, lens, chunk, records, discs, extents, rects, depths, index, counts
-):
+def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs, extents, rects, depths, index, counts):
     """Project every disc; its third scale is not looked at.
 
     Parameters
@@ -143,10 +139,7 @@ def project_discs(
             xz, yz = x / z, y / z
             a, b = _tangents(quats, log_scales, i, R)
             jx, jy = fx / z, fy / z
-            p = (
-                jx * (a[0] - xz * a[2]), jx * (b[0] - xz * b[2]),
-                jy * (a[1] - yz * a[2]), jy * (b[1] - yz * b[2]),
-            )  # fmt: skip
+            p = (jx * (a[0] - xz * a[2]), jx * (b[0] - xz * b[2]), jy * (a[1] - yz * a[2]), jy * (b[1] - yz * b[2]))
             if not max(p[0] * p[0] + p[1] * p[1], p[2] * p[2] + p[3] * p[3]) <= _WHOLE:
                 continue
             k = (a[2] / z, b[2] / z)

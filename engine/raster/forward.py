@@ -26,7 +26,7 @@ from engine.raster.tiles import (
     log2_alpha,
     open_tile,
     stage_batch,
-)  # fmt: skip
+)
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
@@ -43,9 +43,25 @@ def forward_scratch(channels: int) -> int:
 
 @parallel_kernel
 def blend_tiles(
-    records, discs, colors, channel_tuple, ids, starts, width, height, tiles_x, limits, background, impact,
-    image, alpha, scratch, items, counter, evaluated,
-):  # fmt: skip
+    records,
+    discs,
+    colors,
+    channel_tuple,
+    ids,
+    starts,
+    width,
+    height,
+    tiles_x,
+    limits,
+    background,
+    impact,
+    image,
+    alpha,
+    scratch,
+    items,
+    counter,
+    evaluated,
+):
     """Image and accumulated alpha.
 
     Parameters
@@ -86,21 +102,7 @@ def blend_tiles(
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own,
-                    stage,
-                    list_,
-                    records,
-                    discs,
-                    colors,
-                    channels,
-                    ids,
-                    at,
-                    size,
-                    end,
-                    left,
-                    top,
-                    alive,
-                    log2_skip,
+                    own, stage, list_, records, discs, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
                     item = list_[t]

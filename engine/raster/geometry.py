@@ -91,9 +91,12 @@ def padded(model: GaussianModel) -> GaussianModel:
         return np.concatenate([array, rest])
 
     return GaussianModel(
-        grown(model.means, 0.0), grown(model.log_scales, 0.0), grown(model.quats, 0.5),
-        grown(model.opacity_logits, -100.0), grown(model.sh, 0.0),
-    )  # fmt: skip
+        grown(model.means, 0.0),
+        grown(model.log_scales, 0.0),
+        grown(model.quats, 0.5),
+        grown(model.opacity_logits, -100.0),
+        grown(model.sh, 0.0),
+    )
 
 
 def build_geometry(
@@ -152,10 +155,16 @@ def build_geometry(
 
     order = work.array("order b", (rows,), np.int32)
     seen = sort_by_depth(
-        depths.view(np.uint32), index, counts, chunk, work.array("keys a", (rows,), np.uint32),
-        work.array("keys b", (rows,), np.uint32), work.array("order a", (rows,), np.int32), order,
+        depths.view(np.uint32),
+        index,
+        counts,
+        chunk,
+        work.array("keys a", (rows,), np.uint32),
+        work.array("keys b", (rows,), np.uint32),
+        work.array("order a", (rows,), np.int32),
+        order,
         work.array("radix", (workers, BUCKETS), np.int64),
-    )  # fmt: skip
+    )
 
     tiles = tiles_x * tiles_y
     sizes = work.array("sizes", (rows,), np.int32)
@@ -167,10 +176,7 @@ def build_geometry(
         noted = work.array("pair tiles", (workers, capacity), np.int32)
         owners = work.array("pair owners", (workers, capacity), np.int32)
         counts = np.zeros(workers, dtype=np.int64)
-        list_pairs(
-            order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes, noted, owners,
-            counts
-        )  # fmt: skip
+        list_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes, noted, owners, counts)
         if counts.sum() > _MOST_PAIRS:
             raise InputError(
                 f"{counts.sum()} pairs of tile and Gaussian are too many to draw at once, at most "

@@ -93,9 +93,16 @@ class Gradients:
             return np.empty(shape, dtype=np.float32)
 
         return cls(
-            rows(n, 3), rows(n, 4), rows(n, 3), rows(n), rows(2, n), rows(n, 3),
-            rows(n if with_sh else 0, k, 3), np.zeros((4, 4)), np.zeros((3, 3)),
-        )  # fmt: skip
+            rows(n, 3),
+            rows(n, 4),
+            rows(n, 3),
+            rows(n),
+            rows(2, n),
+            rows(n, 3),
+            rows(n if with_sh else 0, k, 3),
+            np.zeros((4, 4)),
+            np.zeros((3, 3)),
+        )
 
 
 def draw(
@@ -125,10 +132,7 @@ def draw(
 
 
 def backward(
-    rendering: Rendering,
-    cotangent: Float32,
-    cotangent_alpha: Float32 | None = None,
-    out: Gradients | None = None,
+    rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32 | None = None, out: Gradients | None = None
 ) -> Gradients:
     """Gradients of a scalar L of the image; the same bits whatever the number of threads.
 
@@ -157,9 +161,7 @@ def backward(
     model, view = rendering.model, rendering.view
     camera = view.camera
     if view.geometry.discs is not None:
-        raise InputError(
-            "discs (2DGS) have no gradients of geometry here; View.backward_colors has the colours'"
-        )
+        raise InputError("discs (2DGS) have no gradients of geometry here; View.backward_colors has the colours'")
     cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
     if cotangent.shape != rendering.image.shape:
         raise InputError(f"cotangent has shape {cotangent.shape}, expected {rendering.image.shape}")
@@ -167,9 +169,7 @@ def backward(
         cotangent_alpha = np.zeros(rendering.alpha.shape, dtype=np.float32)
     cotangent_alpha = np.ascontiguousarray(cotangent_alpha, dtype=np.float32)
     if cotangent_alpha.shape != rendering.alpha.shape:
-        raise InputError(
-            f"cotangent_alpha has shape {cotangent_alpha.shape}, expected {rendering.alpha.shape}"
-        )
+        raise InputError(f"cotangent_alpha has shape {cotangent_alpha.shape}, expected {rendering.alpha.shape}")
     result = Gradients.empty(model, with_sh=not rendering.own_colors) if out is None else out
     if result.means.shape != model.means.shape:
         raise InputError(f"out is for {len(result.means)} Gaussians, the model has {len(model)}")
@@ -186,13 +186,26 @@ def _moments(rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32,
     geometry, camera, workers = rendering.view.geometry, rendering.view.camera, thread_count()
     sums: Float32 = work.array("pairs", (len(geometry.ids) * PAIR_NUMBERS,))
     pair_moments(
-        geometry.records, rendering.colors.reshape(-1), (0,) * 3, (0,) * (MOMENTS + 3), geometry.ids,
-        geometry.starts, camera.width, camera.height, geometry.tiles_x, geometry.limits,
-        rendering.view.impact, rendering.image.reshape(-1), rendering.alpha.reshape(-1),
-        cotangent.reshape(-1), cotangent_alpha.reshape(-1), sums, work.array("moments", (workers,
-        moments_scratch(3))), work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,),
-        np.int64),
-    )  # fmt: skip
+        geometry.records,
+        rendering.colors.reshape(-1),
+        (0,) * 3,
+        (0,) * (MOMENTS + 3),
+        geometry.ids,
+        geometry.starts,
+        camera.width,
+        camera.height,
+        geometry.tiles_x,
+        geometry.limits,
+        rendering.view.impact,
+        rendering.image.reshape(-1),
+        rendering.alpha.reshape(-1),
+        cotangent.reshape(-1),
+        cotangent_alpha.reshape(-1),
+        sums,
+        work.array("moments", (workers, moments_scratch(3))),
+        work.array("items", (workers, ITEMS), np.int32),
+        work.array("queue", (1,), np.int64),
+    )
     return sums
 
 
@@ -206,16 +219,20 @@ def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, wor
     toward: Float32 = work.array("toward", (3 * max(16, len(model)),))
     toward[3 * len(model) :] = 0.0
     differentiate_sh(
-        result.colors.reshape(-1), rendering.colors.reshape(-1), model.sh.reshape(-1), model.sh.shape[1],
-        model.means.reshape(-1), rendering.view.camera.position.astype(np.float32),
-        work.array("sh", (workers, SH_SCRATCH)), result.sh.reshape(-1), toward,
-    )  # fmt: skip
+        result.colors.reshape(-1),
+        rendering.colors.reshape(-1),
+        model.sh.reshape(-1),
+        model.sh.shape[1],
+        model.means.reshape(-1),
+        rendering.view.camera.position.astype(np.float32),
+        work.array("sh", (workers, SH_SCRATCH)),
+        result.sh.reshape(-1),
+        toward,
+    )
     return toward
 
 
-def _geometry_gradients(
-    model: GaussianModel, view: View, sums: Float32, toward: Float32, result: Gradients
-) -> Float64:
+def _geometry_gradients(model: GaussianModel, view: View, sums: Float32, toward: Float32, result: Gradients) -> Float64:
     """Fill means, quats, log_scales and opacity_logits; returns the camera's sums."""
     geometry = view.geometry
     n, full = len(model), padded(model)
@@ -223,11 +240,23 @@ def _geometry_gradients(
     into = result if n == len(full) else Gradients.empty(full, with_sh=False)
     by_chunk = np.empty((chunks, 32), dtype=np.float32)
     parameter_gradients(
-        full.means.reshape(-1), full.quats.reshape(-1), full.log_scales.reshape(-1), full.opacity_logits,
-        pack_lens(view.camera, geometry.settings), sums, geometry.firsts, geometry.slots, toward,
-        aligned((chunks, GRADIENT_SCRATCH)), into.means.reshape(-1), into.quats.reshape(-1),
-        into.log_scales.reshape(-1), into.opacity_logits, into.centers.reshape(-1), by_chunk,
-    )  # fmt: skip
+        full.means.reshape(-1),
+        full.quats.reshape(-1),
+        full.log_scales.reshape(-1),
+        full.opacity_logits,
+        pack_lens(view.camera, geometry.settings),
+        sums,
+        geometry.firsts,
+        geometry.slots,
+        toward,
+        aligned((chunks, GRADIENT_SCRATCH)),
+        into.means.reshape(-1),
+        into.quats.reshape(-1),
+        into.log_scales.reshape(-1),
+        into.opacity_logits,
+        into.centers.reshape(-1),
+        by_chunk,
+    )
     if into is not result:
         for name in ("means", "quats", "log_scales", "opacity_logits"):
             getattr(result, name)[:] = getattr(into, name)[:n]

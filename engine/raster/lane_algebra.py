@@ -46,7 +46,13 @@ def row_times(v, m):
 def scale_columns(m, s):
     """M diag(s)"""
     return (
-        m[0] * s[0], m[1] * s[1], m[2] * s[2],
-        m[3] * s[0], m[4] * s[1], m[5] * s[2],
-        m[6] * s[0], m[7] * s[1], m[8] * s[2],
-    )  # fmt: skip
+        m[0] * s[0],
+        m[1] * s[1],
+        m[2] * s[2],
+        m[3] * s[0],
+        m[4] * s[1],
+        m[5] * s[2],
+        m[6] * s[0],
+        m[7] * s[1],
+        m[8] * s[2],
+    )

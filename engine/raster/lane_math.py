@@ -27,9 +27,7 @@ def _least_squares(function: Any, low: float, high: float, degree: int, relative
 _EXP2 = _least_squares(lambda f: 2.0**f, -0.5, 0.5, 5, relative=True)
 """Degree 5: relative error 2e-7; degree 4 is no faster (latency bound)."""
 
-_LOG2 = _least_squares(
-    lambda f: np.log2(1.0 + f) / f, np.sqrt(0.5) - 1.0, np.sqrt(2.0) - 1.0, 8, relative=False
-)
+_LOG2 = _least_squares(lambda f: np.log2(1.0 + f) / f, np.sqrt(0.5) - 1.0, np.sqrt(2.0) - 1.0, 8, relative=False)
 """log2(1 + f) / f for f in [sqrt(1/2) - 1, sqrt(2) - 1]: absolute error of the logarithm below 2e-7."""
 
 

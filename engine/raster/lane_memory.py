@@ -31,9 +31,7 @@ def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.ND
     size = int(np.prod(shape)) * kind.itemsize
     small = size < _HUGE_PAGE // 2
     line = _CACHE_LINE if small else _HUGE_PAGE
-    shift = (
-        0 if small else next(_shifts)
-    )  # equal places in their pages would make arrays fight for cache sets
+    shift = 0 if small else next(_shifts)  # equal places in their pages would make arrays fight for cache sets
     raw = np.empty(-(-(size + shift) // line) * line + line, np.uint8)
     start = -raw.ctypes.data % line + shift
     return raw[start : start + size].view(kind).reshape(shape)
@@ -213,9 +211,7 @@ def append_set_bits(typing: Any, array: Any, index: Any, bits: Any, base: Any) -
 @intrinsic
 def count_bits(typing: Any, x: Any) -> Any:
     """Number of set bits of an int32."""
-    return types.int32(types.int32), lambda context, b, sig, args: call_llvm(
-        b, "llvm.ctpop.i32", INT32, [args[0]]
-    )
+    return types.int32(types.int32), lambda context, b, sig, args: call_llvm(b, "llvm.ctpop.i32", INT32, [args[0]])
 
 
 @intrinsic

@@ -32,10 +32,11 @@ def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
         half = len(current) // 2
         pairs = zip(current[:half], current[half:], strict=True)
         current = [
-            None if x is None and y is None
+            None
+            if x is None and y is None
             else _fold(b, floats(0) if x is None else x, floats(0) if y is None else y, distance, combine)
             for x, y in pairs
-        ]  # fmt: skip
+        ]
     return current[0]
 
 

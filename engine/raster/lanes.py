@@ -117,9 +117,14 @@ def _comparison(symbol: str) -> Callable[..., Any]:
 
 
 for _symbol, _opcode in (
-    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"),
-    (operator.iadd, "fadd"), (operator.isub, "fsub"), (operator.imul, "fmul"),
-):  # fmt: skip
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+    (operator.iadd, "fadd"),
+    (operator.isub, "fsub"),
+    (operator.imul, "fmul"),
+):
     _define(_symbol, lanes, _arithmetic(_opcode))
 for _symbol, _compare in ((operator.ge, ">="), (operator.gt, ">"), (operator.le, "<="), (operator.lt, "<")):
     _define(_symbol, mask, _comparison(_compare))

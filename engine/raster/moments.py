@@ -36,7 +36,7 @@ from engine.raster.tiles import (
     log2_alpha,
     open_tile,
     stage_batch,
-)  # fmt: skip
+)
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
@@ -76,9 +76,26 @@ def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0,
 
 @parallel_kernel
 def pair_moments(
-    records, colors, channel_tuple, row_tuple, ids, starts, width, height, tiles_x, limits, impact,
-    image, alpha, cotangent, cotangent_alpha, out, scratch, items, counter,
-):  # fmt: skip
+    records,
+    colors,
+    channel_tuple,
+    row_tuple,
+    ids,
+    starts,
+    width,
+    height,
+    tiles_x,
+    limits,
+    impact,
+    image,
+    alpha,
+    cotangent,
+    cotangent_alpha,
+    out,
+    scratch,
+    items,
+    counter,
+):
     """Per pair: six moments and C colour sums, in `PAIR_NUMBERS` numbers of the flat `out`.
 
     `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their
@@ -111,15 +128,26 @@ def pair_moments(
             for channel in range(channels):
                 fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
             fill_field(own, alpha_field, cotangent_alpha, 1, 0, x0, y0, width, height)
-            fill_behind(
-                own, behind_field, FIELDS, channels, image, alpha, cotangent_alpha, x0, y0, width, height
-            )
+            fill_behind(own, behind_field, FIELDS, channels, image, alpha, cotangent_alpha, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own, stage, list_, records, None, colors, channels, ids, at, size, end, _f(x0), _f(y0), alive,
+                    own,
+                    stage,
+                    list_,
+                    records,
+                    None,
+                    colors,
+                    channels,
+                    ids,
+                    at,
+                    size,
+                    end,
+                    _f(x0),
+                    _f(y0),
+                    alive,
                     log2_skip,
-                )  # fmt: skip
+                )
                 for t in range(count):
                     item = list_[t]
                     place = np.int64(item & _i(15)) * 16
@@ -151,9 +179,7 @@ def pair_moments(
                     store(own, to + 64, fma(sx, dy, load(own, to + 64)))
                     store(own, to + 80, fma(sy, dy, load(own, to + 80)))
                     if impact is not None:
-                        after = end_by_impact(
-                            own, place, raw, w, after, clamp, impact[ids[at + j]], threshold
-                        )
+                        after = end_by_impact(own, place, raw, w, after, clamp, impact[ids[at + j]], threshold)
                     store(own, STATE + place, after)
                 for j in range(size):
                     store(out, (at + j) * PAIR_NUMBERS, sum_rows(own, rows + j * rows_each * 16, row_tuple))

@@ -18,15 +18,7 @@ from engine.raster.lane_memory import load, prefetch, store, zip3, zip4
 from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import constant_lanes, maximum, minimum, select, spread
 from engine.raster.moments import PAIR_NUMBERS
-from engine.raster.projection import (
-    affine_rows,
-    covariance,
-    log2_opacity,
-    rotation,
-    rows3,
-    scale_lanes,
-    unit_quats,
-)  # fmt: skip
+from engine.raster.projection import affine_rows, covariance, log2_opacity, rotation, rows3, scale_lanes, unit_quats
 
 __all__ = ["CAMERA_SUMS", "CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
 
@@ -115,10 +107,16 @@ def to_unit_quat(d, w, x, y, z):
 def outer_sum(a, p, b, q):
     """a p^T + b q^T, row by row."""
     return (
-        a[0] * p[0] + b[0] * q[0], a[0] * p[1] + b[0] * q[1], a[0] * p[2] + b[0] * q[2],
-        a[1] * p[0] + b[1] * q[0], a[1] * p[1] + b[1] * q[1], a[1] * p[2] + b[1] * q[2],
-        a[2] * p[0] + b[2] * q[0], a[2] * p[1] + b[2] * q[1], a[2] * p[2] + b[2] * q[2],
-    )  # fmt: skip
+        a[0] * p[0] + b[0] * q[0],
+        a[0] * p[1] + b[0] * q[1],
+        a[0] * p[2] + b[0] * q[2],
+        a[1] * p[0] + b[1] * q[0],
+        a[1] * p[1] + b[1] * q[1],
+        a[1] * p[2] + b[1] * q[2],
+        a[2] * p[0] + b[2] * q[0],
+        a[2] * p[1] + b[2] * q[1],
+        a[2] * p[2] + b[2] * q[2],
+    )
 
 
 @inlined
@@ -137,9 +135,23 @@ def add_row(own, row, g, mean, j0, t0, j1, t1, counted):
 
 @parallel_kernel
 def parameter_gradients(
-    means, quats, log_scales, logits, lens, values, firsts, slots, toward, scratch,
-    d_means, d_quats, d_log_scales, d_logits, d_centers, d_camera,
-):  # fmt: skip
+    means,
+    quats,
+    log_scales,
+    logits,
+    lens,
+    values,
+    firsts,
+    slots,
+    toward,
+    scratch,
+    d_means,
+    d_quats,
+    d_log_scales,
+    d_logits,
+    d_centers,
+    d_camera,
+):
     """Gradients of N >= 16 Gaussians and of the camera.
 
     Parameters
@@ -202,9 +214,13 @@ def parameter_gradients(
 
             # 4. Scales and rotation
             write_rows3(
-                d_log_scales, i, seen, dM[0] * M[0] + dM[3] * M[3] + dM[6] * M[6],
-                dM[1] * M[1] + dM[4] * M[4] + dM[7] * M[7], dM[2] * M[2] + dM[5] * M[5] + dM[8] * M[8],
-            )  # fmt: skip
+                d_log_scales,
+                i,
+                seen,
+                dM[0] * M[0] + dM[3] * M[3] + dM[6] * M[6],
+                dM[1] * M[1] + dM[4] * M[4] + dM[7] * M[7],
+                dM[2] * M[2] + dM[5] * M[5] + dM[8] * M[8],
+            )
             dR = scale_columns(dM, scales)
             write_quats(d_quats, i, seen, (qw, qx, qy, qz), inverse, to_unit_quat(dR, qw, qx, qy, qz))
 
@@ -213,10 +229,9 @@ def parameter_gradients(
             free_x, free_y = (xz >= left) & (xz <= right), (yz >= top) & (yz <= bottom)
             gx = jx * (du - iz * select(free_x, djxz, zero))
             gy = jy * (dv - iz * select(free_y, djyz, zero))
-            gz = (
-                jx * (iz * (djxz * select(free_x, xz * two, kx) - djx) - du * xz)
-                + jy * (iz * (djyz * select(free_y, yz * two, ky) - djy) - dv * yz)
-            )  # fmt: skip
+            gz = jx * (iz * (djxz * select(free_x, xz * two, kx) - djx) - du * xz) + jy * (
+                iz * (djyz * select(free_y, yz * two, ky) - djy) - dv * yz
+            )
 
             # 6. The centre in the world, opacity, and what moves the camera
             world = row_times((gx, gy, gz), R)

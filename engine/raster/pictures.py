@@ -63,10 +63,7 @@ def render(
 
 
 def render_depth(
-    model: GaussianModel,
-    camera: Camera,
-    background: npt.ArrayLike = 0.0,
-    settings: RasterSettings = RasterSettings(),
+    model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
 ) -> tuple[Float32, Float32, Float32]:
     """Image, accumulated opacity and expected depth of a model, in one pass over the pixels.
 

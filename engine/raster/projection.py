@@ -66,9 +66,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 @inlined
 def unit_quats(quats, i):
     """16 quaternions (w, x, y, z) from row i on, normalised; and one over their lengths."""
-    w, x, y, z = unzip4(
-        load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48)
-    )
+    w, x, y, z = unzip4(load(quats, 4 * i), load(quats, 4 * i + 16), load(quats, 4 * i + 32), load(quats, 4 * i + 48))
     inverse = spread(_f(1.0)) / root(maximum(w * w + x * x + y * y + z * z, _f(1e-30)))
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse
 
@@ -78,10 +76,16 @@ def rotation(w, x, y, z):
     """Rotation matrices of unit quaternions."""
     one, two = spread(_f(1.0)), _f(2.0)
     return (
-        one - (y * y + z * z) * two, (x * y - w * z) * two, (x * z + w * y) * two,
-        (x * y + w * z) * two, one - (x * x + z * z) * two, (y * z - w * x) * two,
-        (x * z - w * y) * two, (y * z + w * x) * two, one - (x * x + y * y) * two,
-    )  # fmt: skip
+        one - (y * y + z * z) * two,
+        (x * y - w * z) * two,
+        (x * z + w * y) * two,
+        (x * y + w * z) * two,
+        one - (x * x + z * z) * two,
+        (y * z - w * x) * two,
+        (x * z - w * y) * two,
+        (y * z + w * x) * two,
+        one - (x * x + y * y) * two,
+    )
 
 
 @inlined
@@ -140,9 +144,7 @@ def tile_of(pixels, last):
 
 
 @parallel_kernel
-def project(
-    means, quats, log_scales, logits, lens, chunk, scratch, records, extents, rects, depths, index, counts
-):
+def project(means, quats, log_scales, logits, lens, chunk, scratch, records, extents, rects, depths, index, counts):
     """Project every Gaussian.
 
     Parameters
@@ -171,9 +173,7 @@ def project(
         end = min(n, begin + chunk)
         filled = begin
         for first in range(begin, end, 16):
-            i = min(
-                first, n - 16
-            )  # the last group overlaps the one before; its lanes below `first` are masked
+            i = min(first, n - 16)  # the last group overlaps the one before; its lanes below `first` are masked
             wanted = (_i(0xFFFF) << _i(first - i)) & _i(0xFFFF)
             mean = rows3(means, i)
             z = dot(R[6:9], mean) + t[2]
@@ -189,15 +189,17 @@ def project(
             qw, qx, qy, qz, _ = unit_quats(quats, i)
             M = scale_columns(rotation(qw, qx, qy, qz), scale_lanes(log_scales, i))
             var_x, var_y, cov, det = covariance(row_times(a, M), row_times(b, M), eps2d)
-            reach = (l - log2_skip) * _f(
-                2.0 * math.log(2.0)
-            )  # alpha >= skip where the Mahalanobis^2 <= reach
+            reach = (l - log2_skip) * _f(2.0 * math.log(2.0))  # alpha >= skip where the Mahalanobis^2 <= reach
             hx, hy = root(reach * var_x), root(reach * var_y)
             wanted &= bits_of(
-                (var_x <= _MAX_VARIANCE) & (var_y <= _MAX_VARIANCE) & (det > _f(1e-12))
-                & (u + hx >= _f(0.5)) & (u - hx <= width - _f(0.5))
-                & (v + hy >= _f(0.5)) & (v - hy <= height - _f(0.5))
-            )  # fmt: skip
+                (var_x <= _MAX_VARIANCE)
+                & (var_y <= _MAX_VARIANCE)
+                & (det > _f(1e-12))
+                & (u + hx >= _f(0.5))
+                & (u - hx <= width - _f(0.5))
+                & (v + hy >= _f(0.5))
+                & (v - hy <= height - _f(0.5))
+            )
             if wanted == 0:
                 continue
             k = _f(-0.5 * math.log2(math.e)) / det

@@ -68,9 +68,7 @@ class RasterSettings:
         if not 1e-6 <= self.near < math.inf:
             raise InputError(f"near is {self.near}, expected at least 1e-6")
         if not 0.0 < self.alpha_skip < self.alpha_clamp < 1.0:
-            raise InputError(
-                f"need 0 < alpha_skip < alpha_clamp < 1, got {self.alpha_skip} and {self.alpha_clamp}"
-            )
+            raise InputError(f"need 0 < alpha_skip < alpha_clamp < 1, got {self.alpha_skip} and {self.alpha_clamp}")
         if not 0.0 < self.transmittance_stop < 1.0:
             raise InputError(f"transmittance_stop is {self.transmittance_stop}, expected 0 to 1")
         if self.kernel not in KERNELS:

@@ -100,9 +100,10 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
             for g in range(filled):
                 at = who[g] * row
                 r, g_, b = unzip3(
-                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)), load_some(sh, at + 32,
-                    _i(row - 32))
-                )  # fmt: skip
+                    load_some(sh, at, _i(row)),
+                    load_some(sh, at + 16, _i(row - 16)),
+                    load_some(sh, at + 32, _i(row - 32)),
+                )
                 y = load(own, _TURNED + g * 16)
                 store(own, _PRODUCTS + g * 16, r * y)
                 store(own, _PRODUCTS + 256 + g * 16, g_ * y)
@@ -167,19 +168,25 @@ def direction_gradient(own, coefficients):
             xx, yy, zz, xy = x * x, y * y, z * z, x * y
             three, six, eight = _f(3.0), _f(6.0), _f(8.0)
             gx += (
-                (xy * h9 * six + (xx - yy) * h15 * three) * -_C30 + (y * h10) * z * _C31
+                (xy * h9 * six + (xx - yy) * h15 * three) * -_C30
+                + (y * h10) * z * _C31
                 + (xy * h11 * two - (zz * _f(4.0) - xx * three - yy) * h13) * _C32
-                - x * z * h12 * (six * _C33) + x * z * h14 * (two * _C34)
-            )  # fmt: skip
+                - x * z * h12 * (six * _C33)
+                + x * z * h14 * (two * _C34)
+            )
             gy += (
-                ((xx - yy) * h9 * three - xy * h15 * six) * -_C30 + (x * h10) * z * _C31
+                ((xx - yy) * h9 * three - xy * h15 * six) * -_C30
+                + (x * h10) * z * _C31
                 - ((zz * _f(4.0) - xx - yy * three) * h11 - xy * h13 * two) * _C32
-                - y * z * h12 * (six * _C33) - y * z * h14 * (two * _C34)
-            )  # fmt: skip
+                - y * z * h12 * (six * _C33)
+                - y * z * h14 * (two * _C34)
+            )
             gz += (
-                xy * h10 * _C31 - z * (y * h11 + x * h13) * (eight * _C32)
-                + (zz * six - (xx + yy) * three) * h12 * _C33 + (xx - yy) * h14 * _C34
-            )  # fmt: skip
+                xy * h10 * _C31
+                - z * (y * h11 + x * h13) * (eight * _C32)
+                + (zz * six - (xx + yy) * three) * h12 * _C33
+                + (xx - yy) * h14 * _C34
+            )
     return gx, gy, gz, x, y, z, scale
 
 
@@ -210,9 +217,10 @@ def differentiate_sh(cotangent, colors, sh, coefficients, means, position, scrat
                 store_some(out, at + 16, _i(row - 16), o1)
                 store_some(out, at + 32, _i(row - 32), o2)
                 r, g_, b = unzip3(
-                    load_some(sh, at, _i(row)), load_some(sh, at + 16, _i(row - 16)),
+                    load_some(sh, at, _i(row)),
+                    load_some(sh, at + 16, _i(row - 16)),
                     load_some(sh, at + 32, _i(row - 32)),
-                )  # fmt: skip
+                )
                 store(own, _BASIS + g * 16, r * v0 + g_ * v1 + b * v2)
             transpose(own, _BASIS, _PRODUCTS)
             gx, gy, gz, x, y_, z, scale = direction_gradient(own, coefficients)

@@ -24,8 +24,7 @@ def _checked(sh: Float32, means: Float32, camera_position: npt.ArrayLike) -> tup
         raise InputError(f"sh has shape {sh.shape}, expected (N, K, 3) with K = 1, 4, 9 or 16")
     if means.shape != (len(sh), 3) or position.shape != (3,):
         raise InputError(
-            f"means has shape {means.shape} and the camera position {position.shape}, "
-            f"expected {(len(sh), 3)} and (3,)"
+            f"means has shape {means.shape} and the camera position {position.shape}, expected {(len(sh), 3)} and (3,)"
         )
     return sh, means, position
 
@@ -107,14 +106,17 @@ def sh_colors_backward(
     seen = sh_colors(sh, means, position) if colors is None else np.ascontiguousarray(colors, np.float32)
     result = np.empty_like(sh) if out is None else out
     if seen.shape != cotangent.shape or result.shape != sh.shape:
-        raise InputError(
-            f"colors has shape {seen.shape} and out {result.shape}, expected (N, 3) and {sh.shape}"
-        )
+        raise InputError(f"colors has shape {seen.shape} and out {result.shape}, expected (N, 3) and {sh.shape}")
     if result.dtype != np.float32 or not result.flags.c_contiguous:
         raise InputError("out must be a C-contiguous float32 array")
     with parallel_section():
         spread_sh(
-            cotangent.ravel(), seen.ravel(), sh.shape[1], means.ravel(), position,
-            aligned((thread_count(), SH_SCRATCH)), result.reshape(-1),
-        )  # fmt: skip
+            cotangent.ravel(),
+            seen.ravel(),
+            sh.shape[1],
+            means.ravel(),
+            position,
+            aligned((thread_count(), SH_SCRATCH)),
+            result.reshape(-1),
+        )
     return result

@@ -24,23 +24,28 @@ from engine.numerics.jit import inlined
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.lane_math import exp2
 from engine.raster.lane_memory import append_set_bits, count_bits, load, lowest_bit, prefetch, store
-from engine.raster.lanes import (
-    bits_of,
-    constant_lanes,
-    fma,
-    maximum,
-    minimum,
-    minus_magnitude,
-    select,
-    spread,
-)
+from engine.raster.lanes import bits_of, constant_lanes, fma, maximum, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import BLOCK, TILE
 
 __all__ = [
-    "BATCH", "FIELD", "FIELDS", "GRID_X", "GRID_Y", "ITEMS", "OCCLUSION", "STAGE_ROW", "STATE",
-    "blend", "end_by_impact", "lay_grid", "living_blocks", "log2_alpha", "open_tile", "stage_batch",
-]  # fmt: skip
+    "BATCH",
+    "FIELD",
+    "FIELDS",
+    "GRID_X",
+    "GRID_Y",
+    "ITEMS",
+    "OCCLUSION",
+    "STAGE_ROW",
+    "STATE",
+    "blend",
+    "end_by_impact",
+    "lay_grid",
+    "living_blocks",
+    "log2_alpha",
+    "open_tile",
+    "stage_batch",
+]
 
 BATCH = 32
 """Gaussians per batch; pixels that have ended are looked for once a batch."""
@@ -129,9 +134,7 @@ def reached_blocks(records, o, gx, gy, log2_skip):
 
 
 @inlined
-def stage_batch(
-    own, stage, items, records, discs, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip
-):
+def stage_batch(own, stage, items, records, discs, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):
     """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items.
 
     `discs` is None for Gaussians; for discs (2DGS) they are what is staged, and `records` only find the blocks.

@@ -18,7 +18,7 @@ from engine.raster.backward import (
     pair_colors,
     pair_weights,
     pair_width,
-)  # fmt: skip
+)
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
 from engine.raster.settings import RasterSettings
@@ -61,11 +61,25 @@ def blend_colors(
     alpha = np.empty((camera.height, camera.width), dtype=np.float32)
     evaluated = work.array("evaluated", (len(geometry.starts) - 1,), np.int64)
     blend_tiles(
-        geometry.records, geometry.discs, colors.reshape(-1), (0,) * channels, geometry.ids, geometry.starts,
-        camera.width, camera.height, geometry.tiles_x, geometry.limits, background, impact, image.reshape(-1),
-        alpha.reshape(-1), work.array("forward", (workers, forward_scratch(channels))), work.array("items",
-        (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64), evaluated,
-    )  # fmt: skip
+        geometry.records,
+        geometry.discs,
+        colors.reshape(-1),
+        (0,) * channels,
+        geometry.ids,
+        geometry.starts,
+        camera.width,
+        camera.height,
+        geometry.tiles_x,
+        geometry.limits,
+        background,
+        impact,
+        image.reshape(-1),
+        alpha.reshape(-1),
+        work.array("forward", (workers, forward_scratch(channels))),
+        work.array("items", (workers, ITEMS), np.int32),
+        work.array("queue", (1,), np.int64),
+        evaluated,
+    )
     return image, alpha, 16 * int(evaluated.sum())
 
 
@@ -137,9 +151,12 @@ class View:
         with parallel_section(), borrow_workspace() as work:
             for first, last, width in channel_groups(colors.shape[1]):
                 image, alpha, _ = blend_colors(
-                    self.geometry, widened(colors, first, last, width), widened(behind, first, last, width),
-                    self.impact, work,
-                )  # fmt: skip
+                    self.geometry,
+                    widened(colors, first, last, width),
+                    widened(behind, first, last, width),
+                    self.impact,
+                    work,
+                )
                 images.append(image[..., : last - first])
         return images[0] if len(images) == 1 else np.concatenate(images, axis=-1), alpha
 
@@ -166,14 +183,8 @@ class View:
         geometry = self.geometry
         camera = geometry.camera
         cotangent = np.asarray(cotangent)
-        if (
-            cotangent.ndim != 3
-            or cotangent.shape[:2] != (camera.height, camera.width)
-            or cotangent.shape[2] < 1
-        ):
-            raise InputError(
-                f"cotangent has shape {cotangent.shape}, expected ({camera.height}, {camera.width}, C)"
-            )
+        if cotangent.ndim != 3 or cotangent.shape[:2] != (camera.height, camera.width) or cotangent.shape[2] < 1:
+            raise InputError(f"cotangent has shape {cotangent.shape}, expected ({camera.height}, {camera.width}, C)")
         out = np.empty((geometry.count, cotangent.shape[2]), dtype=np.float32)
         workers = thread_count()
         with parallel_section(), borrow_workspace() as work:
@@ -181,12 +192,23 @@ class View:
                 pair = pair_width(width)
                 sums = work.array("pairs", (len(geometry.ids) * pair,))
                 pair_colors(
-                    geometry.records, geometry.discs, (0,) * width, (0,) * pair, geometry.ids, geometry.starts,
-                    camera.width, camera.height, geometry.tiles_x, geometry.limits, self.impact,
-                    widened(cotangent, first, last, width).reshape(-1), sums,
+                    geometry.records,
+                    geometry.discs,
+                    (0,) * width,
+                    (0,) * pair,
+                    geometry.ids,
+                    geometry.starts,
+                    camera.width,
+                    camera.height,
+                    geometry.tiles_x,
+                    geometry.limits,
+                    self.impact,
+                    widened(cotangent, first, last, width).reshape(-1),
+                    sums,
                     work.array("backward", (workers, backward_scratch(width, pair))),
-                    work.array("items", (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
-                )  # fmt: skip
+                    work.array("items", (workers, ITEMS), np.int32),
+                    work.array("queue", (1,), np.int64),
+                )
                 gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, workers, out[:, first:last])
         return out
 
@@ -220,9 +242,7 @@ class View:
             return sums[:, 0].copy(), sums[:, 1].copy()
         pixel_map = np.ascontiguousarray(pixel_map, dtype=np.float32)
         if pixel_map.shape != (camera.height, camera.width):
-            raise InputError(
-                f"pixel_map has shape {pixel_map.shape}, expected ({camera.height}, {camera.width})"
-            )
+            raise InputError(f"pixel_map has shape {pixel_map.shape}, expected ({camera.height}, {camera.width})")
         sums, _ = self._pixel_sums(pixel_map)
         return sums[:, 2].copy(), sums[:, 3].copy()
 
@@ -239,11 +259,22 @@ class View:
         with parallel_section(), borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
             pair_weights(
-                geometry.records, geometry.discs, geometry.ids, geometry.starts, camera.width, camera.height,
-                geometry.tiles_x, geometry.limits, self.impact, pixel_map.reshape(-1), sums, maxima,
-                work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))), work.array("items",
-                (workers, ITEMS), np.int32), work.array("queue", (1,), np.int64),
-            )  # fmt: skip
+                geometry.records,
+                geometry.discs,
+                geometry.ids,
+                geometry.starts,
+                camera.width,
+                camera.height,
+                geometry.tiles_x,
+                geometry.limits,
+                self.impact,
+                pixel_map.reshape(-1),
+                sums,
+                maxima,
+                work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))),
+                work.array("items", (workers, ITEMS), np.int32),
+                work.array("queue", (1,), np.int64),
+            )
             gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
             gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)
         return out, largest

@@ -38,126 +38,149 @@ def _image(name: str, summary: str, *readings: Reading[Float32]) -> Attack[Float
 
 _MODEL_ATTACKS = (
     _model(
-        "rotate", "turn the whole model about its centre, random axis",
+        "rotate",
+        "turn the whole model about its centre, random axis",
         Reading(placement.rotate, "degrees", 30.0, (1, 5, 15, 30, 60, 90, 120, 150, 180)),
         Reading(published.mix_axes, "share of a random matrix", 1.0, (0.01, 0.1, 0.3, 1.0), "as_code"),
     ),
     _model(
-        "scale", "scale the whole model about its centre",
+        "scale",
+        "scale the whole model about its centre",
         Reading(placement.scale, "factor", 0.75, (0.99, 1.1, 0.9, 0.75, 1.5, 0.5, 2.0, 0.25, 4.0, 0.1, 10.0)),
     ),
     _model(
-        "translate", "shift the whole model in a random direction",
+        "translate",
+        "shift the whole model in a random direction",
         Reading(placement.translate, "robust radii of the model", 1.0, (0.01, 0.1, 0.5, 1, 3, 10, 100)),
         Reading(published.scatter, "std of each point's shift, scene units", 1.0, (0.01, 0.1, 1.0), "as_code"),
     ),
     _model(
-        "similarity", "random rotation, scale and shift together",
+        "similarity",
+        "random rotation, scale and shift together",
         Reading(placement.similarity, "largest scale factor, up or down", 2.0, (1, 1.1, 1.5, 2, 4, 10)),
     ),
     _model(
-        "shuffle", "write the Gaussians in another order",
+        "shuffle",
+        "write the Gaussians in another order",
         Reading(placement.shuffle, "share of Gaussians moved", 1.0, (0.01, 0.1, 0.5, 1.0)),
     ),
     _model(
-        "crop", "keep a connected piece about a random Gaussian",
+        "crop",
+        "keep a connected piece about a random Gaussian",
         Reading(population.crop, "kept share", 0.1, (0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)),
         Reading(published.drop_block, "dropped share of the file's order", 0.1, (0.1, 0.3, 0.5, 0.9), "as_code"),
     ),
     _model(
-        "prune_random", "remove Gaussians at random",
+        "prune_random",
+        "remove Gaussians at random",
         Reading(population.prune_random, "removed share", 0.2, (*_SHARES, 0.98, 0.99)),
     ),
     _model(
-        "prune_opacity", "remove the most transparent Gaussians",
+        "prune_opacity",
+        "remove the most transparent Gaussians",
         Reading(population.prune_opacity, "removed share", 0.2, _SHARES),
     ),
     _model(
-        "prune_low_impact", "remove the Gaussians that weigh least in rendered views",
+        "prune_low_impact",
+        "remove the Gaussians that weigh least in rendered views",
         Reading(population.prune_low_impact, "removed share", 0.2, _SHARES),
     ),
     _model(
-        "clone", "duplicate Gaussians",
+        "clone",
+        "duplicate Gaussians",
         Reading(population.clone, "share split into look-alike pairs", 0.5, (*_SHARES[:6], 1.0)),
         Reading(population.clone_plain, "share duplicated as it is", 0.5, (*_SHARES[:6], 1.0), "as_code"),
     ),
     _model(
-        "noise_means", "noise on the centres",
+        "noise_means",
+        "noise on the centres",
         Reading(values.noise_means, _OWN_STD, 0.01, _SPREADS),
         Reading(published.noise_position_wild, "noise std, scene units", 1.0, (0.01, 0.1, 1.0), "as_code"),
     ),
     _model(
-        "noise_colors", "noise on all of SH",
+        "noise_colors",
+        "noise on all of SH",
         Reading(values.noise_colors, _OWN_STD, 0.1, _SPREADS),
         Reading(published.noise_dc_wild, "noise std on DC coefficients", 8.0, (0.1, 1.0, 8.0), "as_code"),
     ),
     _model("noise_all", "noise on every attribute", Reading(values.noise_all, _OWN_STD, 0.1, _SPREADS)),
     _model("drop_sh", "cut the spherical harmonics", Reading(values.drop_sh, "degree kept", 0, (3, 2, 1, 0))),
     _model(
-        "quantize", "round every property between its smallest and largest value",
+        "quantize",
+        "round every property between its smallest and largest value",
         Reading(values.quantize, "bits a property", 8, (16, 12, 10, 8, 7, 6, 5, 4, 3, 2)),
     ),
     _model(
-        "merge_into", "put the model somewhere into a foreign scene",
+        "merge_into",
+        "put the model somewhere into a foreign scene",
         Reading(placement.merge_into, "foreign Gaussians per own one", 3.0, (0.1, 0.3, 1, 3, 10, 30)),
     ),
     _model(
-        "convert", "write in a trade format and read back",
+        "convert",
+        "write in a trade format and read back",
         Reading(values.convert, "format", "splat", ("ply", "spz", "compressed.ply", "sog", "splat")),
     ),
     _model(
-        "bend", "bend the model to an arc, random side",
+        "bend",
+        "bend the model to an arc, random side",
         Reading(deformation.bend, "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90)),
     ),
     _model(
-        "twist", "turn the two ends of the model against each other",
+        "twist",
+        "turn the two ends of the model against each other",
         Reading(deformation.twist, "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90, 180)),
     ),
     _model(
-        "squash", "press the model together along its length, its middle bulging",
+        "squash",
+        "press the model together along its length, its middle bulging",
         Reading(deformation.squash, "lost share of the length", 0.2, (0.01, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)),
     ),
     *ADVERSARIES,
-)  # fmt: skip
+)
 
 _IMAGE_ATTACKS = (
     _image(
-        "jpeg", "JPEG with 4:2:0 chroma",
-        Reading(on_image.jpeg, "quality", 10, (95, 90, 75, 50, 40, 30, 20, 10, 5, 1)),
+        "jpeg", "JPEG with 4:2:0 chroma", Reading(on_image.jpeg, "quality", 10, (95, 90, 75, 50, 40, 30, 20, 10, 5, 1))
     ),
     _image(
-        "noise_image", "white Gaussian noise, clipped",
+        "noise_image",
+        "white Gaussian noise, clipped",
         Reading(on_image.noise_image, "std, range 1", 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.316, 0.5)),
         # "0.1" is squared before it scales the noise in GuardSplat and 3D-GSW.
         Reading(on_image.noise_image, "std, range 1", 0.01, (0.0025, 0.005, 0.01, 0.02), "as_code"),
     ),
     _image(
-        "blur", "Gaussian blur",
+        "blur",
+        "Gaussian blur",
         Reading(on_image.blur, "sigma, pixels", 1.0, (0.1, 0.3, 0.5, 0.8, 1, 1.5, 2, 3, 5, 8)),
         Reading(on_image.blur_small_kernel, "sigma, 3x3 pixels", 0.8, (0.1, 0.5, 0.8, 1.5), "as_code"),
     ),
     _image(
-        "rotate_image", "rotate the picture on its canvas, black corners",
+        "rotate_image",
+        "rotate the picture on its canvas, black corners",
         Reading(on_image.rotate_image, "degrees", 30.0, (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180)),
         Reading(on_image.rotate_image_random, "largest angle, degrees", 30.0, (1, 10, 30, 90), "as_code"),
     ),
     _image(
-        "scale_image", "resize, not scaled back",
+        "scale_image",
+        "resize, not scaled back",
         Reading(on_image.scale_image, "factor on each side", 0.75, (1.5, 0.95, 0.9, 0.75, 0.5, 0.25, 0.125)),
         Reading(on_image.scale_image_area, "factor on the area", 0.75, (0.9, 0.75, 0.5, 0.25), "as_code"),
     ),
     _image(
-        "crop_image", "cut a piece out",
+        "crop_image",
+        "cut a piece out",
         Reading(on_image.crop_image, "removed area", 0.4, (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.96)),
         Reading(on_image.crop_center, "kept side, centred", 0.4, (0.9, 0.707, 0.4, 0.316, 0.2), "as_code"),
     ),
     _image(
-        "brightness", "multiply and clip",
+        "brightness",
+        "multiply and clip",
         Reading(on_image.brightness, "factor", 1.5, (0.95, 1.05, 0.9, 1.1, 0.75, 1.25, 0.5, 1.5, 2.0, 4.0)),
     ),
     *VIEW_ATTACKS,
     *DENOISERS,
-)  # fmt: skip
+)
 
 MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {attack.name: attack for attack in _MODEL_ATTACKS}
 """Attacks on models, by name."""

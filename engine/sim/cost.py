@@ -50,12 +50,7 @@ class Cost:
 
 
 def model_cost(
-    marked: GaussianModel,
-    attacked: GaussianModel,
-    *,
-    views: int = 4,
-    size: int = 400,
-    seed: int = 0,
+    marked: GaussianModel, attacked: GaussianModel, *, views: int = 4, size: int = 400, seed: int = 0
 ) -> Cost:
     """Cost of an attack on a model.
 
@@ -82,12 +77,10 @@ def model_cost(
     """
     from engine.numerics.similarity import transform_model
     from engine.pipeline.rigs import make_rig
-    from engine.watermark.registration import register
+    from engine.registration.registering import register
 
     if views < 1 or not len(marked) or not len(attacked):
-        raise InputError(
-            f"a cost needs views and Gaussians: {views} views, {len(marked)}, {len(attacked)} Gaussians"
-        )
+        raise InputError(f"a cost needs views and Gaussians: {views} views, {len(marked)}, {len(attacked)} Gaussians")
     registration = register(marked, attacked, seed=seed)
     if registration.found:
         attacked = transform_model(attacked, registration.scale, registration.R, registration.t)

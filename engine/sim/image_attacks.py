@@ -63,9 +63,7 @@ def blur_small_kernel(image: Float32, strength: float, rng: np.random.Generator)
     return _blurred(image, check_positive(strength, "blur sigma", zero=True), 3)
 
 
-def rotate_image(
-    image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False
-) -> Float32:
+def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Float32:
     """Rotation about the centre by `strength` degrees counter-clockwise, black where nothing was.
 
     Parameters
@@ -96,9 +94,7 @@ def rotate_image(
     return _clipped(rotate(image, strength, resize=expand, order=1, mode="constant", cval=0.0))
 
 
-def rotate_image_random(
-    image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False
-) -> Float32:
+def rotate_image_random(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Float32:
     """Rotation by an angle uniform in +-`strength` degrees, as public code runs "rotation 30"."""
     limit = check_positive(strength, "largest angle", zero=True)
     return rotate_image(image, float(rng.uniform(-limit, limit)), rng, expand=expand)

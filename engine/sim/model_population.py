@@ -45,11 +45,7 @@ def prune_opacity(model: GaussianModel, strength: float, rng: np.random.Generato
 
 
 def prune_low_impact(
-    model: GaussianModel,
-    strength: float,
-    rng: np.random.Generator,
-    *,
-    cameras: Sequence[Camera] | None = None,
+    model: GaussianModel, strength: float, rng: np.random.Generator, *, cameras: Sequence[Camera] | None = None
 ) -> GaussianModel:
     """Remove the share `strength` that weighs least in the images, as compressors and GSPure do.
 

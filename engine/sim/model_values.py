@@ -103,9 +103,7 @@ def _noisy(values: Float32, factor: float, rng: np.random.Generator) -> Float32:
 
 def _noisy_sh(sh: Float32, factor: float, rng: np.random.Generator) -> Float32:
     spread = np.sqrt(sh.astype(np.float64).var(axis=0).mean(axis=1))[:, None]  # (K, 1): channels pooled
-    noise: Float32 = (
-        np.float32(factor) * spread.astype(np.float32) * rng.standard_normal(sh.shape, np.float32)
-    )
+    noise: Float32 = np.float32(factor) * spread.astype(np.float32) * rng.standard_normal(sh.shape, np.float32)
     return sh + noise
 
 

@@ -189,9 +189,12 @@ def _run(
     subject: Subject, trial: Trial, company: Company, config: VerifyConfig, pictures: int, seed: int
 ) -> dict[str, Any]:
     about = {
-        "attack": trial.label, "kind": trial.kind, "reading": trial.reading, "source": trial.source,
+        "attack": trial.label,
+        "kind": trial.kind,
+        "reading": trial.reading,
+        "source": trial.source,
         "expected": "not marked" if trial.kind == "copy attack" else "marked",
-    }  # fmt: skip
+    }
     lacking = _lacking(trial, company)
     if lacking:
         return {**about, "outcome": f"not run: {lacking}"}

@@ -11,12 +11,7 @@ from engine.sim.suite import Trial
 
 __all__ = ["SUITE"]
 
-PAPER, GSPURE, GMEA, NGS = (
-    "Mark3DGS, Table 2",
-    "GSPure (AAAI 2026)",
-    "GMEA (AAAI 2026)",
-    "NGS-Marker (ICLR 2026)",
-)
+PAPER, GSPURE, GMEA, NGS = ("Mark3DGS, Table 2", "GSPure (AAAI 2026)", "GMEA (AAAI 2026)", "NGS-Marker (ICLR 2026)")
 FLYMARK, GMARKER, GSW, GUARD = (
     "FlyMark (2026)",
     "GaussianMarker (NeurIPS 2024)",
@@ -101,12 +96,7 @@ _ADVERSARIES = (
     Trial("repainted 90 %", (("repaint", 0.9),), OURS),
     Trial("repainted 100 %", (("repaint", 1.0),), OURS),
     *(
-        Trial(
-            f"{count} copies, {rule}",
-            (("collude", rule),),
-            ZHAO if rule != "mean" else FLYMARK,
-            copies=count - 1,
-        )
+        Trial(f"{count} copies, {rule}", (("collude", rule),), ZHAO if rule != "mean" else FLYMARK, copies=count - 1)
         for rule in ("mean", "median", "min", "max", "minmax", "modneg", "randneg", "interleave", "patches")
         for count in ((2, 3, 5, 10) if rule == "mean" else (5, 10) if rule in ("minmax", "modneg") else (5,))
     ),
@@ -114,16 +104,29 @@ _ADVERSARIES = (
     Trial("mark lifted onto another model, x4", (("transplant", 4.0),), KUTTER, "copy attack"),
 )
 _CHAINS = (
-    Trial("crop 25 %, similarity, shuffle, noise 0.02", (
-        ("crop", 0.25), ("similarity", 4.0), ("shuffle", 1.0), ("noise_all", 0.02)), OURS),
+    Trial(
+        "crop 25 %, similarity, shuffle, noise 0.02",
+        (("crop", 0.25), ("similarity", 4.0), ("shuffle", 1.0), ("noise_all", 0.02)),
+        OURS,
+    ),
     Trial("crop 25 %, .splat, merged", (("crop", 0.25), ("convert", "splat"), ("merge_into", 1.0)), OURS),
     Trial("prune 50 %, noise 0.1, 6 bits", (("prune_random", 0.5), ("noise_all", 0.1), ("quantize", 6)), OURS),
-    Trial("overwritten, smoothed, .splat", (
-        ("overwrite", 40.0), ("smooth_colors", 16), ("convert", "splat")), OURS),
-    Trial("everything that keeps 27 dB", (
-        ("overwrite", 40.0), ("smooth_colors", 16), ("prune_opacity", 0.1), ("noise_dc", 0.05),
-        ("noise_opacity", 0.05), ("quantize", 8), ("similarity", 4.0), ("shuffle", 1.0)), OURS),
-)  # fmt: skip
+    Trial("overwritten, smoothed, .splat", (("overwrite", 40.0), ("smooth_colors", 16), ("convert", "splat")), OURS),
+    Trial(
+        "everything that keeps 27 dB",
+        (
+            ("overwrite", 40.0),
+            ("smooth_colors", 16),
+            ("prune_opacity", 0.1),
+            ("noise_dc", 0.05),
+            ("noise_opacity", 0.05),
+            ("quantize", 8),
+            ("similarity", 4.0),
+            ("shuffle", 1.0),
+        ),
+        OURS,
+    ),
+)
 _PICTURES = (
     Trial("JPEG 10", (("jpeg", 10),), GSW, "image"),
     Trial("JPEG 50", (("jpeg", 50),), PAPER, "image"),
@@ -142,14 +145,22 @@ _PICTURES = (
     Trial("non-local means 10", (("denoise_nonlocal", 10),), OURS, "image"),
     Trial("wavelet shrinkage 0.03", (("denoise_wavelet", 0.03),), OURS, "image"),
     Trial("wavelet shrinkage 0.1", (("denoise_wavelet", 0.1),), OURS, "image"),
-    Trial("crop 40 %, scale 0.75, JPEG 50", (
-        ("crop_image", 0.4), ("scale_image", 0.75), ("jpeg", 50)), GUARD, "image"),
-    Trial("crop, scale, blur, JPEG 10", (
-        ("crop_image", 0.4), ("scale_image", 0.75), ("blur", 0.8), ("jpeg", 10)), GUARD, "image", "as_code"),
-    Trial("rotation 10 deg, crop 20 %, JPEG 50", (
-        ("rotate_image", 10.0), ("crop_image", 0.2), ("jpeg", 50)), OURS, "image"),
+    Trial("crop 40 %, scale 0.75, JPEG 50", (("crop_image", 0.4), ("scale_image", 0.75), ("jpeg", 50)), GUARD, "image"),
+    Trial(
+        "crop, scale, blur, JPEG 10",
+        (("crop_image", 0.4), ("scale_image", 0.75), ("blur", 0.8), ("jpeg", 10)),
+        GUARD,
+        "image",
+        "as_code",
+    ),
+    Trial(
+        "rotation 10 deg, crop 20 %, JPEG 50",
+        (("rotate_image", 10.0), ("crop_image", 0.2), ("jpeg", 50)),
+        OURS,
+        "image",
+    ),
     Trial("noise 0.05, median 5, JPEG 50", (("noise_image", 0.05), ("median", 5), ("jpeg", 50)), OURS, "image"),
-)  # fmt: skip
+)
 
 SUITE: tuple[Trial, ...] = (*_PLACE, *_POPULATION, *_VALUES, *_ADVERSARIES, *_CHAINS, *_PICTURES)
 """All trials, in the order of a table: placed, cut and added to, changed in value, attacked on purpose, chains,

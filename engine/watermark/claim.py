@@ -156,9 +156,7 @@ class Claim:
     def to_json(self) -> dict[str, Any]:
         """Plain dict of JSON values."""
         plain = asdict(self)
-        plain.update(
-            verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes)
-        )
+        plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))
         return plain
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from engine.model import SH_C0, Bool, Float32, Float64
+from engine.pictures.jpeg_score import block_spread, find_quality, jpeg_cotangent, match_exposure
+from engine.pictures.residual import image_cotangent
 from engine.raster import View
-from engine.watermark.image_residual import image_cotangent
-from engine.watermark.jpeg_score import block_spread, find_quality, jpeg_cotangent, match_exposure
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
 
@@ -89,9 +89,7 @@ def _pulled(layout: Layout, view: View, cotangent: Float32) -> Float64:
     return np.asarray(SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent))))
 
 
-def _reader(
-    layout: Layout, view: View, warped: Float32, mask: Bool, mark_rms: float
-) -> Callable[[Float32], Float64]:
+def _reader(layout: Layout, view: View, warped: Float32, mask: Bool, mark_rms: float) -> Callable[[Float32], Float64]:
     """Function from a render (H, W, 3) that the picture is held against to y (C,), before it saturates."""
     quality = find_quality(warped)
     spread = block_spread(_public_pattern(layout, view, mark_rms)) if quality else None

@@ -68,9 +68,7 @@ class OwnerKey:
     def __post_init__(self) -> None:
         n = len(self.secret)
         if not MIN_SECRET_BYTES <= n <= MAX_SECRET_BYTES:
-            raise KeyFileError(
-                f"an owner key has {MIN_SECRET_BYTES} to {MAX_SECRET_BYTES} bytes, this one has {n}"
-            )
+            raise KeyFileError(f"an owner key has {MIN_SECRET_BYTES} to {MAX_SECRET_BYTES} bytes, this one has {n}")
         if len(set(self.secret)) == 1:
             raise KeyFileError("this owner key is one byte repeated; make one with OwnerKey.generate()")
         object.__setattr__(self, "secret", bytes(self.secret))

@@ -43,9 +43,7 @@ def spare_masses(
     still = find_masses(dc, share)
     if not still.any():
         return stages, emphasis
-    return (set_aside(stages[0], still), *stages[1:]), np.where(
-        still, 0.0, 1.0 if emphasis is None else emphasis
-    )
+    return (set_aside(stages[0], still), *stages[1:]), np.where(still, 0.0, 1.0 if emphasis is None else emphasis)
 
 
 def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:

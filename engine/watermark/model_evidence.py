@@ -122,9 +122,7 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
     total = np.bincount(code, trust, count)
     squared = np.bincount(code, trust**2, count)
     overall = (trust[:, None] * left**2).sum(axis=0) / max(trust.sum(), 1e-12)  # (R,)
-    spread = np.stack(
-        [np.bincount(code, trust * left[:, r] ** 2, count) for r in range(left.shape[1])], axis=1
-    )
+    spread = np.stack([np.bincount(code, trust * left[:, r] ** 2, count) for r in range(left.shape[1])], axis=1)
     # A few members say little about their own spread: blend with the whole scene's, worth four members.
     spread = (spread + 4.0 * overall) / (total[:, None] + 4.0)
     effective = np.where(total > 1e-9, squared / np.maximum(total, 1e-12) ** 2, np.inf)

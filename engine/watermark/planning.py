@@ -63,10 +63,7 @@ class Plan:
 
 
 def make_plan(
-    stages: Sequence[Stage],
-    impact: Impact,
-    config: PlanConfig | None = None,
-    emphasis: Float32 | Float64 | None = None,
+    stages: Sequence[Stage], impact: Impact, config: PlanConfig | None = None, emphasis: Float32 | Float64 | None = None
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
@@ -135,9 +132,7 @@ def _visual_mask(stage: Stage, impact: Impact, usage: Float64, count: int, confi
     seen = usage > 0.01 * np.median(usage[usage > 0]) if (usage > 0).any() else usage > 0
     if not seen.any():
         return np.ones(count)
-    texture = (
-        np.clip(texture / max(float(np.median(texture[seen])), 1e-12), 1e-3, 1e3) ** config.texture_exponent
-    )
+    texture = np.clip(texture / max(float(np.median(texture[seen])), 1e-12), 1e-3, 1e3) ** config.texture_exponent
     u = uncertainty(np.bincount(stage.labels, impact.squared, count).astype(np.float64))
     doubt = (u / np.median(u[seen])) ** 0.125
     return np.where(seen, np.clip(texture, 0.75, 1.5) * np.clip(doubt, 0.8, 1.25), 1.0)

@@ -233,7 +233,5 @@ def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
         stream = keystream(seed, len(sums) * len(part), f"null{batch}").reshape(len(sums), len(part))
         terms = np.empty(len(part))
         for row, signs in zip(sums, stream, strict=True):
-            part += np.take(
-                row, signs, mode="clip", out=terms
-            )  # any mode but the default writes `out` directly
+            part += np.take(row, signs, mode="clip", out=terms)  # any mode but the default writes `out` directly
     return z

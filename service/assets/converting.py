@@ -23,9 +23,7 @@ def convert(service: Service, sha256: str, kind: str) -> str:
         request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
         reply = run_once(service.settings, "convert", request, folder, SECONDS)
         if reply is None:
-            raise Problem(
-                "unavailable", f"converting took over {SECONDS:.0f} s", headers={"Retry-After": "60"}
-            )
+            raise Problem("unavailable", f"converting took over {SECONDS:.0f} s", headers={"Retry-After": "60"})
         digest = service.blobs.put(folder / reply["files"]["model"])
     with service.db.write() as connection:
         if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:

@@ -50,9 +50,7 @@ class AssetList(BaseModel):
     next: str | None
 
 
-@router.get(
-    "", operation_id="listAssets", responses=responses("unauthorized", "forbidden", "invalid-request")
-)
+@router.get("", operation_id="listAssets", responses=responses("unauthorized", "forbidden", "invalid-request"))
 def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> AssetList:
     """Assets of this tenant, newest first."""
     with core.db.read() as connection:
@@ -60,51 +58,63 @@ def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     return AssetList(items=[shape(row) for row in rows], next=following)
 
 
-@router.get(
-    "/{asset_id}", operation_id="getAsset", responses=responses("unauthorized", "forbidden", "not-found")
-)
+@router.get("/{asset_id}", operation_id="getAsset", responses=responses("unauthorized", "forbidden", "not-found"))
 def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
     """One asset."""
     return shape(own(core, caller.tenant, asset_id))
 
 
-@router.get("/{asset_id}/model", operation_id="getModel", response_class=Response, responses={
-    **file_responses(MODEL_TYPE, 206), **responses(
-        "unauthorized", "forbidden", "not-found", "range-not-satisfiable", "invalid-request")})  # fmt: skip
+@router.get(
+    "/{asset_id}/model",
+    operation_id="getModel",
+    response_class=Response,
+    responses={
+        **file_responses(MODEL_TYPE, 206),
+        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", "invalid-request"),
+    },
+)
 def get_model(
     asset_id: str,
     core: Core,
     caller: Reader,
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
-    version: Annotated[
-        Literal["marked", "original"], Query(description="Publish the marked one only.")
-    ] = "marked",
+    version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
     range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
     row = own(core, caller.tenant, asset_id)
     sha256, kind = (
-        (row.model_sha256, row.model_format)
-        if version == "marked"
-        else (row.original_sha256, row.original_format)
+        (row.model_sha256, row.model_format) if version == "marked" else (row.original_sha256, row.original_format)
     )
     if wanted is not None and wanted != kind:
         sha256, kind = convert(core, sha256, wanted), wanted
     return send_blob(core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
 
 
-@router.get("/{asset_id}/record", operation_id="getRecord", response_class=Response, responses={
-    **file_responses(RECORD_TYPE, 206), **responses(
-        "unauthorized", "forbidden", "not-found", "range-not-satisfiable")})  # fmt: skip
+@router.get(
+    "/{asset_id}/record",
+    operation_id="getRecord",
+    response_class=Response,
+    responses={
+        **file_responses(RECORD_TYPE, 206),
+        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable"),
+    },
+)
 def get_record(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
     """The sealed record: with the owner key it proves the mark without this service."""
     row = own(core, caller.tenant, asset_id)
     return send_blob(core, row.record_sha256, f"{row.id}.record", RECORD_TYPE, range)
 
 
-@router.get("/{asset_id}/preview.png", operation_id="getPreview", response_class=Response, responses={
-    **file_responses("image/png", 206), **responses(
-        "unauthorized", "forbidden", "not-found", "range-not-satisfiable")})  # fmt: skip
+@router.get(
+    "/{asset_id}/preview.png",
+    operation_id="getPreview",
+    response_class=Response,
+    responses={
+        **file_responses("image/png", 206),
+        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable"),
+    },
+)
 def get_preview(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
     """Original, marked, and twenty times their difference."""
     row = own(core, caller.tenant, asset_id)
@@ -124,8 +134,18 @@ def own(core: Service, tenant: str, asset_id: str) -> Any:
 def shape(row: Any) -> Asset:
     """The row for the client."""
     return Asset(
-        id=row.id, label=row.label, copy_name=row.copy, owner_key_id=row.owner_key, record_id=row.record_id,
-        message=row.message, profile=row.profile, gaussians=row.gaussians, original_sha256=row.original_sha256,
-        original_format=row.original_format, model_sha256=row.model_sha256, model_format=row.model_format,
-        registered_at=row.registered_at, report=json.loads(row.report),
-    )  # fmt: skip
+        id=row.id,
+        label=row.label,
+        copy_name=row.copy,
+        owner_key_id=row.owner_key,
+        record_id=row.record_id,
+        message=row.message,
+        profile=row.profile,
+        gaussians=row.gaussians,
+        original_sha256=row.original_sha256,
+        original_format=row.original_format,
+        model_sha256=row.model_sha256,
+        model_format=row.model_format,
+        registered_at=row.registered_at,
+        report=json.loads(row.report),
+    )

@@ -75,9 +75,7 @@ def _from_json(text: str) -> Carried:
         claim = strict_json(text)
         document, jws, stamp = claim["document"], claim["jws"], claim.get("timestamp")
         if not (isinstance(document, dict) and isinstance(jws, str) and set(claim) <= _MEMBERS):
-            raise UnreadableError(
-                "a claim as JSON has the members `document`, `jws` and `timestamp`, and no other"
-            )
+            raise UnreadableError("a claim as JSON has the members `document`, `jws` and `timestamp`, and no other")
         return Carried("json", jws, document, _decode(stamp) if stamp is not None else None)
     except (KeyError, RecursionError) as error:
         raise UnreadableError(f"this JSON is no claim: {error or 'too deep'}") from None

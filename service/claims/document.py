@@ -130,14 +130,10 @@ class ClaimDocument(_Part):
     created_at: str
     tool: Tool
     subject: Subject
-    asset: str | None = Field(
-        description="The asset that the answer is about; null where none could be compared."
-    )
+    asset: str | None = Field(description="The asset that the answer is about; null where none could be compared.")
     original: Original | None
     record_id: str | None
-    copy_name: str | None = Field(
-        alias="copy", description="Recipient of the copy whose mark was looked for."
-    )
+    copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose mark was looked for.")
     registered_at: str | None = Field(description="When that copy entered the audit log, UTC.")
     verdict: Literal["marked", "not_marked", "inconclusive"]
     confidence: float = Field(ge=0.0, le=1.0, description="1 - min(1, false-claim bound), all tries counted.")

@@ -53,8 +53,9 @@ class KeySet(BaseModel):
     keys: list[dict[str, Any]]
 
 
-@router.get("/v1/claims", operation_id="listClaims", responses=responses(
-    "unauthorized", "forbidden", "invalid-request"))  # fmt: skip
+@router.get(
+    "/v1/claims", operation_id="listClaims", responses=responses("unauthorized", "forbidden", "invalid-request")
+)
 def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> ClaimList:
     """Claims of this tenant, newest first."""
     with core.db.read() as connection:
@@ -62,9 +63,15 @@ def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     return ClaimList(items=[_summary(row) for row in rows], next=following)
 
 
-@router.get("/v1/claims/{claim_id}.jws", operation_id="getClaimJws", response_class=Response, responses={
-    200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"},
-    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+@router.get(
+    "/v1/claims/{claim_id}.jws",
+    operation_id="getClaimJws",
+    response_class=Response,
+    responses={
+        200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"},
+        **responses("unauthorized", "forbidden", "not-found"),
+    },
+)
 def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
     """The signed claim alone: hand it to whoever must be convinced."""
     row = own(core, caller.tenant, claim_id)
@@ -73,8 +80,9 @@ def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
     )
 
 
-@router.get("/v1/claims/{claim_id}", operation_id="getClaim", responses=responses(
-    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+@router.get(
+    "/v1/claims/{claim_id}", operation_id="getClaim", responses=responses("unauthorized", "forbidden", "not-found")
+)
 def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     """A claim."""
     row = own(core, caller.tenant, claim_id)
@@ -82,18 +90,22 @@ def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     return SignedClaim(document=json.loads(row.document), jws=row.jws, timestamp=stamp)
 
 
-@router.get("/v1/claims/{claim_id}/report", operation_id="getReport", response_class=Response, responses={
-    200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
-    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+@router.get(
+    "/v1/claims/{claim_id}/report",
+    operation_id="getReport",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
+        **responses("unauthorized", "forbidden", "not-found"),
+    },
+)
 def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
     from service.claims.report import report_html
 
     row = own(core, caller.tenant, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
-    return Response(
-        report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html"
-    )
+    return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())
@@ -116,6 +128,9 @@ def own(core: Service, tenant: str, claim_id: str) -> Any:
 def _summary(row: Any) -> ClaimSummary:
     document = json.loads(row.document)
     return ClaimSummary(
-        id=row.id, asset_id=row.asset, verdict=document["verdict"],
-        log10_false_claim=document["log10_false_claim"], created_at=row.created_at,
-    )  # fmt: skip
+        id=row.id,
+        asset_id=row.asset,
+        verdict=document["verdict"],
+        log10_false_claim=document["log10_false_claim"],
+        created_at=row.created_at,
+    )

@@ -46,9 +46,14 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any
     """
     with service.db.write() as connection:
         claim = issue_claim(
-            connection, service.master, tenant=job.tenant, job=job.id, reply=reply, pictures=reply["kept"],
+            connection,
+            service.master,
+            tenant=job.tenant,
+            job=job.id,
+            reply=reply,
+            pictures=reply["kept"],
             sha256=[job.request["model"]] if job.request["model"] else list(job.request["images"]),
-        )  # fmt: skip
+        )
     result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
         name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
     }
@@ -95,19 +100,30 @@ def issue_claim(
     asset, registration, first = _registered(connection, tenant, reply["asset"])
     claim_id, created_at = "cl_" + job.removeprefix("job_"), now()
     document = build_document(
-        reply, claim_id=claim_id, created_at=created_at, sha256=sha256, asset=asset,
-        registered_at=registration.at if registration is not None else "", original_registered_at=first,
+        reply,
+        claim_id=claim_id,
+        created_at=created_at,
+        sha256=sha256,
+        asset=asset,
+        registered_at=registration.at if registration is not None else "",
+        original_registered_at=first,
         pictures=pictures,
-    )  # fmt: skip
+    )
     document["audit"] = commit_claim(connection, tenant, document, registration)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
     connection.execute(
         claims.insert().values(
-            id=claim_id, tenant=tenant, job=job, asset=document["asset"], document=payload.decode(), jws=jws,
-            pictures=canonical(dict(pictures)).decode(), created_at=created_at,
+            id=claim_id,
+            tenant=tenant,
+            job=job,
+            asset=document["asset"],
+            document=payload.decode(),
+            jws=jws,
+            pictures=canonical(dict(pictures)).decode(),
+            created_at=created_at,
         )
-    )  # fmt: skip
+    )
     return IssuedClaim(claim_id, json.loads(payload), jws)
 
 

@@ -82,9 +82,7 @@ class Findings:
         return {"valid": self.valid, **asdict(self)}
 
 
-def verify_report(
-    data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequence[x509.Certificate] = ()
-) -> Findings:
+def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequence[x509.Certificate] = ()) -> Findings:
     """Check a signed claim, a claim as JSON, or a report.
 
     Parameters
@@ -116,9 +114,7 @@ def verify_report(
     document, fault = _read(payload)  # 3
     if not say("schema", fault, "The document has the form that this program writes.") or document is None:
         return Findings(tuple(checks), None, kid)
-    say(
-        "arithmetic", _arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence."
-    )  # 4
+    say("arithmetic", _arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence.")  # 4
     audit = document["audit"]
     where = f"entry {audit['index']} of the log of {audit['size']} entries"
     say("log", _log_fault(document), f"The claim is {where}, by its inclusion proof.")  # 5
@@ -141,11 +137,7 @@ def _read(payload: bytes) -> tuple[dict[str, Any] | None, str]:
         ClaimDocument.model_validate(document)
         if document["audit"] is None:
             return None, "the document does not say where it stands in the audit log"
-        return (
-            (document, "")
-            if canonical(document) == payload
-            else (None, "the document is not in canonical form")
-        )
+        return (document, "") if canonical(document) == payload else (None, "the document is not in canonical form")
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(str(step) for step in first["loc"])
@@ -188,11 +180,7 @@ def _log_fault(document: Mapping[str, Any]) -> str:
     for name, value in expected.items():
         if entry[name] != value:
             return f"the log's entry speaks of another claim (its {name} differs)"
-    return (
-        ""
-        if _included(entry, audit["proof"], audit)
-        else "the inclusion proof does not lead to the log's root"
-    )
+    return "" if _included(entry, audit["proof"], audit) else "the inclusion proof does not lead to the log's root"
 
 
 def _registration_fault(document: Mapping[str, Any]) -> str:
@@ -200,10 +188,7 @@ def _registration_fault(document: Mapping[str, Any]) -> str:
     if found is None or document["original"] is None:
         return "the claim names an asset, but not its registration"
     entry = found["entry"]
-    facts = {
-        "original_sha256": document["original"]["sha256"],
-        "record_id": document["record_id"],
-    }
+    facts = {"original_sha256": document["original"]["sha256"], "record_id": document["record_id"]}
     same = (
         entry["event"] == ASSET_REGISTERED
         and entry["subject"] == document["asset"]
@@ -215,11 +200,7 @@ def _registration_fault(document: Mapping[str, Any]) -> str:
         return "the log registered another asset, or at another time"
     if entry["index"] >= audit["index"]:
         return "the asset was registered after the claim"
-    return (
-        ""
-        if _included(entry, found["proof"], audit)
-        else "its inclusion proof does not lead to the log's root"
-    )
+    return "" if _included(entry, found["proof"], audit) else "its inclusion proof does not lead to the log's root"
 
 
 def _included(entry: Mapping[str, Any], proof: Sequence[str], audit: Mapping[str, Any]) -> bool:
@@ -234,19 +215,13 @@ def _around(data: bytes, carried: Carried, document: dict[str, Any], payload: by
     """Whether the readable part of the file says what was signed."""
     if carried.kind == "json":
         same = _canonical_or_none(carried.document) == payload
-        text = (
-            "The document is the one that was signed."
-            if same
-            else "the document is not the one that was signed"
-        )
+        text = "The document is the one that was signed." if same else "the document is not the one that was signed"
         return [Check("document", Status.PASS if same else Status.FAIL, text)]
     if carried.kind == "jws":
         return []
     digests = {name: hashlib.sha256(picture).hexdigest() for name, picture in carried.pictures.items()}
     same = digests == document["pictures"]
-    text = (
-        "The pictures are those that were signed." if same else "the pictures are not those that were signed"
-    )
+    text = "The pictures are those that were signed." if same else "the pictures are not those that were signed"
     pictures = Check("pictures", Status.PASS if same else Status.FAIL, text)
     drawn = report_html(document, carried.jws, carried.pictures, carried.timestamp).encode()
     if drawn == data:

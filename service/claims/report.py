@@ -17,11 +17,7 @@ from service.claims.drawing import bit_lines, bound_scale
 from service.claims.wording import ROUTES, VERDICTS, bound, facts, power_of_ten, rate, sentence, when
 from service.trust.timestamps import TimestampFault, stamped_at
 
-CHECKS = {
-    True: ("pass", "✓", "holds"),
-    False: ("fail", "✕", "does not hold"),
-    None: ("open", "–", "not decided"),
-}
+CHECKS = {True: ("pass", "✓", "holds"), False: ("fail", "✕", "does not hold"), None: ("open", "–", "not decided")}
 CHECK_NAMES = {
     "record_intact": "Record",
     "owner_key": "Owner's key",
@@ -108,8 +104,11 @@ def _pretty(document: Mapping[str, Any]) -> str:
 @cache
 def _template() -> Template:
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters.update(bound=bound, power=power_of_ten, rate=rate, when=when)
     return environment.get_template("report.html")

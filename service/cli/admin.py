@@ -35,9 +35,7 @@ def create(
 
     console = Console(json)
     _, service = start(console)
-    token = issue(
-        service.db, service.master, tenant, [s.strip() for s in scopes.split(",") if s.strip()], label
-    )
+    token = issue(service.db, service.master, tenant, [s.strip() for s in scopes.split(",") if s.strip()], label)
     console.say(token)
     console.emit({"api_key": token, "tenant": tenant})
     return 0

@@ -13,9 +13,7 @@ from engine.cli.console import Console
 
 
 def openapi(
-    out: Annotated[
-        Path | None, typer.Option("--out", help="File to write; standard output if left out.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write; standard output if left out.")] = None,
 ) -> int:
     """Write the OpenAPI document of the service's API."""
     from service.app import make_app

@@ -28,9 +28,7 @@ def serve(
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen on.")] = 8000,
     workers: Annotated[
         int | None,
-        typer.Option(
-            "--workers", min=0, help="Worker processes (default 1, or MARK3DGS_WORKERS); 0: API only."
-        ),
+        typer.Option("--workers", min=0, help="Worker processes (default 1, or MARK3DGS_WORKERS); 0: API only."),
     ] = None,
 ) -> int:
     """Run the ownership service: API, page and workers, in one data folder.
@@ -54,15 +52,18 @@ def serve(
     settings, service = start(console)
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
-    console.note(
-        f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops."
-    )
+    console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")
     try:
         crew.start()
         uvicorn.run(
-            make_app(service), host=host, port=port, log_level="warning", access_log=False, server_header=False,
+            make_app(service),
+            host=host,
+            port=port,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
             timeout_graceful_shutdown=5,
-        )  # fmt: skip
+        )
     finally:
         crew.stop()
     return 0
@@ -70,8 +71,7 @@ def serve(
 
 def worker(
     name: Annotated[
-        str,
-        typer.Option("--name", help="Stable name: a worker that comes back under it goes on with its jobs."),
+        str, typer.Option("--name", help="Stable name: a worker that comes back under it goes on with its jobs.")
     ] = "",
     die_with_parent: Annotated[
         bool, typer.Option("--die-with-parent", help="Stop when standard input ends.", hidden=True)
@@ -112,9 +112,7 @@ def start(console: Console) -> tuple[Settings, Service]:
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
         console.note(f"  API key      {token}")
-        console.note(
-            "This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others."
-        )
+        console.note("This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others.")
     return settings, service
 
 
@@ -158,16 +156,12 @@ class Crew:
     def _launch(self, name: str) -> None:
         command = [sys.executable, "-m", "service.cli", "worker", "--name", name, "--die-with-parent"]
         # Its standard input is our pipe: it ends when this process does, however that dies.
-        self._running[name] = subprocess.Popen(
-            command, stdin=subprocess.PIPE, start_new_session=True, env=os.environ
-        )
+        self._running[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, env=os.environ)
 
     def _watch(self) -> None:
         while not self._stopping.wait(RESTART_SECONDS):
             for name, process in list(self._running.items()):
                 if process.poll() is not None and not self._stopping.is_set():
-                    sys.stderr.write(
-                        f"worker {name} ended with status {process.returncode}; starting it again\n"
-                    )
+                    sys.stderr.write(f"worker {name} ended with status {process.returncode}; starting it again\n")
                     time.sleep(RESTART_SECONDS)
                     self._launch(name)

@@ -22,12 +22,9 @@ _MOST_KEY_BYTES = 1 << 20
 
 def verify_report(
     file: Annotated[Path, typer.Argument(help="Claim: .jws, .json, or the HTML report.")],
-    jwks: Annotated[
-        Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")
-    ],
+    jwks: Annotated[Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")],
     tsa_certificates: Annotated[
-        Path | None,
-        typer.Option("--tsa-certificates", help="PEM certificates trusted to vouch for time stamps."),
+        Path | None, typer.Option("--tsa-certificates", help="PEM certificates trusted to vouch for time stamps.")
     ] = None,
     json: Json = False,
 ) -> int:

@@ -45,9 +45,7 @@ class Database:
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_immediate)
         else:
-            self.engine = sa.create_engine(
-                url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT)
-            )
+            self.engine = sa.create_engine(url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT))
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
@@ -86,9 +84,7 @@ def _as_problems() -> Iterator[None]:
         if "disk is full" in text or "no space" in text:
             raise Problem("storage-full", "the database's disk is full") from error
         if isinstance(error, (sa.exc.OperationalError, sa.exc.InterfaceError)):
-            raise Problem(
-                "unavailable", "the database does not answer", headers={"Retry-After": "5"}
-            ) from error
+            raise Problem("unavailable", "the database does not answer", headers={"Retry-After": "5"}) from error
         raise
     except sa.exc.TimeoutError as error:
         raise Problem("unavailable", "the database is busy", headers={"Retry-After": "5"}) from error

@@ -22,24 +22,27 @@ def _number(name: str, *, default: int | None = None) -> sa.Column[int]:
 
 
 facts = Table(
-    "facts", metadata,            # what holds for this database as a whole
+    "facts",
+    metadata,  # what holds for this database as a whole
     _key("name"),
     _text("value"),
-)  # fmt: skip
+)
 
 api_keys = Table(
-    "api_keys", metadata,
-    _key(),                       # public part of the key
+    "api_keys",
+    metadata,
+    _key(),  # public part of the key
     _text("tenant", index=True),
-    _text("digest"),              # keyed HMAC-SHA256 of the secret part, hex
-    _text("scopes"),              # space-separated
+    _text("digest"),  # keyed HMAC-SHA256 of the secret part, hex
+    _text("scopes"),  # space-separated
     _text("label"),
     _text("created_at"),
     _text("revoked_at", null=True),
-)  # fmt: skip
+)
 
 owner_keys = Table(
-    "owner_keys", metadata,
+    "owner_keys",
+    metadata,
     _key(),
     _text("tenant", index=True),
     _text("fingerprint"),
@@ -48,33 +51,35 @@ owner_keys = Table(
     Column("sealed", sa.LargeBinary, nullable=True),  # NULL once deleted
     _text("created_at"),
     _text("deleted_at", null=True),
-)  # fmt: skip
+)
 
 uploads = Table(
-    "uploads", metadata,
+    "uploads",
+    metadata,
     _key(),
     _text("tenant", index=True),
     _text("name"),
-    _number("size"),              # announced, NULL if not
-    _text("sha256", null=True),   # announced, then measured
+    _number("size"),  # announced, NULL if not
+    _text("sha256", null=True),  # announced, then measured
     _number("received", default=0),
-    _text("parts"),               # JSON list of [offset, length]
-    _text("state"),               # open, complete
+    _text("parts"),  # JSON list of [offset, length]
+    _text("state"),  # open, complete
     _text("info", null=True),  # JSON: what the file is, once it was inspected
     _text("created_at", index=True),
-)  # fmt: skip
+)
 
 jobs = Table(
-    "jobs", metadata,
+    "jobs",
+    metadata,
     _key(),
     _text("tenant", index=True),
     _text("api_key"),
-    _text("kind"),                # embed, verify
-    _text("state", index=True),   # queued, running, succeeded, disputed, failed, cancelled
-    _text("request"),             # JSON
+    _text("kind"),  # embed, verify
+    _text("state", index=True),  # queued, running, succeeded, disputed, failed, cancelled
+    _text("request"),  # JSON
     _text("stage"),
     Column("fraction", Float, nullable=False, default=0.0),
-    _text("result", null=True),   # JSON
+    _text("result", null=True),  # JSON
     _text("problem", null=True),  # JSON, RFC 9457
     _number("revision", default=0),
     Column("cancelling", sa.Boolean, nullable=False, default=False),
@@ -84,19 +89,21 @@ jobs = Table(
     _text("created_at", index=True),
     _text("started_at", null=True),
     _text("finished_at", null=True),
-)  # fmt: skip
+)
 
 idempotency = Table(
-    "idempotency", metadata,
+    "idempotency",
+    metadata,
     Column("tenant", Text, primary_key=True),
     Column("key", Text, primary_key=True),
     _text("body_hash"),
-    _text("job", null=True),      # NULL while the first request is in flight
+    _text("job", null=True),  # NULL while the first request is in flight
     _text("created_at", index=True),
-)  # fmt: skip
+)
 
 assets = Table(
-    "assets", metadata,
+    "assets",
+    metadata,
     _key(),
     _text("tenant", index=True),
     Column("job", Text, nullable=False, unique=True),
@@ -104,9 +111,9 @@ assets = Table(
     _text("label"),
     _text("copy"),
     _text("record_id"),
-    _text("message"),             # hex
+    _text("message"),  # hex
     _text("profile"),
-    _text("report"),              # JSON
+    _text("report"),  # JSON
     _number("gaussians", default=0),
     _text("original_sha256", index=True),
     _text("original_format"),
@@ -116,67 +123,74 @@ assets = Table(
     _text("preview_sha256"),
     _text("sketch_sha256"),
     _text("registered_at"),
-)  # fmt: skip
+)
 
 conversions = Table(
-    "conversions", metadata,
+    "conversions",
+    metadata,
     Column("model_sha256", Text, primary_key=True),
     Column("format", Text, primary_key=True),
     _text("sha256"),
-)  # fmt: skip
+)
 
 claims = Table(
-    "claims", metadata,
+    "claims",
+    metadata,
     _key(),
     _text("tenant", index=True),
     Column("job", Text, nullable=False, unique=True),
     _text("asset", null=True),
-    _text("document"),            # canonical JSON, what is signed
+    _text("document"),  # canonical JSON, what is signed
     _text("jws"),
-    _text("pictures"),            # JSON: name -> sha256
+    _text("pictures"),  # JSON: name -> sha256
     Column("timestamp", sa.LargeBinary, nullable=True),  # RFC 3161 token of the JWS
     _text("created_at"),
-)  # fmt: skip
+)
 
 audit = Table(
-    "audit", metadata,
+    "audit",
+    metadata,
     Column("index", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=False),
     _text("at"),
     _text("tenant"),
     _text("event", index=True),
-    _text("subject", index=True), # id of what it is about
-    _text("payload"),             # canonical JSON; digests, never secrets
-    _text("hash"),                # of the previous hash and this row, hex
-)  # fmt: skip
+    _text("subject", index=True),  # id of what it is about
+    _text("payload"),  # canonical JSON; digests, never secrets
+    _text("hash"),  # of the previous hash and this row, hex
+)
 
 audit_nodes = Table(
-    "audit_nodes", metadata,      # perfect subtrees of the Merkle tree (RFC 6962)
+    "audit_nodes",
+    metadata,  # perfect subtrees of the Merkle tree (RFC 6962)
     Column("level", Integer, primary_key=True, autoincrement=False),
     Column("position", sa.BigInteger, primary_key=True, autoincrement=False),
     _text("hash"),
-)  # fmt: skip
+)
 
 signing_keys = Table(
-    "signing_keys", metadata,
+    "signing_keys",
+    metadata,
     _key("kid"),
-    _text("public"),              # JWK
+    _text("public"),  # JWK
     Column("sealed", sa.LargeBinary, nullable=False),
     _text("created_at"),
     _text("retired_at", null=True),
-)  # fmt: skip
+)
 
 workers = Table(
-    "workers", metadata,
+    "workers",
+    metadata,
     _key(),
     _text("host"),
     _number("pid", default=0),
     _text("started_at"),
     Column("seen_at", Float, nullable=False),  # seconds since the epoch, of the database's machine where it has a clock
-)  # fmt: skip
+)
 
 usage = Table(
-    "usage", metadata,            # how much of a budget a subject has used in one window of time
+    "usage",
+    metadata,  # how much of a budget a subject has used in one window of time
     Column("subject", Text, primary_key=True),
     Column("window", Text, primary_key=True),
     _number("count", default=0),
-)  # fmt: skip
+)

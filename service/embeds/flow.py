@@ -21,10 +21,7 @@ SCREENED = 32
 
 def embed_flow(service: Service) -> Flow:
     """Steps of an embed job."""
-    return (
-        Step("embed", lambda run: _embed(service, run)),
-        Step("commit", lambda run: _commit(service, run)),
-    )
+    return (Step("embed", lambda run: _embed(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
 def _embed(service: Service, run: Run) -> dict[str, Any]:
@@ -32,18 +29,21 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
     asked, folder = run.job.request, run.folder
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     rows = _to_screen(service, run.job)
-    made = run.work("embed", {
-        "model": str(service.blobs.local(asked["model"], folder)),
-        "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
-        "key": owner.secret.hex(),
-        "bits": asked["bits"] or 32,
-        "copy": asked["copy_name"],
-        "registered_at": run.job.created_at[:19] + "+00:00",
-        "candidates": candidates(service, rows, folder),
-        "limit": SCREENED,
-        "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
-        **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
-    })  # fmt: skip
+    made = run.work(
+        "embed",
+        {
+            "model": str(service.blobs.local(asked["model"], folder)),
+            "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
+            "key": owner.secret.hex(),
+            "bits": asked["bits"] or 32,
+            "copy": asked["copy_name"],
+            "registered_at": run.job.created_at[:19] + "+00:00",
+            "candidates": candidates(service, rows, folder),
+            "limit": SCREENED,
+            "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
+            **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
+        },
+    )
     kept = {name: service.blobs.put(folder / file) for name, file in made.get("files", {}).items()}
     return {**{name: value for name, value in made.items() if name != "files"}, "kept": kept}
 

@@ -41,9 +41,15 @@ async def healthz() -> Alive:
     return Alive(status="ok")
 
 
-@router.get("/readyz", operation_id="readyz", response_model=Ready, responses={
-    503: {"model": Ready, "description": "Not ready"},
-    **{status: text for status, text in responses().items() if status != 503}})  # fmt: skip
+@router.get(
+    "/readyz",
+    operation_id="readyz",
+    response_model=Ready,
+    responses={
+        503: {"model": Ready, "description": "Not ready"},
+        **{status: text for status, text in responses().items() if status != 503},
+    },
+)
 def readyz(core: Core) -> Response:
     """Whether database, disk and at least one worker are there."""
     disk = core.blobs.free_bytes() >= LEAST_FREE_BYTES
@@ -56,9 +62,15 @@ def readyz(core: Core) -> Response:
     return JSONResponse(found.model_dump(), 200 if good else 503)
 
 
-@router.get("/metrics", operation_id="metrics", response_class=Response, responses={
-    200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Prometheus text format"},
-    **responses()})  # fmt: skip
+@router.get(
+    "/metrics",
+    operation_id="metrics",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Prometheus text format"},
+        **responses(),
+    },
+)
 def metrics(core: Core) -> Response:
     """Counts of jobs by kind and state, assets, claims, workers; sizes of queue and disk."""
     registry = CollectorRegistry()
@@ -76,15 +88,11 @@ def metrics(core: Core) -> Response:
     for name, count in counts.items():
         Gauge(f"mark3dgs_{name}", f"Rows in {name}", registry=registry).set(count)
     Gauge("mark3dgs_workers", "Workers heard of lately", registry=registry).set(_workers(core))
-    Gauge("mark3dgs_disk_free_bytes", "Free bytes for scratch files", registry=registry).set(
-        core.blobs.free_bytes()
-    )
+    Gauge("mark3dgs_disk_free_bytes", "Free bytes for scratch files", registry=registry).set(core.blobs.free_bytes())
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
 
 
 def _workers(core: Service) -> int:
     lately = workers.c.seen_at >= time.time() - core.settings.worker_silence_seconds
     with core.db.read() as connection:
-        return int(
-            connection.execute(sa.select(sa.func.count()).select_from(workers).where(lately)).scalar_one()
-        )
+        return int(connection.execute(sa.select(sa.func.count()).select_from(workers).where(lately)).scalar_one())

@@ -24,9 +24,7 @@ def service_of(request: Request) -> Service:
 Core = Annotated[Service, Depends(service_of)]
 
 
-def _caller(
-    core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
-) -> Caller:
+def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> Caller:
     if credentials is None:
         raise Problem("unauthorized", "send the header 'Authorization: Bearer mk_...'")
     return check(core.db, core.master, credentials.credentials)

@@ -39,16 +39,21 @@ class JobView(BaseModel):
 def view(job: Job) -> JobView:
     """The job for the client."""
     return JobView(
-        id=job.id, kind=job.kind, state=job.state.value, stage=job.stage, fraction=min(max(job.fraction, 0.0), 1.0),
-        cancelling=job.cancelling, result=dict(job.result) if job.result is not None else None,
-        problem=dict(job.problem) if job.problem is not None else None, created_at=job.created_at,
-        started_at=job.started_at, finished_at=job.finished_at,
-    )  # fmt: skip
+        id=job.id,
+        kind=job.kind,
+        state=job.state.value,
+        stage=job.stage,
+        fraction=min(max(job.fraction, 0.0), 1.0),
+        cancelling=job.cancelling,
+        result=dict(job.result) if job.result is not None else None,
+        problem=dict(job.problem) if job.problem is not None else None,
+        created_at=job.created_at,
+        started_at=job.started_at,
+        finished_at=job.finished_at,
+    )
 
 
-def submit(
-    service: Service, tenant: str, key: str | None, body: Mapping[str, Any], make: Callable[[], Job]
-) -> Job:
+def submit(service: Service, tenant: str, key: str | None, body: Mapping[str, Any], make: Callable[[], Job]) -> Job:
     """Take a job on, once for each Idempotency-Key.
 
     Parameters

@@ -17,9 +17,7 @@ MODEL_TYPE = "application/octet-stream"
 _CHUNK = 4 << 20
 
 
-def send_blob(
-    service: Service, sha256: str, name: str, media_type: str, range_header: str | None
-) -> Response:
+def send_blob(service: Service, sha256: str, name: str, media_type: str, range_header: str | None) -> Response:
     """A blob under a file name; its digest is its ETag."""
     import obstore
 

@@ -21,10 +21,19 @@ REQUEST_ID = "x-request-id"
 log = logging.getLogger("mark3dgs.http")
 
 _BY_STATUS = {
-    400: "malformed-request", 401: "unauthorized", 403: "forbidden", 404: "not-found", 405: "method-not-allowed",
-    411: "length-required", 413: "too-large", 415: "unsupported-media-type", 416: "range-not-satisfiable",
-    422: "invalid-request", 429: "budget-exceeded", 503: "unavailable",
-}  # fmt: skip
+    400: "malformed-request",
+    401: "unauthorized",
+    403: "forbidden",
+    404: "not-found",
+    405: "method-not-allowed",
+    411: "length-required",
+    413: "too-large",
+    415: "unsupported-media-type",
+    416: "range-not-satisfiable",
+    422: "invalid-request",
+    429: "budget-exceeded",
+    503: "unavailable",
+}
 
 
 class RequestIds:
@@ -66,9 +75,7 @@ def install(app: FastAPI) -> None:
 
     def on_http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
-        kind = _BY_STATUS.get(
-            error.status_code, "internal" if error.status_code >= 500 else "malformed-request"
-        )
+        kind = _BY_STATUS.get(error.status_code, "internal" if error.status_code >= 500 else "malformed-request")
         headers = dict(error.headers or {})
         if error.status_code == 405:
             headers["Allow"] = ", ".join(sorted(_methods(app, request)))
@@ -80,9 +87,7 @@ def install(app: FastAPI) -> None:
 
     def on_bug(request: Request, error: Exception) -> Response:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return answer(
-                Problem("storage-full", "the disk is full; nothing was kept of this request"), request
-            )
+            return answer(Problem("storage-full", "the disk is full; nothing was kept of this request"), request)
         log.exception("request %s failed", request.scope.get("request_id"), exc_info=error)
         return answer(Problem("internal", "the fault is ours; the request id names it in our log"), request)
 
@@ -106,8 +111,7 @@ def invalid(errors: list[Any]) -> Problem:
     """A problem of what a validation found; each entry names the place and what is wrong there."""
     broken = any(entry["type"] in ("json_invalid", "model_attributes_type") for entry in errors)
     places = [
-        {"place": ".".join(str(part) for part in entry["loc"]), "text": str(entry["msg"])}
-        for entry in errors[:20]
+        {"place": ".".join(str(part) for part in entry["loc"]), "text": str(entry["msg"])} for entry in errors[:20]
     ]
     detail = "; ".join(f"{entry['place']}: {entry['text']}" for entry in places[:3])
     return Problem("malformed-request" if broken else "invalid-request", detail, errors=places)

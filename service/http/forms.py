@@ -26,9 +26,7 @@ WHOLE = BeforeValidator(_whole)
 """For whole numbers: in JSON, 2.0 is one too. It stands after the `Field` with the limits, which it hides otherwise."""
 
 
-async def read_form(
-    request: Request, kind: type[T], files: Sequence[str]
-) -> tuple[T, dict[str, list[UploadFile]]]:
+async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tuple[T, dict[str, list[UploadFile]]]:
     """The request as a model, and the files that came with it by field name.
 
     Parameters
@@ -68,9 +66,7 @@ async def read_form(
             elif value != "":  # an empty field of a form is one left out
                 values[name] = value
     else:
-        raise Problem(
-            "unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}"
-        )
+        raise Problem("unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}")
     try:
         return kind.model_validate(values, strict=media == "application/json"), found
     except ValidationError as error:
@@ -78,10 +74,7 @@ async def read_form(
 
 
 def form_schema(
-    kind: type[BaseModel],
-    files: dict[str, tuple[str, bool]],
-    without: Sequence[str],
-    required: Sequence[str] = (),
+    kind: type[BaseModel], files: dict[str, tuple[str, bool]], without: Sequence[str], required: Sequence[str] = ()
 ) -> dict[str, Any]:
     """OpenAPI `requestBody` for `read_form`.
 

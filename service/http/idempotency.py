@@ -34,9 +34,7 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
         connection.execute(sa.delete(idempotency).where(idempotency.c.created_at < ago(KEPT_HOURS)))
         row = connection.execute(sa.select(idempotency).where(mine)).first()
         if row is None:
-            connection.execute(
-                idempotency.insert().values(tenant=tenant, key=key, body_hash=digest, created_at=now())
-            )
+            connection.execute(idempotency.insert().values(tenant=tenant, key=key, body_hash=digest, created_at=now()))
             return None
         if row.body_hash != digest:
             raise Problem("idempotency-mismatch", f"Idempotency-Key {key!r} came with another body before")
@@ -44,9 +42,10 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
             return str(row.job)
         if row.created_at > ago(IN_FLIGHT_HOURS):
             raise Problem(
-                "request-in-flight", f"the first request with Idempotency-Key {key!r} is not answered yet",
+                "request-in-flight",
+                f"the first request with Idempotency-Key {key!r} is not answered yet",
                 headers={"Retry-After": "1"},
-            )  # fmt: skip
+            )
         connection.execute(sa.update(idempotency).where(mine).values(created_at=now()))
         return None
 

@@ -22,9 +22,7 @@ def page(
 ) -> tuple[list[Any], str | None]:
     """One page of a tenant's rows, and the cursor of the next page."""
     moment, key = table.c[time], table.c.id
-    query = (
-        sa.select(table).where(table.c.tenant == tenant).order_by(moment.desc(), key.desc()).limit(limit + 1)
-    )
+    query = sa.select(table).where(table.c.tenant == tenant).order_by(moment.desc(), key.desc()).limit(limit + 1)
     if where is not None:
         query = query.where(where)
     if after:

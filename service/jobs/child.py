@@ -156,9 +156,7 @@ class Children:
                     return process  # it died of itself; `_follow` says of what
                 # The spare had died while it waited, which is nobody's fault; take a new one.
 
-    def _follow(
-        self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]
-    ) -> dict[str, Any]:
+    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> dict[str, Any]:
         lines: queue.Queue[bytes] = queue.Queue()
         threading.Thread(target=_read, args=(process, lines), daemon=True).start()
         started = looked = time.monotonic()
@@ -211,9 +209,7 @@ class Children:
 
     def _start(self) -> subprocess.Popen[bytes]:
         environment = {
-            name: value
-            for name, value in os.environ.items()
-            if name in _ENVIRONMENT or name.startswith(_PREFIXES)
+            name: value for name, value in os.environ.items() if name in _ENVIRONMENT or name.startswith(_PREFIXES)
         }
         return subprocess.Popen(
             self._command,
@@ -235,9 +231,7 @@ def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:
 def _parse(line: bytes) -> dict[str, Any]:
     try:
         said = json.loads(line)
-        if isinstance(said, dict) and (
-            said.keys() & {"reply", "error"} or said.keys() >= {"stage", "fraction"}
-        ):
+        if isinstance(said, dict) and (said.keys() & {"reply", "error"} or said.keys() >= {"stage", "fraction"}):
             return said
     except ValueError:
         pass

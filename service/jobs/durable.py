@@ -53,9 +53,7 @@ class DurableJobs:
         if known.state == State.QUEUED:
             try:
                 self._enqueue(known.id)
-            except (
-                Exception
-            ) as error:  # the row is what counts; whatever this was, `reconcile` makes up for it
+            except Exception as error:  # the row is what counts; whatever this was, `reconcile` makes up for it
                 _log.warning("job %s is enqueued later: %s", known.id, error)
         return known
 
@@ -142,11 +140,7 @@ class DurableJobs:
             return self._opened
 
     def _enqueue(self, job_id: str) -> None:
-        options: Any = {
-            "workflow_name": dbos_setup.WORKFLOW,
-            "queue_name": dbos_setup.QUEUE,
-            "workflow_id": job_id,
-        }
+        options: Any = {"workflow_name": dbos_setup.WORKFLOW, "queue_name": dbos_setup.QUEUE, "workflow_id": job_id}
         self._client().enqueue(options, job_id)
 
     def _pending(self) -> Sequence[tuple[str, str]]:

@@ -82,11 +82,7 @@ class Watch:
             worker: old if (old := self._since.get(worker)) and old[0] == sign else (sign, moment)
             for worker, sign in signs.items()
         }
-        return [
-            worker
-            for worker, (sign, since) in self._since.items()
-            if sign == LEFT or moment - since >= seconds
-        ]
+        return [worker for worker, (sign, since) in self._since.items() if sign == LEFT or moment - since >= seconds]
 
     def start_over(self) -> None:
         """Nothing could be seen for a while."""

@@ -51,10 +51,15 @@ class Rows:
     def add(self, job: Job) -> Job | None:
         """A new queued job, or the one that has this id; None where another tenant's has."""
         values = {
-            "id": job.id, "tenant": job.tenant, "api_key": job.api_key, "kind": job.kind,
-            "state": State.QUEUED.value, "request": dumps(job.request), "stage": "",
+            "id": job.id,
+            "tenant": job.tenant,
+            "api_key": job.api_key,
+            "kind": job.kind,
+            "state": State.QUEUED.value,
+            "request": dumps(job.request),
+            "stage": "",
             "created_at": job.created_at or now(),
-        }  # fmt: skip
+        }
         try:
             with self._db.write() as connection:
                 connection.execute(jobs.insert().values(values))

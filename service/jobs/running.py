@@ -55,9 +55,14 @@ class Runner:
     """
 
     def __init__(
-        self, jobs: DurableJobs, flows: Mapping[str, Flow], children: Children, scratch: Path, worker: str,
+        self,
+        jobs: DurableJobs,
+        flows: Mapping[str, Flow],
+        children: Children,
+        scratch: Path,
+        worker: str,
         stopping: threading.Event,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._jobs, self._flows, self._children = jobs, flows, children
         self._scratch, self._worker, self._stopping = scratch, worker, stopping
         self.active: set[str] = set()

@@ -31,9 +31,11 @@ class NewKey(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     label: str = Field("", max_length=200, description="For people.")
     key: str | None = Field(
-        None, pattern="^([0-9a-fA-F]{2}){32,1024}$", json_schema_extra={"not": _ONE_BYTE},
+        None,
+        pattern="^([0-9a-fA-F]{2}){32,1024}$",
+        json_schema_extra={"not": _ONE_BYTE},
         description="To import: 64 or more hex digits, the last line of a key file; left out: a new key is made.",
-    )  # fmt: skip
+    )
     reveal: bool = Field(False, description="Show the key in this answer, once, so that you can keep a copy.")
 
 
@@ -59,8 +61,12 @@ class KeyList(BaseModel):
     next: str | None
 
 
-@router.post("", status_code=201, operation_id="createKey", responses=responses(
-    "malformed-request", "unauthorized", "forbidden", "conflict", "invalid-request", "too-large"))  # fmt: skip
+@router.post(
+    "",
+    status_code=201,
+    operation_id="createKey",
+    responses=responses("malformed-request", "unauthorized", "forbidden", "conflict", "invalid-request", "too-large"),
+)
 def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> MadeKey:
     """Make or import an owner key. It is sealed under the service's master key."""
     key = OwnerKey.generate() if body.key is None else owner_keys.parse_key(body.key)
@@ -78,8 +84,12 @@ def list_keys(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
     return KeyList(items=[shape(row) for row in rows], next=following)
 
 
-@router.delete("/{key_id}", status_code=204, operation_id="deleteKey", responses=responses(
-    "unauthorized", "forbidden", "not-found", "conflict", "invalid-request"))  # fmt: skip
+@router.delete(
+    "/{key_id}",
+    status_code=204,
+    operation_id="deleteKey",
+    responses=responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request"),
+)
 def delete_key(
     key_id: str,
     core: Core,
@@ -89,18 +99,14 @@ def delete_key(
     """Erase an owner key. What was marked with it can be checked again only once the key is imported again."""
     count = _assets(core, caller.tenant, key_id)
     if count and not force:
-        raise Problem(
-            "conflict", f"{count} assets are registered under this key; without it they cannot be checked"
-        )
+        raise Problem("conflict", f"{count} assets are registered under this key; without it they cannot be checked")
     owner_keys.delete(core.db, caller.tenant, key_id)
 
 
 def _assets(core: Service, tenant: str, key_id: str) -> int:
     mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
     with core.db.read() as connection:
-        return int(
-            connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one()
-        )
+        return int(connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())
 
 
 def shape(row: Any) -> KeyView:

@@ -37,9 +37,15 @@ def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
     return JobList(items=[view(job) for job in jobs[:limit]], next=following)
 
 
-@router.get("/{job_id}", operation_id="getJob", response_model=JobView, responses={
-    304: {"description": "As it was (If-None-Match)"},
-    **responses("unauthorized", "forbidden", "not-found")})  # fmt: skip
+@router.get(
+    "/{job_id}",
+    operation_id="getJob",
+    response_model=JobView,
+    responses={
+        304: {"description": "As it was (If-None-Match)"},
+        **responses("unauthorized", "forbidden", "not-found"),
+    },
+)
 def get_job(
     job_id: str,
     core: Core,
@@ -50,9 +56,7 @@ def get_job(
     job = _own(core.jobs.get(caller.tenant, job_id), job_id)
     etag = f'"{job.revision}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
-    if if_none_match is not None and etag in [
-        tag.strip().removeprefix("W/") for tag in if_none_match.split(",")
-    ]:
+    if if_none_match is not None and etag in [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]:
         return Response(status_code=304, headers=headers)
     return Response(view(job).model_dump_json(), headers=headers, media_type="application/json")
 
@@ -61,8 +65,12 @@ def _found(job_id: str, core: Core, caller: Reader) -> Job:
     return _own(core.jobs.get(caller.tenant, job_id), job_id)
 
 
-@router.get("/{job_id}/events", operation_id="jobEvents", response_class=EventSourceResponse,
-    responses=responses("unauthorized", "forbidden", "not-found"))  # fmt: skip
+@router.get(
+    "/{job_id}/events",
+    operation_id="jobEvents",
+    response_class=EventSourceResponse,
+    responses=responses("unauthorized", "forbidden", "not-found"),
+)
 async def job_events(
     job_id: str, core: Core, caller: Reader, _: Annotated[Job, Depends(_found)]
 ) -> AsyncIterable[ServerSentEvent]:
@@ -84,8 +92,12 @@ async def job_events(
             yield ServerSentEvent(comment="still here")
 
 
-@router.delete("/{job_id}", status_code=202, operation_id="cancelJob", responses=responses(
-    "unauthorized", "forbidden", "not-found", "conflict"))  # fmt: skip
+@router.delete(
+    "/{job_id}",
+    status_code=202,
+    operation_id="cancelJob",
+    responses=responses("unauthorized", "forbidden", "not-found", "conflict"),
+)
 def cancel_job(job_id: str, core: Core, caller: Reader) -> JobView:
     """Stop a job: its process is killed, nothing half-written stays. One that has ended is beyond cancelling."""
     if not {"embed", "verify", "admin"} & set(caller.scopes):

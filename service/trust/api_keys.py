@@ -81,9 +81,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
     expected = row.digest if row is not None else ""
     right = hmac.compare_digest(master.mac(_PURPOSE, key_id, secret), expected)
     if row is None or not right or row.revoked_at is not None:
-        raise Problem(
-            "unauthorized", "this API key is not known here", headers={"WWW-Authenticate": "Bearer"}
-        )
+        raise Problem("unauthorized", "this API key is not known here", headers={"WWW-Authenticate": "Bearer"})
     return Caller(row.tenant, row.id, frozenset(row.scopes.split()))
 
 
@@ -111,27 +109,24 @@ def list_keys(db: Database, tenant: str) -> list[ApiKey]:
     query = api_keys.select().where(api_keys.c.tenant == tenant)
     with db.read() as connection:
         rows = connection.execute(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
-    return [
-        ApiKey(row.id, row.label, tuple(row.scopes.split()), row.created_at, row.revoked_at or "")
-        for row in rows
-    ]
+    return [ApiKey(row.id, row.label, tuple(row.scopes.split()), row.created_at, row.revoked_at or "") for row in rows]
 
 
-def _issue(
-    connection: sa.Connection, master: MasterKey, tenant: str, scopes: Iterable[str], label: str
-) -> str:
+def _issue(connection: sa.Connection, master: MasterKey, tenant: str, scopes: Iterable[str], label: str) -> str:
     wanted = set(scopes)
     if not wanted or not wanted <= set(SCOPES):
-        raise Problem(
-            "invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}"
-        )
+        raise Problem("invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}")
     ordered = [scope for scope in SCOPES if scope in wanted]
     key_id, secret = secrets.token_hex(8), secrets.token_hex(32)
     connection.execute(
         api_keys.insert().values(
-            id=key_id, tenant=tenant, digest=master.mac(_PURPOSE, key_id, secret), scopes=" ".join(ordered),
-            label=label, created_at=now(),
+            id=key_id,
+            tenant=tenant,
+            digest=master.mac(_PURPOSE, key_id, secret),
+            scopes=" ".join(ordered),
+            label=label,
+            created_at=now(),
         )
-    )  # fmt: skip
+    )
     audit.append(connection, tenant, "api_key.issued", {"scopes": ordered}, key_id)
     return f"mk_{key_id}_{secret}"

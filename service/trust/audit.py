@@ -60,9 +60,7 @@ class Entry:
         return merkle.leaf_hash(canonical(self.to_json())).hex()
 
 
-def append(
-    connection: sa.Connection, tenant: str, event: str, payload: Mapping[str, Any], subject: str = ""
-) -> Entry:
+def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[str, Any], subject: str = "") -> Entry:
     """Add an entry; it stands once the caller's transaction is committed.
 
     Appenders wait for one another until they commit, so append last, where there is a choice. O(log n).
@@ -85,10 +83,15 @@ def append(
     found = entry.hash
     connection.execute(
         audit.insert().values(
-            index=index, at=entry.at, tenant=tenant, event=event, subject=subject,
-            payload=canonical(entry.payload).decode(), hash=found,
+            index=index,
+            at=entry.at,
+            tenant=tenant,
+            event=event,
+            subject=subject,
+            payload=canonical(entry.payload).decode(),
+            hash=found,
         )
-    )  # fmt: skip
+    )
     grown = list(merkle.completed_by(index))
     siblings = _fetch(connection, [(level - 1, 2 * position) for level, position in grown[1:]])
     node, rows = bytes.fromhex(found), []
@@ -138,9 +141,7 @@ def _fetch(connection: sa.Connection, nodes: list[Node]) -> dict[Node, bytes]:
     """Hashes of perfect subtrees, all in one query."""
     if not nodes:
         return {}
-    wanted = sa.or_(
-        *(sa.and_(audit_nodes.c.level == level, audit_nodes.c.position == place) for level, place in nodes)
-    )
+    wanted = sa.or_(*(sa.and_(audit_nodes.c.level == level, audit_nodes.c.position == place) for level, place in nodes))
     rows = connection.execute(audit_nodes.select().where(wanted)).all()
     found = {(row.level, row.position): bytes.fromhex(row.hash) for row in rows}
     if missing := set(nodes) - set(found):

@@ -16,12 +16,7 @@ from service.db.schema import assets, audit_nodes, claims
 from service.db.schema import audit as log
 from service.trust import audit, merkle
 from service.trust.canonical import canonical
-from service.trust.commitments import (
-    ASSET_REGISTERED,
-    CLAIM_ISSUED,
-    asset_digest,
-    claim_digest,
-)
+from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, asset_digest, claim_digest
 from service.trust.signing import SignatureFault, jwks, verify
 
 MOST_FAULTS = 100
@@ -110,9 +105,7 @@ def verify_log(db: Database) -> LogReport:
         if (event, subject) not in events:
             faults.append(Fault(None, event.split(".")[0], f"the log does not know {subject}"))
     faults.sort(key=lambda fault: size if fault.index is None else fault.index)
-    registered, issued = (
-        sum(event == name for event, _ in known) for name in (ASSET_REGISTERED, CLAIM_ISSUED)
-    )
+    registered, issued = (sum(event == name for event, _ in known) for name in (ASSET_REGISTERED, CLAIM_ISSUED))
     return LogReport(size, root, registered, issued, tuple(faults[:MOST_FAULTS]))
 
 
@@ -149,11 +142,7 @@ def _entry_fault(columns: list[Any], previous: str) -> str | None:
         entry = audit.entry_of(columns, previous)
         if canonical(entry.payload).decode() != columns[5]:
             return "its payload is not in canonical form"
-        return (
-            None
-            if entry.hash == columns[6]
-            else "it does not give its hash, or does not follow the one before"
-        )
+        return None if entry.hash == columns[6] else "it does not give its hash, or does not follow the one before"
     except (ValueError, TypeError) as error:
         return f"it cannot be read: {error}"
 
@@ -197,9 +186,7 @@ def _check_assets(connection: sa.Connection, events: Events) -> list[Fault]:
     return faults + _missing(events, ASSET_REGISTERED, seen)
 
 
-def _check_claims(
-    connection: sa.Connection, events: Events, keys: dict[str, Any], tree_holds: bool
-) -> list[Fault]:
+def _check_claims(connection: sa.Connection, events: Events, keys: dict[str, Any], tree_holds: bool) -> list[Fault]:
     faults, seen = [], set()
     for row in _all(connection, claims.select(), claims.c.id):
         seen.add(row.id)
@@ -209,9 +196,7 @@ def _check_claims(
         try:
             document = json.loads(row.document)
             if claim_digest(document) != expected or document["claim_id"] != row.id:
-                faults.append(
-                    Fault(index, "claim", f"the document of {row.id} is not the one that was issued")
-                )
+                faults.append(Fault(index, "claim", f"the document of {row.id} is not the one that was issued"))
             elif verify(row.jws, keys)[0] != row.document.encode():
                 faults.append(Fault(index, "signature", f"what is signed as {row.id} is not its document"))
             elif tree_holds and audit.root(connection, index + 1) != document["audit"]["root"]:

@@ -122,9 +122,11 @@ def _make(connection: sa.Connection, master: MasterKey) -> str:
     private = canonical(key.as_dict(private=True))
     connection.execute(
         signing_keys.insert().values(
-            kid=kid, public=canonical(public).decode(), sealed=master.seal(private, bind("signing key", kid)),
+            kid=kid,
+            public=canonical(public).decode(),
+            sealed=master.seal(private, bind("signing key", kid)),
             created_at=now(),
         )
-    )  # fmt: skip
+    )
     audit.append(connection, TENANT, "signing_key.made", {"public": public}, kid)
     return kid

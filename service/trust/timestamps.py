@@ -87,9 +87,7 @@ def check_stamp(token: bytes, jws: str, roots: Sequence[x509.Certificate]) -> st
             if not _stamps_time(certificate) and certificate not in roots:
                 builder = builder.add_intermediate_certificate(certificate)
         builder.build().verify_message(response, jws.encode())
-    except (
-        Exception
-    ) as error:  # parsers of foreign certificates raise many kinds; whichever it is, it does not hold
+    except Exception as error:  # parsers of foreign certificates raise many kinds; whichever it is, it does not hold
         raise TimestampFault(f"the time stamp's signature does not hold: {error}") from None
     return at
 

@@ -30,9 +30,7 @@ class NewUpload(BaseModel):
     size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
         None, description="Bytes to come; needed to resume."
     )
-    sha256: str | None = Field(
-        None, pattern="^[0-9a-f]{64}$", description="Digest to hold the bytes against."
-    )
+    sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="Digest to hold the bytes against.")
 
 
 class Upload(BaseModel):
@@ -48,8 +46,12 @@ class Upload(BaseModel):
     created_at: str
 
 
-@router.post("", status_code=201, operation_id="createUpload", responses=responses(
-    "malformed-request", "unauthorized", "forbidden", "too-large", "invalid-request"))  # fmt: skip
+@router.post(
+    "",
+    status_code=201,
+    operation_id="createUpload",
+    responses=responses("malformed-request", "unauthorized", "forbidden", "too-large", "invalid-request"),
+)
 def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Response) -> Upload:
     """Open a slot; send the bytes with PUT."""
     row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
@@ -57,17 +59,20 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
     return shape(row)
 
 
-@router.get(
-    "/{upload_id}", operation_id="getUpload", responses=responses("unauthorized", "forbidden", "not-found")
-)
+@router.get("/{upload_id}", operation_id="getUpload", responses=responses("unauthorized", "forbidden", "not-found"))
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
     """How far an upload is: `offset` says where to continue."""
     return shape(store.get(core, caller.tenant, upload_id))
 
 
-@router.put("/{upload_id}", operation_id="putUpload", openapi_extra=OCTETS, responses=responses(
-    "unauthorized", "forbidden", "not-found", "conflict", "too-large", "invalid-request",
-    "malformed-request"))  # fmt: skip
+@router.put(
+    "/{upload_id}",
+    operation_id="putUpload",
+    openapi_extra=OCTETS,
+    responses=responses(
+        "unauthorized", "forbidden", "not-found", "conflict", "too-large", "invalid-request", "malformed-request"
+    ),
+)
 async def put_upload(
     upload_id: str,
     request: Request,
@@ -85,9 +90,7 @@ async def put_upload(
         raise Problem("conflict", f"upload {upload_id!r} is complete")
     if upload_offset != row.received:
         raise Problem(
-            "conflict",
-            f"bytes from {upload_offset} on were sent, {row.received} are here",
-            offset=row.received,
+            "conflict", f"bytes from {upload_offset} on were sent, {row.received} are here", offset=row.received
         )
     room = (row.size or core.settings.max_upload_bytes) - row.received
     with core.blobs.new_file() as path:
@@ -103,8 +106,12 @@ async def put_upload(
     return shape(await asyncio.to_thread(inspect, core, row))
 
 
-@router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=responses(
-    "unauthorized", "forbidden", "not-found"))  # fmt: skip
+@router.delete(
+    "/{upload_id}",
+    status_code=204,
+    operation_id="deleteUpload",
+    responses=responses("unauthorized", "forbidden", "not-found"),
+)
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
     """Forget an upload; what was made of it stays."""
     store.drop(core, store.get(core, caller.tenant, upload_id))
@@ -113,6 +120,12 @@ def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
 def shape(row: Any) -> Upload:
     """The row for the client."""
     return Upload(
-        id=row.id, name=row.name, size=row.size, offset=row.received, state=row.state, sha256=row.sha256,
-        info=json.loads(row.info) if row.info else None, created_at=row.created_at,
-    )  # fmt: skip
+        id=row.id,
+        name=row.name,
+        size=row.size,
+        offset=row.received,
+        state=row.state,
+        sha256=row.sha256,
+        info=json.loads(row.info) if row.info else None,
+        created_at=row.created_at,
+    )

@@ -102,9 +102,7 @@ def _advance(service: Service, row: Any, **values: Any) -> None:
     unchanged = (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
     with service.db.write() as connection:
         if connection.execute(sa.update(uploads).where(unchanged).values(**values)).rowcount == 0:
-            raise Problem(
-                "conflict", f"another request has continued upload {row.id!r} at byte {row.received}"
-            )
+            raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
 
 
 def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path) -> str:
@@ -125,6 +123,5 @@ def _check(service: Service, row: Any, parts: list[list[int]], sha256: str) -> N
             service.blobs.remove_part(part_name(row.id, offset))
         drop(service, row)
         raise Problem(
-            "digest-mismatch",
-            f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped",
+            "digest-mismatch", f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
         )

@@ -21,9 +21,7 @@ def sweep(service: Service) -> tuple[int, int]:
     """
     hours = service.settings.upload_hours
     unfinished = (uploads.c.state == "open") & (uploads.c.created_at < ago(hours))
-    unused = (uploads.c.state == "complete") & (
-        uploads.c.created_at < ago(24 * service.settings.suspect_days)
-    )
+    unused = (uploads.c.state == "complete") & (uploads.c.created_at < ago(24 * service.settings.suspect_days))
     with service.db.read() as connection:
         rows = connection.execute(sa.select(uploads).where(unfinished | unused)).all()
     for row in rows:
@@ -52,9 +50,14 @@ def _sweep_blobs(service: Service, hours: float) -> int:
 def _named(service: Service) -> set[str]:
     """Digests that some row names."""
     columns = (
-        uploads.c.sha256, assets.c.original_sha256, assets.c.model_sha256,
-        assets.c.record_sha256, assets.c.preview_sha256, assets.c.sketch_sha256, conversions.c.sha256,
-    )  # fmt: skip
+        uploads.c.sha256,
+        assets.c.original_sha256,
+        assets.c.model_sha256,
+        assets.c.record_sha256,
+        assets.c.preview_sha256,
+        assets.c.sketch_sha256,
+        conversions.c.sha256,
+    )
     found: set[str] = set()
     with service.db.read() as connection:
         for column in columns:

@@ -36,9 +36,7 @@ def expect(rows: Sequence[Any], kind: str) -> None:
     for row in rows:
         found = json.loads(row.info)["kind"] if row.info else kind
         if found != kind:
-            raise Problem(
-                WRONG_KIND[kind], f"upload {row.id!r} is no {kind}: its bytes are those of a {found} file"
-            )
+            raise Problem(WRONG_KIND[kind], f"upload {row.id!r} is no {kind}: its bytes are those of a {found} file")
 
 
 def whole(service: Service, tenant: str, upload_id: str) -> Any:

@@ -31,6 +31,9 @@ def spend_subject(core: Service, asset_id: str) -> None:
     """Count one verification of a suspect that derives from an asset: all such suspects are near duplicates, and a
     detector asked often enough about slight changes of one model tells how to remove its mark."""
     spend(
-        core.db, f"subject:{asset_id}", core.settings.subject_verifies_per_day, 24,
+        core.db,
+        f"subject:{asset_id}",
+        core.settings.subject_verifies_per_day,
+        24,
         "verifications of suspects that derive from one asset",
-    )  # fmt: skip
+    )

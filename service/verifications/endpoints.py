@@ -50,22 +50,14 @@ class VerifyRequest(BaseModel):
         [], max_length=64, description="Complete uploads: pictures of one suspect, read together."
     )
     cameras_upload_id: str | None = Field(
-        None,
-        max_length=64,
-        description="Cameras of the pictures, in their order; found by search if left out.",
+        None, max_length=64, description="Cameras of the pictures, in their order; found by search if left out."
     )
     asset_id: str | None = Field(
-        None,
-        max_length=64,
-        description="Asset to check against; left out: all of this tenant, likely ones first.",
+        None, max_length=64, description="Asset to check against; left out: all of this tenant, likely ones first."
     )
-    false_claim_rate: float = Field(
-        1e-9, gt=0, lt=1, description="Largest acceptable chance of a false claim."
-    )
+    false_claim_rate: float = Field(1e-9, gt=0, lt=1, description="Largest acceptable chance of a false claim.")
     route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
-    spz_frame: Literal["auto", "spec", "ply"] = Field(
-        "auto", description="Axes of an .spz that does not say."
-    )
+    spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that does not say.")
 
 
 FILES = {
@@ -76,17 +68,32 @@ FILES = {
 BODY = form_schema(VerifyRequest, FILES, ("upload_id", "image_upload_ids", "cameras_upload_id"))
 
 
-@router.post("/verify", status_code=202, operation_id="verify", openapi_extra=BODY, response_model=JobView,
-    responses={200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"}, **responses(
-        "malformed-request", "unauthorized", "forbidden", "not-found", "conflict", "too-large",
-        "unsupported-media-type", "invalid-request", "budget-exceeded")})  # fmt: skip
+@router.post(
+    "/verify",
+    status_code=202,
+    operation_id="verify",
+    openapi_extra=BODY,
+    response_model=JobView,
+    responses={
+        200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
+        **responses(
+            "malformed-request",
+            "unauthorized",
+            "forbidden",
+            "not-found",
+            "conflict",
+            "too-large",
+            "unsupported-media-type",
+            "invalid-request",
+            "budget-exceeded",
+        ),
+    },
+)
 async def verify(
     request: Request,
     core: Core,
     caller: Verifier,
-    prefer: Annotated[
-        str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")
-    ] = None,
+    prefer: Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")] = None,
     idempotency_key: Annotated[str | None, Header(min_length=1, max_length=128)] = None,
 ) -> Response:
     """Check a suspect model, or pictures of one. The job's result names the claim; a negative answer is a claim too."""
@@ -95,9 +102,7 @@ async def verify(
     return await respond(core, job, prefer)
 
 
-def _submit(
-    core: Service, caller: Caller, body: VerifyRequest, files: dict[str, Any], retry_key: str | None
-) -> Job:
+def _submit(core: Service, caller: Caller, body: VerifyRequest, files: dict[str, Any], retry_key: str | None) -> Job:
     tenant = caller.tenant
     model_files, image_files, camera_files = (files.get(name, []) for name in FILES)
     if bool(body.upload_id or model_files) == bool(body.image_upload_ids or image_files):
@@ -109,11 +114,7 @@ def _submit(
     if (body.cameras_upload_id or camera_files) and (body.upload_id or model_files):
         raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
 
-    model = (
-        [whole(core, tenant, body.upload_id)]
-        if body.upload_id
-        else [take(core, tenant, f) for f in model_files]
-    )
+    model = [whole(core, tenant, body.upload_id)] if body.upload_id else [take(core, tenant, f) for f in model_files]
     images = [whole(core, tenant, name) for name in body.image_upload_ids]
     images += [take(core, tenant, file) for file in image_files]
     cameras = (
@@ -134,13 +135,7 @@ def _submit(
     }
 
     def make() -> Job:
-        spend(
-            core.db,
-            f"verify:{caller.key_id}",
-            core.settings.verifies_per_hour,
-            1,
-            "verify jobs of this API key",
-        )
+        spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
             if not asset_exists(core, tenant, body.asset_id):
                 raise Problem("not-found", f"there is no asset {body.asset_id!r}")

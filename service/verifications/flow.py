@@ -14,10 +14,7 @@ from service.verifications.candidates import rows_to_try, spend_subject
 
 def verify_flow(service: Service) -> Flow:
     """Steps of a verify job."""
-    return (
-        Step("verify", lambda run: _verify(service, run)),
-        Step("commit", lambda run: _commit(service, run)),
-    )
+    return (Step("verify", lambda run: _verify(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
 def _verify(service: Service, run: Run) -> dict[str, Any]:
@@ -28,14 +25,17 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
     known = candidates(service, rows, folder)
     if not known:
         raise Problem("conflict", "the owner key of every asset in question was erased: import it again")
-    found = run.work("verify", {
-        "model": str(service.blobs.local(asked["model"], folder)) if asked["model"] else None,
-        "images": [str(service.blobs.local(digest, folder)) for digest in asked["images"]],
-        "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
-        "candidates": known,
-        "stop_at_first": True,
-        **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
-    })  # fmt: skip
+    found = run.work(
+        "verify",
+        {
+            "model": str(service.blobs.local(asked["model"], folder)) if asked["model"] else None,
+            "images": [str(service.blobs.local(digest, folder)) for digest in asked["images"]],
+            "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
+            "candidates": known,
+            "stop_at_first": True,
+            **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
+        },
+    )
     kept = {name: service.blobs.put(folder / file) for name, file in found["files"].items()}
     return {**{name: value for name, value in found.items() if name != "files"}, "kept": kept}
 

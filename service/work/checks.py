@@ -12,11 +12,7 @@ from engine.watermark.claim import Claim, ClaimConfig, Verdict
 
 Check = dict[str, Any]
 
-NO_RECORD: Check = {
-    "code": "evidence",
-    "ok": False,
-    "text": "There is no registered asset to compare with.",
-}
+NO_RECORD: Check = {"code": "evidence", "ok": False, "text": "There is no registered asset to compare with."}
 
 
 def checks_of(claim: Claim | None, error: RecordError | None, pictures: int) -> list[Check]:
@@ -96,9 +92,7 @@ def _mark(claim: Claim, derived: bool | None) -> Check:
     if claim.verdict is Verdict.INCONCLUSIVE:
         return _check("mark", None, "Neither shown nor ruled out.")
     if derived:
-        return _check(
-            "mark", False, "Derived from the asset, but without this mark: unmarked, or another copy's mark."
-        )
+        return _check("mark", False, "Derived from the asset, but without this mark: unmarked, or another copy's mark.")
     return _check("mark", False, "The mark is not there.")
 
 

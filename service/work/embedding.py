@@ -14,9 +14,9 @@ from engine.pipeline.choosing import AUTO, START, choose
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.progress import Clock
+from engine.registration.sketch import make_sketch
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
-from engine.watermark.sketch import make_sketch
 from service.work.inputs import load_cameras, load_candidates, load_model
 from service.work.pictures import draw_preview
 from service.work.process import Progress
@@ -44,23 +44,31 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     clock, choice = Clock(progress), None
     if request["profile"] == AUTO:
         choice = choose(
-            loaded.model, key, bits if message is None else len(message), config, original_sha256=loaded.sha256,
-            cameras=cameras, keep_psnr=request.get("psnr") is not None, clock=clock,
-        )  # fmt: skip
+            loaded.model,
+            key,
+            bits if message is None else len(message),
+            config,
+            original_sha256=loaded.sha256,
+            cameras=cameras,
+            keep_psnr=request.get("psnr") is not None,
+            clock=clock,
+        )
     made = embed(
-        loaded.model, key, original_sha256=loaded.sha256, message=message, bits=bits,
-        config=config if choice is None else choice.config, cameras=cameras, copy=request.get("copy") or "",
-        registered_at=request.get("registered_at") or "", progress=progress,
+        loaded.model,
+        key,
+        original_sha256=loaded.sha256,
+        message=message,
+        bits=bits,
+        config=config if choice is None else choice.config,
+        cameras=cameras,
+        copy=request.get("copy") or "",
+        registered_at=request.get("registered_at") or "",
+        progress=progress,
         ground=None if choice is None else choice.ground,
-    )  # fmt: skip
+    )
     started = time.perf_counter()
     progress("write", 0.0)
-    files = {
-        "model": f"model.{kind}",
-        "record": "model.record",
-        "preview": "preview.png",
-        "sketch": "sketch.bin",
-    }
+    files = {"model": f"model.{kind}", "record": "model.record", "preview": "preview.png", "sketch": "sketch.bin"}
     record, model = made.record.to_bytes(key), encode_model(made.model, kind)
     (folder / files["record"]).write_bytes(record)
     (folder / files["model"]).write_bytes(model)

@@ -9,10 +9,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
+from engine.pictures.features import LUMA
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.verification import Verification
 from engine.raster import View, prepare_view, render, sh_colors
-from engine.watermark.features import LUMA
 from engine.watermark.statistics import weighted_evidence
 from service.work.pictures import all_png, choose_view, to_picture
 
@@ -34,11 +34,7 @@ _LEGEND = 40
 
 
 def draw_evidence(
-    folder: Path,
-    opened: OpenedRecord,
-    found: Verification,
-    model: GaussianModel | None,
-    picture: Float32 | None,
+    folder: Path, opened: OpenedRecord, found: Verification, model: GaussianModel | None, picture: Float32 | None
 ) -> dict[str, str]:
     """Draw `suspect`, `reference` and `heatmap`; names of their files in the folder.
 
@@ -56,10 +52,7 @@ def draw_evidence(
     view = prepare_view(reference, camera)
     position = camera.position.astype(np.float32)
     image, alpha = view.render(sh_colors(reference.sh, reference.means, position))
-    pictures = {
-        "reference": to_picture(image),
-        "heatmap": _heatmap(opened, found, view, image, alpha),
-    }
+    pictures = {"reference": to_picture(image), "heatmap": _heatmap(opened, found, view, image, alpha)}
     if model is not None:
         pictures["suspect"] = to_picture(_suspect_view(model, found, camera))
     elif picture is not None:
@@ -114,9 +107,7 @@ def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Boo
     return z[cell], (variance > 0)[cell] & carries[layout.labels[0]]
 
 
-def _heatmap(
-    opened: OpenedRecord, found: Verification, view: View, image: Float32, alpha: Float32
-) -> Image.Image:
+def _heatmap(opened: OpenedRecord, found: Verification, view: View, image: Float32, alpha: Float32) -> Image.Image:
     """The cells' scores over a grey picture of the asset, with a scale."""
     z, seen = cell_scores(opened, found)
     blended = view.render(np.stack([np.where(seen, z, 0.0), seen], axis=1).astype(np.float32))[0]

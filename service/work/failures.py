@@ -34,11 +34,7 @@ def _describe(error: BaseException) -> dict[str, Any]:
         place = {"element": error.element, "row": error.row, "property": error.prop}
         known = {name: value for name, value in place.items() if value is not None}
         where = ", ".join(f"{name} {value!r}" for name, value in known.items())
-        return {
-            "kind": "unreadable-model",
-            "detail": f"{where}: {error.message}" if where else error.message,
-            **known,
-        }
+        return {"kind": "unreadable-model", "detail": f"{where}: {error.message}" if where else error.message, **known}
     if isinstance(error, CameraError):
         return {"kind": "unreadable-cameras", "detail": text}
     if isinstance(error, CapacityError):
@@ -51,10 +47,7 @@ def _describe(error: BaseException) -> dict[str, Any]:
         return {"kind": "engine-limit", "detail": "the work wrote a larger file than it may"}
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return {"kind": "storage-full", "detail": "no space left for the files of this work"}
-    return {
-        "kind": "internal",
-        "detail": f"the work failed by a fault of this service ({type(error).__name__})",
-    }
+    return {"kind": "internal", "detail": f"the work failed by a fault of this service ({type(error).__name__})"}
 
 
 def _paths(value: Any) -> Iterator[str]:

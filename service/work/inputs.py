@@ -80,8 +80,7 @@ def load_pictures(paths: Sequence[str]) -> list[Float32]:
         together = sum(_pixels(Path(path), number) for number, path in enumerate(paths, start=1))
         if together > MOST_PIXELS:
             raise Problem(
-                "unreadable-image",
-                f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}",
+                "unreadable-image", f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}"
             )
         return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
 
@@ -120,9 +119,7 @@ def _read(path: Path, number: int) -> Float32:
 
 def _opened(path: Path, number: int) -> Image.Image:
     if not is_picture(path):
-        raise Problem(
-            "unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)"
-        )
+        raise Problem("unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
     return Image.open(path)
 
 
@@ -139,6 +136,4 @@ def _told_by_number(path: Path, number: int) -> Iterator[None]:
     except Image.DecompressionBombError:
         raise Problem("unreadable-image", f"picture {number}: has too many pixels") from None
     except Exception as error:
-        raise Problem(
-            "unreadable-image", f"picture {number}: cannot be read ({type(error).__name__})"
-        ) from None
+        raise Problem("unreadable-image", f"picture {number}: cannot be read ({type(error).__name__})") from None

@@ -11,15 +11,15 @@ from engine.errors import FormatError, RecordError
 from engine.model import GaussianModel
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
+from engine.registration.sketch import ALIKE, Sketch, SuspectIndex
 from engine.watermark.claim import Verdict
-from engine.watermark.sketch import ALIKE, Sketch, SuspectIndex
 from service.work.inputs import Candidate
 from service.work.process import Progress
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate and how much the suspect resembles it (see `engine.watermark.sketch`)."""
+    """A candidate and how much the suspect resembles it (see `engine.registration.sketch`)."""
 
     candidate: Candidate
     resemblance: int
@@ -61,9 +61,7 @@ def _resemblance(index: SuspectIndex, candidate: Candidate, seen: dict[Path, int
     return seen[path]
 
 
-def find_marks(
-    model: GaussianModel, candidates: Sequence[Candidate], limit: int, progress: Progress
-) -> dict[str, Any]:
+def find_marks(model: GaussianModel, candidates: Sequence[Candidate], limit: int, progress: Progress) -> dict[str, Any]:
     """Marks that a model carries already: `{"alike", "screened", "carries"}`, see docs/SERVICE.md.
 
     Parameters

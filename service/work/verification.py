@@ -125,9 +125,7 @@ def _read(request: Mapping[str, Any]) -> Suspect:
     cameras = load_cameras(request.get("cameras"), count=len(paths))
     pictures = load_pictures(paths)
     subject = {"format": "pictures", "gaussians": None, "pictures": len(pictures)}
-    return Suspect(
-        None, pictures, subject, lambda opened, c, p: verify_images(pictures, opened, c, cameras, p)
-    )
+    return Suspect(None, pictures, subject, lambda opened, c, p: verify_images(pictures, opened, c, cameras, p))
 
 
 def _choose(suspect: Suspect, candidates: list[Candidate], progress: Progress) -> list[Ranked]:
@@ -165,13 +163,7 @@ def _part(progress: Progress, number: int, count: int) -> Progress:
 
 def _report(best: Outcome | None, tries: int, suspect: Suspect) -> dict[str, Any]:
     """The part of the reply that speaks of the best candidate."""
-    nothing: dict[str, Any] = {
-        "asset": None,
-        "claim": None,
-        "record": None,
-        "registered_message": None,
-        "files": {},
-    }
+    nothing: dict[str, Any] = {"asset": None, "claim": None, "record": None, "registered_message": None, "files": {}}
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}
     claim = best.found.claim if best.found is not None else None

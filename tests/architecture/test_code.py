@@ -13,9 +13,7 @@ import pytest
 from tests.architecture.tree import dotted, module_name, parse, product_files
 
 FILES = [pytest.param(path, id=module_name(path)) for path in product_files()]
-PACKAGES = [
-    pytest.param(path, id=module_name(path)) for path in product_files() if path.name == "__init__.py"
-]
+PACKAGES = [pytest.param(path, id=module_name(path)) for path in product_files() if path.name == "__init__.py"]
 COMPILERS = {"cfunc", "guvectorize", "jit", "jitclass", "njit", "stencil", "vectorize"}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -181,9 +179,7 @@ class C:
 @pytest.mark.parametrize("path", FILES)
 def test_library_code_does_not_print(path: Path) -> None:
     calls = [node for node in ast.walk(parse(path)) if isinstance(node, ast.Call)]
-    assert not [
-        node.lineno for node in calls if dotted(node.func) in ("print", "builtins.print", "pprint.pprint")
-    ]
+    assert not [node.lineno for node in calls if dotted(node.func) in ("print", "builtins.print", "pprint.pprint")]
 
 
 def numba_names(tree: ast.Module) -> set[str]:
@@ -210,11 +206,7 @@ def uncached_kernels(tree: ast.Module) -> list[int]:
     for node in tree.body:
         value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
         if isinstance(value, ast.Dict):
-            pairs = {
-                k.value: v
-                for k, v in zip(value.keys, value.values, strict=True)
-                if isinstance(k, ast.Constant)
-            }
+            pairs = {k.value: v for k, v in zip(value.keys, value.values, strict=True) if isinstance(k, ast.Constant)}
             if isinstance(pairs.get("cache"), ast.Constant) and pairs["cache"].value is True:
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
                 caching |= {dotted(target) for target in targets}

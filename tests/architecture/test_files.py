@@ -15,9 +15,7 @@ LONGEST = 330
 """Lines; 300 is the aim, one reason to change per file."""
 
 # A path that exists on one machine only. Kernel interfaces such as /proc are the same everywhere.
-MACHINE_PATH = re.compile(
-    r"(?<![\w./~$}-])/(?:work|tmp|home|root|Users|mnt|farm|srv|opt/(?:pypi|wheels))(?=/|\b)"
-)
+MACHINE_PATH = re.compile(r"(?<![\w./~$}-])/(?:work|tmp|home|root|Users|mnt|farm|srv|opt/(?:pypi|wheels))(?=/|\b)")
 WINDOWS_PATH = re.compile(r"(?<![A-Za-z])[A-Z]:\\(?:Users|work|temp)", re.IGNORECASE)
 # Where packages come from is the installer's setting, not the tree's.
 REGISTRY = re.compile(
@@ -25,25 +23,8 @@ REGISTRY = re.compile(
     r"|npm(?:mirror)\.com|conda\.ana(?:conda)\.org|proxy\.golang\.(?:org)|--(?:extra-)?index(?:-)url"
     r"|\bgh(?:cr)\.io|registry\.hub\.do(?:cker))"
 )
-NOT_TEXT = {
-    ".ply",
-    ".png",
-    ".jpg",
-    ".npz",
-    ".sog",
-    ".spz",
-    ".splat",
-    ".webp",
-    ".glb",
-    ".bin",
-    ".m3r",
-    ".record",
-}
-VENDORED = {
-    Path("service/web/docs/swagger-ui"),
-    Path("service/web/viewer/supersplat"),
-    Path("tests/service/web/axe"),
-}
+NOT_TEXT = {".ply", ".png", ".jpg", ".npz", ".sog", ".spz", ".splat", ".webp", ".glb", ".bin", ".m3r", ".record"}
+VENDORED = {Path("service/web/docs/swagger-ui"), Path("service/web/viewer/supersplat"), Path("tests/service/web/axe")}
 """Folders of other people's files, kept as they came; a minified bundle holds closing tags that look like paths."""
 
 
@@ -53,13 +34,7 @@ def faults(text: str) -> list[str]:
 
 
 def test_rules_see_what_they_look_for() -> None:
-    for bad in (
-        "open('/wor" + "k/a')",
-        "cd /tm" + "p",
-        "see /hom" + "e/x",
-        "C:" + "\\Users\\a",
-        "pypi" + ".org",
-    ):
+    for bad in ("open('/wor" + "k/a')", "cd /tm" + "p", "see /hom" + "e/x", "C:" + "\\Users\\a", "pypi" + ".org"):
         assert faults(bad), bad
     for good in ("/proc/self/status", "a/work/b", "$HOME/work", "https://host/tmp", "./tmp/x", "/v1/models"):
         assert not faults(good), good

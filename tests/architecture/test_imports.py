@@ -17,11 +17,7 @@ SECONDS = 0.5
 RUN_BY_ALEMBIC = {"service.db.migrations.env"}
 """Works on a context that only Alembic makes."""
 
-TORCH_MODULES = {
-    "engine.pipeline.distortions",
-    "engine.pipeline.refinement",
-    "engine.raster.autograd",
-}
+TORCH_MODULES = {"engine.pipeline.distortions", "engine.pipeline.refinement", "engine.raster.autograd"}
 """Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
 
 OPENING = """
@@ -45,9 +41,8 @@ print(json.dumps(blame))
 
 def run(code: str, *arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -7,20 +7,39 @@ from engine.cli.claim_text import WIDTH, claim_lines, odds, percent, surely
 
 def report(verdict: str, **changes: object) -> dict[str, object]:
     base: dict[str, object] = {
-        "verdict": verdict, "message": "c0ffee42", "matching_bits": 32, "bits": 32,
-        "bit_reliability": [1.0] * 32, "log10_false_claim": -612.4, "false_claim_rate": 1e-9, "power": 1.0,
-        "missing": "", "derived_fraction": 0.248, "derived_but_unmarked": False, "transform": None,
-        "route": "model", "copy": "acme", "notes": [], "meets_dishonest_claimant_rate": True,
-        "record_id": "ab" * 16, "owner": "cd" * 8, "registered_at": "",
-    }  # fmt: skip
+        "verdict": verdict,
+        "message": "c0ffee42",
+        "matching_bits": 32,
+        "bits": 32,
+        "bit_reliability": [1.0] * 32,
+        "log10_false_claim": -612.4,
+        "false_claim_rate": 1e-9,
+        "power": 1.0,
+        "missing": "",
+        "derived_fraction": 0.248,
+        "derived_but_unmarked": False,
+        "transform": None,
+        "route": "model",
+        "copy": "acme",
+        "notes": [],
+        "meets_dishonest_claimant_rate": True,
+        "record_id": "ab" * 16,
+        "owner": "cd" * 8,
+        "registered_at": "",
+    }
     return base | changes
 
 
 @pytest.mark.parametrize(
     ("log10", "text"),
-    [(-612.4, "at most 1 in 10^612"), (-9.0, "at most 1 in 10^9"),
-     (-1.99, "at most 1 in 10^1"), (-0.5, "no better than chance"), (0.0, "no better than chance")],
-)  # fmt: skip
+    [
+        (-612.4, "at most 1 in 10^612"),
+        (-9.0, "at most 1 in 10^9"),
+        (-1.99, "at most 1 in 10^1"),
+        (-0.5, "no better than chance"),
+        (0.0, "no better than chance"),
+    ],
+)
 def test_odds_are_rounded_against_the_claim(log10: float, text: str) -> None:
     assert odds(log10) == text
 
@@ -40,10 +59,18 @@ def test_nothing_measured_is_certain() -> None:
 def test_a_marked_claim_says_all_of_it() -> None:
     text = "\n".join(claim_lines(report("marked"), "suspect.ply"))
     for part in (
-        "MARKED: the mark of this record is in suspect.ply", "c0ffee42", "32 of 32", "1 in 10^612",
+        "MARKED: the mark of this record is in suspect.ply",
+        "c0ffee42",
+        "32 of 32",
+        "1 in 10^612",
         "asked for: at most 1 in 10^9",
-        "24.8 %", "'acme'", "ab" * 16, "proven bound", "does not mean", "2^-128",
-    ):  # fmt: skip
+        "24.8 %",
+        "'acme'",
+        "ab" * 16,
+        "proven bound",
+        "does not mean",
+        "2^-128",
+    ):
         assert part in " ".join(text.split()), part
 
 

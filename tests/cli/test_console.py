@@ -10,16 +10,14 @@ from engine.numerics.plain import plain
 
 
 def test_plain_values_are_json() -> None:
-    value = {
-        "a": np.float32(1.5),
-        "b": np.arange(3),
-        "c": (1, None, True),
-        "d": float("inf"),
-        "e": np.int64(7),
-    }
+    value = {"a": np.float32(1.5), "b": np.arange(3), "c": (1, None, True), "d": float("inf"), "e": np.int64(7)}
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == {
-        "a": 1.5, "b": [0, 1, 2], "c": [1, None, True], "d": None, "e": 7,
-    }  # fmt: skip
+        "a": 1.5,
+        "b": [0, 1, 2],
+        "c": [1, None, True],
+        "d": None,
+        "e": 7,
+    }
 
 
 def test_people_and_machines(capsys: pytest.CaptureFixture[str]) -> None:

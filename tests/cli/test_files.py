@@ -22,9 +22,7 @@ def test_whole_file_appears_at_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
-def test_an_interrupted_file_leaves_nothing_and_keeps_the_old(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_an_interrupted_file_leaves_nothing_and_keeps_the_old(tmp_path: Path, error: type[BaseException]) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")
     with pytest.raises(error), whole_file(target) as part:  # noqa: PT012

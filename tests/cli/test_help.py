@@ -9,9 +9,19 @@ import pytest
 from engine.cli.app import run
 
 COMMANDS = (
-    ["keygen"], ["inspect"], ["embed"], ["verify"], ["trace"], ["render"], ["attack"], ["sim"], ["evaluate"], ["bench"],
-    ["config", "show"], ["demo"],
-)  # fmt: skip
+    ["keygen"],
+    ["inspect"],
+    ["embed"],
+    ["verify"],
+    ["trace"],
+    ["render"],
+    ["attack"],
+    ["sim"],
+    ["evaluate"],
+    ["bench"],
+    ["config", "show"],
+    ["demo"],
+)
 HEAVY = ("torch", "numba", "cv2", "scipy", "numpy", "matplotlib", "skimage", "PIL")
 
 
@@ -38,9 +48,7 @@ def test_help_comes_at_once() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_command_explains_itself_with_an_example(
-    command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_explains_itself_with_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run([*command, "--help"]) == 0
     text = capsys.readouterr().out
     assert "Example" in text

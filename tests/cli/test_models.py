@@ -14,11 +14,7 @@ def model(coefficients: int) -> GaussianModel:
     rng = np.random.default_rng(0)
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (20, 1))
     return GaussianModel(
-        rng.normal(size=(20, 3)),
-        rng.normal(size=(20, 3)),
-        quats,
-        np.zeros(20),
-        np.zeros((20, coefficients, 3)),
+        rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), quats, np.zeros(20), np.zeros((20, coefficients, 3))
     )
 
 

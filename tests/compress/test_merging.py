@@ -12,15 +12,22 @@ def scattered(n: int = 200) -> GaussianModel:
     quats = rng.standard_normal((n, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     return GaussianModel(
-        rng.uniform(-10, 10, (n, 3)), rng.uniform(-3, -2, (n, 3)), quats, rng.standard_normal(n),
+        rng.uniform(-10, 10, (n, 3)),
+        rng.uniform(-3, -2, (n, 3)),
+        quats,
+        rng.standard_normal(n),
         rng.standard_normal((n, 4, 3)),
-    )  # fmt: skip
+    )
 
 
 def test_exact_duplicates_merge_into_the_original() -> None:
     model = scattered()
-    twice = GaussianModel(*(np.concatenate([a, a[:50]]) for a in (
-        model.means, model.log_scales, model.quats, model.opacity_logits, model.sh)))  # fmt: skip
+    twice = GaussianModel(
+        *(
+            np.concatenate([a, a[:50]])
+            for a in (model.means, model.log_scales, model.quats, model.opacity_logits, model.sh)
+        )
+    )
     merged, kept, partner = merge_duplicates(twice, 0.05)
     assert len(merged) == 200
     np.testing.assert_array_equal(kept, np.arange(200))
@@ -41,9 +48,7 @@ def test_scattered_gaussians_stay() -> None:
 
 def test_other_color_or_shape_stays() -> None:
     model = scattered(2)
-    pair = model.with_(
-        means=np.zeros((2, 3)), log_scales=np.full((2, 3), -2.0), quats=np.tile([1.0, 0, 0, 0], (2, 1))
-    )
+    pair = model.with_(means=np.zeros((2, 3)), log_scales=np.full((2, 3), -2.0), quats=np.tile([1.0, 0, 0, 0], (2, 1)))
     recolored = pair.with_(sh=np.stack([np.zeros((4, 3)), np.ones((4, 3))]))
     reshaped = pair.with_(sh=np.zeros((2, 4, 3)), log_scales=np.array([[-2.0] * 3, [-2.0, -2.0, -4.0]]))
     assert len(merge_duplicates(recolored, 0.05)[0]) == 2
@@ -56,8 +61,12 @@ def test_merged_discs_are_discs() -> None:
     near = discs.take(np.arange(50))
     near = near.with_(means=near.means + 1e-4 * np.random.default_rng(0).standard_normal((50, 3)))
     near = near.with_(means=near.means.astype(np.float32))
-    twice = GaussianModel(*(np.concatenate([getattr(discs, n), getattr(near, n)]) for n in (
-        "means", "log_scales", "quats", "opacity_logits", "sh")))  # fmt: skip
+    twice = GaussianModel(
+        *(
+            np.concatenate([getattr(discs, n), getattr(near, n)])
+            for n in ("means", "log_scales", "quats", "opacity_logits", "sh")
+        )
+    )
     merged, _, partner = merge_duplicates(twice, 1e9)
     assert (partner >= 0).sum() == 50
     assert merged.is_flat

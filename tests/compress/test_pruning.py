@@ -11,9 +11,12 @@ from engine.model import GaussianModel
 def model(n: int = 4000, degree: int = 0) -> GaussianModel:
     rng = np.random.default_rng(0)
     return GaussianModel(
-        rng.uniform(-1, 1, (n, 3)), np.full((n, 3), -4.0), np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros(n),
+        rng.uniform(-1, 1, (n, 3)),
+        np.full((n, 3), -4.0),
+        np.tile([1.0, 0, 0, 0], (n, 1)),
+        np.zeros(n),
         rng.standard_normal((n, (degree + 1) ** 2, 3)),
-    )  # fmt: skip
+    )
 
 
 def quality_by_mass(impact: np.ndarray, full: GaussianModel):  # type: ignore[no-untyped-def]
@@ -32,9 +35,7 @@ def quality_by_mass(impact: np.ndarray, full: GaussianModel):  # type: ignore[no
 def test_the_budget_is_met_from_above(budget: float) -> None:
     full = model()
     impact = np.random.default_rng(1).gamma(0.3, 1.0, len(full))
-    result = prune(
-        full, impact, quality_by_mass(impact, full), 1.0, PruneConfig(budget_db=budget, merge_distance=0)
-    )
+    result = prune(full, impact, quality_by_mass(impact, full), 1.0, PruneConfig(budget_db=budget, merge_distance=0))
     assert budget <= result.psnr_db <= budget + 0.3
     assert len(result.model) == len(result.kept) < len(full)
     np.testing.assert_array_equal(result.model.means, full.means[result.kept])

@@ -55,8 +55,14 @@ def _make_base(folder: Path) -> None:
     need("mmdebstrap", "mmdebstrap")
     context = folder / "base"
     context.mkdir()
-    run("mmdebstrap", "--quiet", "--variant=minbase", "--include=ca-certificates,python3,python3-venv",
-        "bookworm", context / "root.tar")  # fmt: skip
+    run(
+        "mmdebstrap",
+        "--quiet",
+        "--variant=minbase",
+        "--include=ca-certificates,python3,python3-venv",
+        "bookworm",
+        context / "root.tar",
+    )
     shutil.copy(CERTIFICATES, context / "ca-certificates.crt")
     settings = Path("/etc/pip.conf")
     (context / "pip.conf").write_text(settings.read_text() if settings.is_file() else "")
@@ -64,6 +70,4 @@ def _make_base(folder: Path) -> None:
 
 
 def _build(name: str, recipe: str, context: Path) -> None:
-    run(
-        "docker", "build", "--quiet", "--network=host", f"--tag={name}", f"--file={RECIPES / recipe}", context
-    )
+    run("docker", "build", "--quiet", "--network=host", f"--tag={name}", f"--file={RECIPES / recipe}", context)

@@ -54,9 +54,12 @@ class Stack:
     def compose(self, *arguments: str) -> str:
         """Call compose on this project."""
         done = subprocess.run(
-            [*self._command, *arguments], capture_output=True, text=True, timeout=1500,
+            [*self._command, *arguments],
+            capture_output=True,
+            text=True,
+            timeout=1500,
             env=os.environ | self._environment,
-        )  # fmt: skip
+        )
         if done.returncode:
             raise RuntimeError(f"compose {' '.join(arguments)}: {done.stdout[-1000:]}\n{done.stderr[-3000:]}")
         return done.stdout

@@ -103,9 +103,7 @@ def test_kernels_come_from_the_image(client: Client, container: str, asset: str,
     assert len(compiled) == len(shipped)
 
 
-def test_a_worker_killed_in_mid_job(
-    stack: Stack, client: Client, container: str, key: str, plant: bytes
-) -> None:
+def test_a_worker_killed_in_mid_job(stack: Stack, client: Client, container: str, key: str, plant: bytes) -> None:
     job = client.start("embed", plant, key_id=key, copy_name="worker killed")
     client.middle(job)
     worker = stack.process(container, "service.cli worker")
@@ -115,9 +113,7 @@ def test_a_worker_killed_in_mid_job(
     _is_registered_once(client, job)
 
 
-def test_the_container_killed_in_mid_job(
-    stack: Stack, client: Client, container: str, key: str, plant: bytes
-) -> None:
+def test_the_container_killed_in_mid_job(stack: Stack, client: Client, container: str, key: str, plant: bytes) -> None:
     job = client.start("embed", plant, key_id=key, copy_name="container killed")
     client.middle(job)
     before = stack.inspect(container)

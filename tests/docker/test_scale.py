@@ -22,9 +22,7 @@ def stack(image: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stac
     secrets: Path = tmp_path_factory.mktemp("secrets")
     run(ROOT / "docker" / "secrets.sh", secrets)
     files = [SCALE, HERE / "compose.store.yaml"]
-    with running(
-        Stack("mark3dgs-test-scale", files, {"MARK3DGS_SECRETS": str(secrets)}), "--scale=worker=2"
-    ) as stack:
+    with running(Stack("mark3dgs-test-scale", files, {"MARK3DGS_SECRETS": str(secrets)}), "--scale=worker=2") as stack:
         yield stack
 
 

@@ -56,10 +56,7 @@ def right(scores: np.ndarray | None, message: Signs = MESSAGE) -> int:
 
 @pytest.mark.parametrize("name", ["qim", "spread"])
 def test_a_mark_is_read_at_the_wanted_fidelity(
-    name: str,
-    plant: GaussianModel,
-    cameras: list[Camera],
-    marked: Callable[[str], tuple[GaussianModel, Kept]],
+    name: str, plant: GaussianModel, cameras: list[Camera], marked: Callable[[str], tuple[GaussianModel, Kept]]
 ) -> None:
     model, kept = marked(name)
     worst = min(psnr(render(plant, camera), render(model, camera)) for camera in cameras)
@@ -83,9 +80,7 @@ def test_each_class_fails_where_it_must(marked: Callable[[str], tuple[GaussianMo
             assert (right(METHODS[name].read_model(suspect, kept)) >= 31) == kept_bits, (name, attack)
 
 
-def test_spread_spectrum_reads_a_file_cut_at_its_end(
-    marked: Callable[[str], tuple[GaussianModel, Kept]],
-) -> None:
+def test_spread_spectrum_reads_a_file_cut_at_its_end(marked: Callable[[str], tuple[GaussianModel, Kept]]) -> None:
     model, kept = marked("spread")
     shorter = model.take(np.arange(round(0.9 * len(model))))
     assert right(METHODS["spread"].read_model(shorter, kept)) >= 31
@@ -125,16 +120,7 @@ def test_rivagan_says_what_it_lacks() -> None:
 
 def test_published_numbers_have_their_conditions() -> None:
     points = read_published()
-    wanted = {
-        "GS-Hider",
-        "WATER-GS",
-        "GaussianMarker",
-        "GuardSplat",
-        "3D-GSW",
-        "W2M",
-        "FlyMark",
-        "NGS-Marker",
-    }
+    wanted = {"GS-Hider", "WATER-GS", "GaussianMarker", "GuardSplat", "3D-GSW", "W2M", "FlyMark", "NGS-Marker"}
     assert wanted <= {point.method for point in points}
     assert all(point.source and point.hardware and np.isfinite(point.value) for point in points)
     assert all(0 <= point.value <= 100 for point in points if point.what == "bit accuracy")

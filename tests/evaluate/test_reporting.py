@@ -30,7 +30,7 @@ def report(rows: list[Row], options: Options) -> Report:
         [Section("How", ["in words"], [Table(["a", "b"], [[1.23456, "x & y"]])], drawings)],
         answer=["It works."],
         summary={"n": len(rows), "nan": float("nan")},
-    )  # fmt: skip
+    )
 
 
 STUDY = Study("trial", "A trial", "Does it work?", lambda options: [], report)

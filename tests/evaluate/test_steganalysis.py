@@ -100,9 +100,7 @@ def test_regions_are_compact_and_see_a_lattice() -> None:
     clipped = (old == old.max(axis=0)) | (old == old.min(axis=0))
     assert np.abs(moved[~clipped]).max() < 0.0071  # half a step of 1 / 255 in DC units
     white = old[:, 0] == old[:, 0].max()
-    assert white.sum() > 10 * (old[:, 0] == np.sort(np.unique(old[:, 0]))[-2]).sum(), (
-        "plant is clipped at white"
-    )
+    assert white.sum() > 10 * (old[:, 0] == np.sort(np.unique(old[:, 0]))[-2]).sum(), "plant is clipped at white"
     assert moved[white, 0].min() > -0.0071, "what was clipped lay beyond"
     assert 0.1 < moved[white, 0].mean() < 0.6
     lattice, floats = measure_regions(model, regions), measure_regions(born, regions)

@@ -29,9 +29,7 @@ class Marked:
         """Exit code and JSON of a command."""
         return ask(capsys, *arguments)
 
-    def verify(
-        self, capsys: pytest.CaptureFixture[str], *arguments: str | Path
-    ) -> tuple[int, dict[str, Any]]:
+    def verify(self, capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, dict[str, Any]]:
         """Exit code and JSON of `verify` with this record and key."""
         return ask(capsys, "verify", *arguments, "--record", self.record, "--key", self.key)
 
@@ -57,9 +55,23 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
 
     with contextlib.redirect_stdout(io.StringIO()) as out:
         code = run(
-            ["embed", str(SCENE), str(model), "--key", str(key), "--record", str(record), "--profile", "fast",
-             "--copy", "acme", "--message", "c0ffee42", "--json"]
-        )  # fmt: skip
+            [
+                "embed",
+                str(SCENE),
+                str(model),
+                "--key",
+                str(key),
+                "--record",
+                str(record),
+                "--profile",
+                "fast",
+                "--copy",
+                "acme",
+                "--message",
+                "c0ffee42",
+                "--json",
+            ]
+        )
     said.write_text(out.getvalue())
     assert code == 0, out.getvalue()
     return Marked(folder, key, record, model, json.loads(out.getvalue()))

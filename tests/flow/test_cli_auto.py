@@ -18,9 +18,21 @@ def test_auto_says_what_it_chose_and_verifies(
     thin.write_bytes(encode_model(read_model(SCENE).model.take(np.arange(0, 113_000, 4)), "ply"))
     record, model = tmp_path / "thin.record", tmp_path / "marked.ply"
     code, said = marked.ask(
-        capsys, "embed", thin, model, "--key", marked.key, "--record", record, "--profile", "auto",
-        "--psnr", "44", "--bits", "16",
-    )  # fmt: skip
+        capsys,
+        "embed",
+        thin,
+        model,
+        "--key",
+        marked.key,
+        "--record",
+        record,
+        "--profile",
+        "auto",
+        "--psnr",
+        "44",
+        "--bits",
+        "16",
+    )
     assert code == 0
     choice = said["choice"]
     assert choice["psnr_db"] == 44.0

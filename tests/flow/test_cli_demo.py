@@ -15,16 +15,24 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert report["as_expected"] is True
     verdicts = {name: outcome["verdict"] for name, outcome in report["outcomes"].items()}
     assert verdicts == {
-        "moved": "marked", "piece": "marked", "screenshot": "marked", "unmarked": "not_marked",
+        "moved": "marked",
+        "piece": "marked",
+        "screenshot": "marked",
+        "unmarked": "not_marked",
         "another key": "wrong_key",
-    }  # fmt: skip
+    }
     assert report["outcomes"]["screenshot"]["route"] == "image"
     assert 0.2 < report["outcomes"]["piece"]["derived_fraction"] < 0.3
     made = {path.name for path in out.iterdir()}
     assert made == {
-        "owner.key", "scene.record", "marked.ply", "stolen-moved.ply", "stolen-piece.spz",
-        "stolen-screenshot.jpg", "demo.png",
-    }  # fmt: skip
+        "owner.key",
+        "scene.record",
+        "marked.ply",
+        "stolen-moved.ply",
+        "stolen-piece.spz",
+        "stolen-screenshot.jpg",
+        "demo.png",
+    }
     with Image.open(report["picture"]) as picture:
         assert picture.size == (1200, 800)
 

@@ -10,14 +10,36 @@ import pytest
 from tests.flow.conftest import SCENE, Marked
 
 EMBED_KEYS = {
-    "gaussians_in", "gaussians_out", "bits", "message", "psnr_worst_view", "ssim_worst_view",
-    "psnr_total_worst_view", "predicted_z_per_bit", "capacity_bits", "bytes_out", "seconds",
-    "seconds_by_stage", "repairs",
-}  # fmt: skip
+    "gaussians_in",
+    "gaussians_out",
+    "bits",
+    "message",
+    "psnr_worst_view",
+    "ssim_worst_view",
+    "psnr_total_worst_view",
+    "predicted_z_per_bit",
+    "capacity_bits",
+    "bytes_out",
+    "seconds",
+    "seconds_by_stage",
+    "repairs",
+}
 VERIFY_KEYS = {
-    "verdict", "confidence", "log10_false_claim", "z", "message", "bits", "bit_accuracy", "bit_reliability",
-    "derived_fraction", "transform", "route", "copy", "seconds", "seconds_by_stage",
-}  # fmt: skip
+    "verdict",
+    "confidence",
+    "log10_false_claim",
+    "z",
+    "message",
+    "bits",
+    "bit_accuracy",
+    "bit_reliability",
+    "derived_fraction",
+    "transform",
+    "route",
+    "copy",
+    "seconds",
+    "seconds_by_stage",
+}
 
 Capsys = pytest.CaptureFixture[str]
 
@@ -79,9 +101,7 @@ def test_the_claim_in_words(marked: Marked, capsys: Capsys) -> None:
 
 def test_a_wrong_key_is_told_as_such(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
     assert marked.ask(capsys, "keygen", tmp_path / "other.key")[0] == 0
-    code, said = marked.ask(
-        capsys, "verify", marked.model, "--record", marked.record, "--key", tmp_path / "other.key"
-    )
+    code, said = marked.ask(capsys, "verify", marked.model, "--record", marked.record, "--key", tmp_path / "other.key")
     assert code == 2
     assert said["error"]["type"] == "WrongKeyError"
     assert "this key did not make this record" in said["error"]["message"]
@@ -102,9 +122,7 @@ def test_stolen_models_are_claimed(
     suspect = marked.model
     for step, (name, strength) in enumerate(chain):
         target = tmp_path / f"{step}{ending}"
-        code, report = marked.ask(
-            capsys, "attack", name, suspect, target, "--strength", strength, "--seed", "3"
-        )
+        code, report = marked.ask(capsys, "attack", name, suspect, target, "--strength", strength, "--seed", "3")
         assert code == 0
         assert report["bytes_out"] == target.stat().st_size
         suspect = target

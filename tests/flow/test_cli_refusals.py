@@ -30,9 +30,7 @@ def key(tmp_path: Path, capsys: Capsys) -> Path:
 
 def test_a_record_is_not_replaced_without_force(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
     before = marked.record.read_bytes()
-    error = refused(
-        capsys, "embed", SCENE, tmp_path / "out.ply", "--key", marked.key, "--record", marked.record
-    )
+    error = refused(capsys, "embed", SCENE, tmp_path / "out.ply", "--key", marked.key, "--record", marked.record)
     assert "--force" in str(error["message"])
     assert marked.record.read_bytes() == before
     assert not (tmp_path / "out.ply").exists()
@@ -52,9 +50,21 @@ def test_interrupted_at_the_last_moment(
     out, record = tmp_path / "out" / "m.splat", tmp_path / "out" / "m.record"
     out.parent.mkdir()
     code, said = ask(
-        capsys, "embed", thin, out, "--key", key, "--record", record, "--bits", "16", "--profile", "fast",
-        "--psnr", "40",
-    )  # fmt: skip
+        capsys,
+        "embed",
+        thin,
+        out,
+        "--key",
+        key,
+        "--record",
+        record,
+        "--bits",
+        "16",
+        "--profile",
+        "fast",
+        "--psnr",
+        "40",
+    )
     assert (code, said["error"]["type"]) == (130, "Interrupted")
     assert list(out.parent.iterdir()) == []
 
@@ -62,17 +72,7 @@ def test_interrupted_at_the_last_moment(
 def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    arguments = [
-        "embed",
-        SCENE,
-        out / "m.ply",
-        "--key",
-        key,
-        "--record",
-        out / "m.record",
-        "--profile",
-        "strong",
-    ]
+    arguments = ["embed", SCENE, out / "m.ply", "--key", key, "--record", out / "m.record", "--profile", "strong"]
     # A shell that starts the tests in the background hands on SIGINT as ignored, and Python leaves it so.
     program = """
 import signal, sys
@@ -101,9 +101,21 @@ main()
 
 def test_a_message_the_scene_cannot_carry(key: Path, capsys: Capsys, tmp_path: Path) -> None:
     error = refused(
-        capsys, "embed", SMALL, tmp_path / "m.ply", "--key", key, "--record", tmp_path / "r", "--bits", "256",
-        "--profile", "fast", "--psnr", "60",
-    )  # fmt: skip
+        capsys,
+        "embed",
+        SMALL,
+        tmp_path / "m.ply",
+        "--key",
+        key,
+        "--record",
+        tmp_path / "r",
+        "--bits",
+        "256",
+        "--profile",
+        "fast",
+        "--psnr",
+        "60",
+    )
     assert error["type"] == "CapacityError"
     assert error["wanted"] == 256
     assert not (tmp_path / "r").exists()
@@ -124,9 +136,7 @@ def test_a_message_the_scene_cannot_carry(key: Path, capsys: Capsys, tmp_path: P
     ids=lambda value: value[0].strip("-") if isinstance(value, list) else "",
 )
 def test_options_of_embed(key: Path, capsys: Capsys, tmp_path: Path, options: list[str], part: str) -> None:
-    error = refused(
-        capsys, "embed", SMALL, tmp_path / "m.ply", "--key", key, "--record", tmp_path / "r", *options
-    )
+    error = refused(capsys, "embed", SMALL, tmp_path / "m.ply", "--key", key, "--record", tmp_path / "r", *options)
     assert part in str(error["message"])
 
 
@@ -157,12 +167,8 @@ def test_suspects_of_two_kinds(marked: Marked, capsys: Capsys, tmp_path: Path) -
     assert "a.png" in str(refused(capsys, "verify", tmp_path / "a.png", *common)["message"])
     assert "route" in str(refused(capsys, "verify", SCENE, "--route", "magic", *common)["message"])
     assert "route" in str(refused(capsys, "verify", SCENE, "--route", "image", *common)["message"])
-    assert refused(capsys, "verify", SCENE, "--record", SMALL, "--key", marked.key)["type"] == (
-        "MalformedRecordError"
-    )
-    assert refused(capsys, "verify", SCENE, "--record", marked.record, "--key", SMALL)["type"] == (
-        "KeyFileError"
-    )
+    assert refused(capsys, "verify", SCENE, "--record", SMALL, "--key", marked.key)["type"] == ("MalformedRecordError")
+    assert refused(capsys, "verify", SCENE, "--record", marked.record, "--key", SMALL)["type"] == ("KeyFileError")
 
 
 def test_attacks(capsys: Capsys, tmp_path: Path) -> None:

@@ -43,17 +43,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_readme_shows_commands() -> None:
     text = "".join(block["commands"] for block in blocks())
-    for command in (
-        "keygen",
-        "inspect",
-        "embed",
-        "verify",
-        "render",
-        "attack",
-        "trace",
-        "sim",
-        "config show",
-    ):
+    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "trace", "sim", "config show"):
         assert f"mark3dgs {command}" in text
 
 
@@ -62,9 +52,13 @@ def test_commands_run_as_written(folder: Path) -> None:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for block in blocks():
         done = subprocess.run(
-            ["bash", "-e", "-c", block["commands"]], cwd=folder, capture_output=True, text=True,
-            env=os.environ | {"PATH": path, "COLUMNS": "100"}, check=False,
-        )  # fmt: skip
+            ["bash", "-e", "-c", block["commands"]],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            env=os.environ | {"PATH": path, "COLUMNS": "100"},
+            check=False,
+        )
         expected = EXIT.search(block["commands"])
         wanted = int(expected[1]) if expected else 0
         assert done.returncode == wanted, f"{block['commands']}{done.stdout}{done.stderr}"

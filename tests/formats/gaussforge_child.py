@@ -34,9 +34,7 @@ def as_model(read: dict[str, Any]) -> GaussianModel:
         for name in ("positions", "scales", "rotations", "alphas", "colors", "sh")
     }
     sh = np.concatenate([arrays["colors"][:, None], arrays["sh"].reshape(n, -1, 3)], axis=1)
-    return GaussianModel(
-        arrays["positions"], arrays["scales"], arrays["rotations"], arrays["alphas"][:, 0], sh
-    )
+    return GaussianModel(arrays["positions"], arrays["scales"], arrays["rotations"], arrays["alphas"][:, 0], sh)
 
 
 if __name__ == "__main__":

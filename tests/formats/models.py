@@ -45,11 +45,7 @@ def rows_for(names: list[str], n: int, seed: int = 0) -> npt.NDArray[np.float32]
 
 
 def header_for(
-    names: list[str],
-    n: int,
-    encoding: str = "binary_little_endian",
-    kind: str = "float",
-    count: str | None = None,
+    names: list[str], n: int, encoding: str = "binary_little_endian", kind: str = "float", count: str | None = None
 ) -> bytes:
     """Header of a file with one element; `count` lies about n."""
     lines = ["ply", f"format {encoding} 1.0", f"element vertex {count or n}"]

@@ -39,9 +39,7 @@ def ply(points: Float64 = POINTS, colors: Bytes = COLORS, order: str = "<", face
     return header + body + (struct.pack(order + "B3i", 3, 0, 1, 2) if faces else b"")
 
 
-def pcd(
-    points: Float64 = POINTS, colors: Bytes = COLORS, encoding: str = "binary", packed: str = "F"
-) -> bytes:
+def pcd(points: Float64 = POINTS, colors: Bytes = COLORS, encoding: str = "binary", packed: str = "F") -> bytes:
     """x y z, padding, packed colour (as float or integer), intensity, and time in integer nanoseconds."""
     n = len(points)
     header = (

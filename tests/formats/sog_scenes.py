@@ -81,12 +81,7 @@ def version_1(n: int, degree: int, seed: int = 0) -> tuple[bytes, dict[str, np.n
     meta: dict[str, Any] = {
         "means": {"shape": [n, 3], "dtype": "float32", "files": ["means_l.webp", "means_u.webp"], **low_high},
         "scales": {"shape": [n, 3], "dtype": "float32", "files": ["scales.webp"], **scale_range},
-        "quats": {
-            "shape": [n, 4],
-            "dtype": "uint8",
-            "encoding": "quaternion_packed",
-            "files": ["quats.webp"],
-        },
+        "quats": {"shape": [n, 4], "dtype": "uint8", "encoding": "quaternion_packed", "files": ["quats.webp"]},
         "sh0": {"shape": [n, 1, 4], "dtype": "float32", "files": ["sh0.webp"], **color_range},
     }
     if degree:
@@ -95,16 +90,14 @@ def version_1(n: int, degree: int, seed: int = 0) -> tuple[bytes, dict[str, np.n
         labels[..., 0] = rng.integers(0, 128, (height, width))
         parts |= {"shN_centroids": centroids, "shN_labels": labels}
         meta["shN"] = {
-            "shape": [n, rest * 3], "dtype": "float32", "mins": -0.75, "maxs": 0.5, "quantization": 8,
+            "shape": [n, rest * 3],
+            "dtype": "float32",
+            "mins": -0.75,
+            "maxs": 0.5,
+            "quantization": 8,
             "files": ["shN_centroids.webp", "shN_labels.webp"],
-        }  # fmt: skip
-    expected: dict[str, list[Any]] = {
-        "means": [],
-        "log_scales": [],
-        "quats": [],
-        "opacity_logits": [],
-        "sh": [],
-    }
+        }
+    expected: dict[str, list[Any]] = {"means": [], "log_scales": [], "quats": [], "opacity_logits": [], "sh": []}
     for i in range(n):
         at = divmod(i, width)
         bent = [
@@ -113,14 +106,10 @@ def version_1(n: int, degree: int, seed: int = 0) -> tuple[bytes, dict[str, np.n
         ]
         expected["means"].append([np.sign(v) * (np.exp(abs(v)) - 1) for v in bent])
         expected["log_scales"].append(
-            [
-                a + (b - a) * int(scales[at][c]) / 255
-                for c, (a, b) in enumerate(zip(*scale_range.values(), strict=True))
-            ]
+            [a + (b - a) * int(scales[at][c]) / 255 for c, (a, b) in enumerate(zip(*scale_range.values(), strict=True))]
         )
         color = [
-            a + (b - a) * int(sh0[at][c]) / 255
-            for c, (a, b) in enumerate(zip(*color_range.values(), strict=True))
+            a + (b - a) * int(sh0[at][c]) / 255 for c, (a, b) in enumerate(zip(*color_range.values(), strict=True))
         ]
         expected["opacity_logits"].append(color[3])
         largest = int(quats[at][3]) - 252

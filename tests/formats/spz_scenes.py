@@ -21,9 +21,7 @@ def random_model(degree: int, n: int = 200, seed: int = 0) -> GaussianModel:
         rng.uniform(-9, 2, (n, 3)),
         quats / np.linalg.norm(quats, axis=1, keepdims=True),
         rng.uniform(-4, 4, n),
-        np.concatenate(
-            [rng.uniform(-3, 3, (n, 1, 3)), rng.uniform(-0.98, 0.98, (n, (degree + 1) ** 2 - 1, 3))], 1
-        ),
+        np.concatenate([rng.uniform(-3, 3, (n, 1, 3)), rng.uniform(-0.98, 0.98, (n, (degree + 1) ** 2 - 1, 3))], 1),
     )
 
 
@@ -36,9 +34,7 @@ def head(version: int, n: int, degree: int, bits: int = 12, flags: int = 0) -> b
     return struct.pack("<IIIBBBB", 0x5053474E, version, n, degree, bits, flags, 0)
 
 
-def gzipped(
-    version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0
-) -> bytes:
+def gzipped(version: int, n: int, degree: int, sections: list[bytes], tail: bytes = b"", flags: int = 0) -> bytes:
     return gzip.compress(head(version, n, degree, flags=flags) + b"".join(sections) + tail, 1)
 
 

@@ -52,14 +52,7 @@ def test_inria_file(tmp_path: Path) -> None:
 
 def test_rotations_with_few_decimals_are_made_orthonormal(tmp_path: Path) -> None:
     turn = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix()
-    entry = {
-        "width": 64,
-        "height": 48,
-        "fx": 50,
-        "fy": 50,
-        "position": [0, 0, 0],
-        "rotation": turn.round(3).tolist(),
-    }
+    entry = {"width": 64, "height": 48, "fx": 50, "fy": 50, "position": [0, 0, 0], "rotation": turn.round(3).tolist()}
     (camera,) = read_cameras(write_json(tmp_path / "c.json", [entry]))
     R = camera.viewmat[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
@@ -85,9 +78,7 @@ def test_blender_file_with_an_angle_of_view_takes_the_size_from_the_image(tmp_pa
     path = write_json(tmp_path / "transforms_train.json", {"camera_angle_x": 0.7, "frames": [frame]})
     (found,) = read_cameras(path)
     focal = 40 / math.tan(0.35)
-    assert_close(
-        [found], [Camera(camera.viewmat, np.array([[focal, 0, 40], [0, focal, 30], [0, 0, 1]]), 80, 60)]
-    )
+    assert_close([found], [Camera(camera.viewmat, np.array([[focal, 0, 40], [0, focal, 30], [0, 0, 1]]), 80, 60)])
 
 
 @pytest.mark.parametrize("name", ["../secret", "absent", None, 7, "a\0b"])
@@ -112,12 +103,7 @@ def test_nerfstudios_transform_is_undone(tmp_path: Path) -> None:
     for camera in cameras():
         moved = applied @ pose_of(camera)
         moved[:3, :3] /= 2  # a pose stays rigid
-        intrinsics = {
-            "fl_x": camera.K[0, 0],
-            "fl_y": camera.K[1, 1],
-            "cx": camera.K[0, 2],
-            "cy": camera.K[1, 2],
-        }
+        intrinsics = {"fl_x": camera.K[0, 0], "fl_y": camera.K[1, 1], "cx": camera.K[0, 2], "cy": camera.K[1, 2]}
         frames.append({"transform_matrix": moved.tolist(), "w": camera.width, "h": 100, **intrinsics})
     path = write_json(tmp_path / "t.json", {"applied_transform": applied[:3].tolist(), "frames": frames})
     assert_close(read_cameras(path), cameras())
@@ -163,10 +149,7 @@ def test_faults_of_an_entry_are_named(tmp_path: Path, change: dict[str, Any], me
         ('{"frames": []}', "holds no frames"),
         ('{"frames": [[]]}', "frame 0: is no object"),
         ('{"frames": [{"w": 8, "h": 8}]}', "frame 0: has no 'camera_angle_x'"),
-        (
-            '{"frames": [{"w": 8, "h": 8, "camera_angle_x": 60}]}',
-            "camera_angle_x 60 is no angle of view in radians",
-        ),
+        ('{"frames": [{"w": 8, "h": 8, "camera_angle_x": 60}]}', "camera_angle_x 60 is no angle of view in radians"),
         ('{"frames": [{"w": 8, "h": 8, "fl_x": 9}]}', "frame 0: has no 'transform_matrix'"),
         ('{"frames": [{"camera_model": "EQUIRECTANGULAR"}]}', "camera_model 'EQUIRECTANGULAR' is no pinhole"),
         ('{"frames": [{}], "applied_transform": [[0,0,0,0],[0,0,0,0],[0,0,0,0]]}', "cannot be undone"),

@@ -74,11 +74,7 @@ def test_colmap_binary(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("model", "parameters"),
-    [
-        ("SIMPLE_RADIAL", "300 90.25 50 0.1"),
-        ("OPENCV", "300 300 90.25 50 0 0 0 0.001"),
-        ("RADIAL", "300 90.25 50 0 1"),
-    ],
+    [("SIMPLE_RADIAL", "300 90.25 50 0.1"), ("OPENCV", "300 300 90.25 50 0 0 0 0.001"), ("RADIAL", "300 90.25 50 0 1")],
 )
 def test_distortion_is_ignored_with_a_warning(tmp_path: Path, model: str, parameters: str) -> None:
     folder = colmap_text(tmp_path / "model", model, parameters)
@@ -101,9 +97,7 @@ def test_distortion_is_ignored_with_a_warning(tmp_path: Path, model: str, parame
         (None, "1 1 0 0 0", r"images\.txt: line 1: is no image"),
     ],
 )
-def test_faults_of_colmap_text(
-    tmp_path: Path, cameras_txt: str | None, images_txt: str | None, message: str
-) -> None:
+def test_faults_of_colmap_text(tmp_path: Path, cameras_txt: str | None, images_txt: str | None, message: str) -> None:
     folder = colmap_text(tmp_path / "model", "PINHOLE", "300 310.5 90.25 50")
     for name, text in (("cameras.txt", cameras_txt), ("images.txt", images_txt)):
         if text is not None:

@@ -13,18 +13,9 @@ import pytest
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
-from engine.formats.ply import read_ply, write_ply
+from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.model import DISC_THICKNESS, GaussianModel
-from tests.formats.models import (
-    ATTRIBUTES,
-    DATA,
-    assert_same,
-    header_for,
-    names_of,
-    ply_of,
-    random_model,
-    rows_for,
-)
+from tests.formats.models import ATTRIBUTES, DATA, assert_same, header_for, names_of, ply_of, random_model, rows_for
 
 TRAIN = DATA / "train_1000.ply"
 
@@ -78,9 +69,7 @@ def test_reads_what_plyfile_writes(text: bool, byte_order: str, kind: str) -> No
     for name, column in values.items():
         table[name] = column
     stream = io.BytesIO()
-    element = plyfile.PlyElement.describe(
-        table, "vertex", comments=["f\u00fcr".encode("ascii", "ignore").decode()]
-    )
+    element = plyfile.PlyElement.describe(table, "vertex", comments=["f\u00fcr".encode("ascii", "ignore").decode()])
     plyfile.PlyData([element], text=text, byte_order=byte_order).write(stream)
     loaded = read_model(stream.getvalue())
     for name in ATTRIBUTES:  # plyfile prints 18 digits, so the text is exact as well
@@ -94,9 +83,7 @@ def test_agrees_with_gsply(tmp_path: Path) -> None:
     np.testing.assert_array_equal(ours.sh[:, 0], theirs.sh0)
     np.testing.assert_array_equal(ours.sh[:, 1:], theirs.shN)
     path = tmp_path / "gsply.ply"
-    gsply.plywrite(
-        path, ours.means, ours.log_scales, ours.quats, ours.opacity_logits, ours.sh[:, 0], ours.sh[:, 1:]
-    )
+    gsply.plywrite(path, ours.means, ours.log_scales, ours.quats, ours.opacity_logits, ours.sh[:, 0], ours.sh[:, 1:])
     assert_same(read_model(path).model, ours)
 
 
@@ -140,13 +127,7 @@ def test_extra_properties_and_elements_are_ignored_and_reported() -> None:
     rows = rows_for(names, 20)
     plain = read_model(ply_of(names, rows)).model
     wide = np.column_stack([np.full(20, 9), rows, np.full(20, 9)])
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment \u00fc",
-        "element frame 2",
-        "property int number",
-    ]
+    head = ["ply", "format binary_little_endian 1.0", "comment \u00fc", "element frame 2", "property int number"]
     head += ["element vertex 20", "property float mip", *(f"property float {name}" for name in names)]
     head += ["property float id", "element face 1", "property list uchar int corners", "end_header", ""]
     body = b"\0" * 8 + wide.astype("<f4").tobytes() + b"\x03" + b"\0" * 12
@@ -189,12 +170,9 @@ def test_a_gap_in_f_rest_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "element", "row"),
-    [("11", "vertex", 10), ("9", "vertex", None), ("99999999999999", "vertex", 10)],
+    ("count", "element", "row"), [("11", "vertex", 10), ("9", "vertex", None), ("99999999999999", "vertex", 10)]
 )
-def test_a_wrong_count_is_refused_before_anything_is_allocated(
-    count: str, element: str, row: int | None
-) -> None:
+def test_a_wrong_count_is_refused_before_anything_is_allocated(count: str, element: str, row: int | None) -> None:
     names = names_of(0)
     with pytest.raises(FormatError, match="count is wrong") as caught:
         read_model(ply_of(names, rows_for(names, 10), count=count), name="lie.ply")

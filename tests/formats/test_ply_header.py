@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from engine.errors import FormatError
 from engine.formats import encode_model, read_model
-from engine.formats.ply_header import MAX_HEADER_BYTES, parse_header
+from engine.formats.ply.header import MAX_HEADER_BYTES, parse_header
 from tests.formats.models import header_for, names_of, ply_of, random_model, rows_for
 
 NAMES = names_of(0)
@@ -85,18 +85,13 @@ def test_a_count_allocates_nothing(encoding: str, count: str) -> None:
 
 
 def test_offsets_and_strides() -> None:
-    text = (
-        START
-        + "element a 3\nproperty double d\nproperty uchar c\nelement b 2\nproperty short s\nend_header\n"
-    )
+    text = START + "element a 3\nproperty double d\nproperty uchar c\nelement b 2\nproperty short s\nend_header\n"
     header = parse_header(text.encode(), file="x")
     assert [(e.name, e.count, e.stride) for e in header.elements] == [("a", 3, 9), ("b", 2, 2)]
     assert header.size == len(text)
 
 
-KEYWORDS = (
-    "ply format ascii binary_little_endian binary_big_endian 1.0 element property list end_header comment"
-)
+KEYWORDS = "ply format ascii binary_little_endian binary_big_endian 1.0 element property list end_header comment"
 TYPES = "float uint uchar double"
 OTHERS = "vertex chunk sh x packed_position min_x f_rest_0 0 1 3 99999999999 -1"
 WORDS = st.sampled_from([*f"{KEYWORDS} {TYPES} {OTHERS}".split(), *NAMES, "\n", "\n", "\n", "\r\n", " "])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
-from engine.formats import lzf as fast_lzf
-from engine.formats.lzf import GROWTH, decompress
-from engine.formats.point_cloud import PointCloud
-from engine.formats.points_reading import read_point_cloud
+from engine.formats.points import lzf as fast_lzf
+from engine.formats.points.cloud import PointCloud
+from engine.formats.points.lzf import GROWTH, decompress
+from engine.formats.points.reading import read_point_cloud
 from tests.formats.point_files import COLORED, COLORS, INTENSITY, POINTS, TIMED, TIMES, las, pcd, ply
 from tests.reference import lzf
 
@@ -182,7 +182,7 @@ def test_a_changed_byte_never_does_worse_than_be_refused(name: str) -> None:
         (las()[:131] + struct.pack("<d", np.nan) + las()[139:], "scale"),
         (las()[:96] + struct.pack("<I", 100) + las()[100:], "inside the header"),
     ],
-)  # fmt: skip
+)
 def test_refused_with_a_reason(data: bytes, message: str) -> None:
     with pytest.raises(FormatError, match=message) as caught:
         read_point_cloud(data, name="scan.x")
@@ -213,9 +213,9 @@ def test_lzf_against_its_twin(compiled: bool, monkeypatch: pytest.MonkeyPatch) -
             assert lzf.decompress(packed) == data
             assert decompress(packed, size, file="f").tobytes() == data
     long_ago = rng.integers(256, size=6000, dtype=np.uint8).tobytes()
-    assert decompress(
-        lzf.compress(long_ago[:300]) + bytes([31, *long_ago[:32]]), 332, file="f"
-    ).tobytes() == (long_ago[:300] + long_ago[:32])
+    assert decompress(lzf.compress(long_ago[:300]) + bytes([31, *long_ago[:32]]), 332, file="f").tobytes() == (
+        long_ago[:300] + long_ago[:32]
+    )
 
 
 @pytest.mark.parametrize(

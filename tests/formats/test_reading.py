@@ -52,9 +52,7 @@ def test_other_formats_are_refused_by_name() -> None:
         read_model(bytes(4096), name="Scene.KSPLAT")
     with pytest.raises(UnsupportedFormatError, match="is glTF"):
         read_model(b"glTF" + bytes(60), name="scene.glb")
-    with pytest.raises(
-        UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, splat"
-    ):
+    with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, splat"):
         read_model(b"hello", name="scene.ply")
 
 

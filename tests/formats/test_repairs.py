@@ -10,13 +10,7 @@ import pytest
 
 from engine.errors import FormatError
 from engine.formats import encode_model, read_model
-from engine.formats.repairs import (
-    INFINITE_OPACITY_LOGIT,
-    LOG_SCALE_RANGE,
-    OPACITY_LOGIT_LIMIT,
-    Repair,
-    clean,
-)
+from engine.formats.repairs import INFINITE_OPACITY_LOGIT, LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT, Repair, clean
 from engine.model import GaussianModel
 from tests.formats.models import ATTRIBUTES, assert_same, random_model
 
@@ -43,11 +37,7 @@ def test_repairing_twice_changes_nothing() -> None:
     arrays["opacity_logits"][::3] = np.inf
     arrays["log_scales"][::5] = 99
     model, repairs = run(arrays)
-    assert {repair.code for repair in repairs} == {
-        "quaternions_normalized",
-        "opacities_infinite",
-        "scales_clamped",
-    }
+    assert {repair.code for repair in repairs} == {"quaternions_normalized", "opacities_infinite", "scales_clamped"}
     again, none = run(arrays_of(model))
     assert none == ()
     assert_same(again, model)
@@ -69,9 +59,7 @@ def test_repairing_twice_changes_nothing() -> None:
         ("sh", (7, 3, 2), 1e20, "f_rest_8"),
     ],
 )
-def test_an_unusable_row_is_left_out_and_named(
-    attribute: str, index: tuple[int, ...], value: float, prop: str
-) -> None:
+def test_an_unusable_row_is_left_out_and_named(attribute: str, index: tuple[int, ...], value: float, prop: str) -> None:
     whole = random_model(1, 10)
     arrays = arrays_of(whole)
     arrays[attribute][index] = value

@@ -13,9 +13,9 @@ import pytest
 
 from engine.errors import FormatError, InputError
 from engine.formats.morton import morton_order
-from engine.formats.ply import read_ply
-from engine.formats.sog import read_sog, read_sog_folder, write_sog
-from engine.formats.sog_encoding import position_codes
+from engine.formats.ply.gaussians import read_ply
+from engine.formats.sog.bundle import read_sog, read_sog_folder, write_sog
+from engine.formats.sog.encoding import position_codes
 from engine.model import GaussianModel
 from tests.formats.gaussforge_child import as_model, gaussforge
 from tests.formats.sog_scenes import (
@@ -183,18 +183,14 @@ def test_gaussforge_reads_what_we_write_and_writes_what_we_read(train):
     )
     theirs, model = as_model(read), read_sog(ours, file="x")[0]
     for name in ("means", "log_scales", "sh"):
-        np.testing.assert_allclose(
-            getattr(theirs, name), getattr(model, name), rtol=1e-4, atol=1e-4, err_msg=name
-        )
+        np.testing.assert_allclose(getattr(theirs, name), getattr(model, name), rtol=1e-4, atol=1e-4, err_msg=name)
     np.testing.assert_allclose(np.abs((theirs.quats * model.quats).sum(axis=1)), 1.0, atol=1e-5)
 
     foreign, _ = read_sog(written, file="x")
     (read,) = gaussforge(("read", {"data": written, "format": "sog"}))
     theirs = as_model(read)
     for name in ("means", "log_scales", "sh"):
-        np.testing.assert_allclose(
-            getattr(theirs, name), getattr(foreign, name), rtol=1e-4, atol=1e-4, err_msg=name
-        )
+        np.testing.assert_allclose(getattr(theirs, name), getattr(foreign, name), rtol=1e-4, atol=1e-4, err_msg=name)
     np.testing.assert_allclose(np.abs((theirs.quats * foreign.quats).sum(axis=1)), 1.0, atol=1e-5)
     assert len(foreign) == len(train)
     # It orders the Gaussians its own way: compare by the nearest centre.

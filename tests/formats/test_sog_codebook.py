@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.formats.sog_codebook import learn_codebook, nearest_codes
-from engine.formats.sog_palette import learn_palette, palette_size
+from engine.formats.sog.codebook import learn_codebook, nearest_codes
+from engine.formats.sog.palette import learn_palette, palette_size
 from tests.reference.quantization import best_codebook_error, kmeans_error
 
 

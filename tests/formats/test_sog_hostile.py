@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.sog import read_sog, write_sog
+from engine.formats.sog.bundle import read_sog, write_sog
 from tests.formats.sog_scenes import assert_valid, bundle, random_model, unbundle, webp, with_meta, with_parts
 
 SCENE = write_sog(random_model(1))
@@ -21,15 +21,7 @@ LIES = {
     "version": [0, 3, "2", True, [2]],
     "means": [None, [], 7],
     "means.files": [None, ["means_l.webp"], ["../means_l.webp", "means_u.webp"], ["means_l.webp", 5]],
-    "quats.files": [
-        ["/etc/passwd"],
-        ["a/b.webp"],
-        [".."],
-        [""],
-        ["missing.webp"],
-        ["meta.json"],
-        ["q\\q.webp"],
-    ],
+    "quats.files": [["/etc/passwd"], ["a/b.webp"], [".."], [""], ["missing.webp"], ["meta.json"], ["q\\q.webp"]],
     "means.mins": [[0, 0], [0, 0, "0"], [0, 0, float("nan")], [0, 0, 1e40], 0, [0, 0, True]],
     "scales.codebook": [None, [], [0.0] * 257, ["a"] * 256, [None] * 256, [float("inf")] * 256],
     "shN": [7, {}],
@@ -154,9 +146,23 @@ JSON = st.recursive(
     max_leaves=6,
 )
 MEMBERS = [
-    "version", "count", "means", "means.mins", "means.maxs", "means.files", "scales", "scales.codebook",
-    "quats", "quats.files", "sh0.codebook", "sh0.files", "shN", "shN.count", "shN.bands", "shN.codebook",
-]  # fmt: skip
+    "version",
+    "count",
+    "means",
+    "means.mins",
+    "means.maxs",
+    "means.files",
+    "scales",
+    "scales.codebook",
+    "quats",
+    "quats.files",
+    "sh0.codebook",
+    "sh0.files",
+    "shN",
+    "shN.count",
+    "shN.bands",
+    "shN.codebook",
+]
 
 
 @settings(max_examples=150, deadline=None)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from engine.errors import FormatError, InputError
-from engine.formats.ply import read_ply
-from engine.formats.spz import read_spz, write_spz
-from engine.formats.spz_container import unpack
-from engine.formats.spz_frames import SPECIFICATION
+from engine.formats.ply.gaussians import read_ply
+from engine.formats.spz.container import unpack
+from engine.formats.spz.frames import SPECIFICATION
+from engine.formats.spz.stream import read_spz, write_spz
 from engine.model import GaussianModel
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.spz_scenes import frame_record, gzipped, random_model, random_sections, record
@@ -127,10 +127,7 @@ def test_gaussforge_writes_what_we_read_in_every_version(train):
     source = TRAIN.read_bytes()
     versions = (2, 3, 4)
     files = gaussforge(
-        *(
-            ("convert", {"data": source, "in_format": "ply", "out_format": "spz", "spz_version": v})
-            for v in versions
-        )
+        *(("convert", {"data": source, "in_format": "ply", "out_format": "spz", "spz_version": v}) for v in versions)
     )
     for version, data in zip(versions, files, strict=True):
         model, _ = read_spz(data, file="x", frame="ply")
@@ -162,9 +159,23 @@ def test_writer_has_the_bytes_of_gaussforge(train):
 
 AXES = {"L": (-1, 0, 0), "R": (1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 FRAMES = (
-    "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
-    "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU",
-)  # fmt: skip
+    "LDB",
+    "RDB",
+    "LUB",
+    "RUB",
+    "LDF",
+    "RDF",
+    "LUF",
+    "RUF",
+    "LFD",
+    "RFD",
+    "LFU",
+    "RFU",
+    "LBD",
+    "RBD",
+    "LBU",
+    "RBU",
+)
 
 
 @pytest.mark.parametrize("number", range(1, 17))
@@ -181,9 +192,7 @@ def test_every_declared_frame_moves_geometry_and_colours_alike(number):
     direction = np.array([0.48, -0.6, 0.64])
     for i in range(n):
         expected = moved_covariance(raw, i, 1.0, to_ply)
-        np.testing.assert_allclose(
-            covariance(model, i), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max()
-        )
+        np.testing.assert_allclose(covariance(model, i), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
         colour = sh_colour(model.sh[i].astype(float), direction)
         np.testing.assert_allclose(colour, moved_colour(raw, i, to_ply, direction), atol=1e-5)
 
@@ -222,9 +231,7 @@ def test_alpha_of_nought_and_255_become_finite():
     assert [(r.code, r.count) for r in repairs if r.code.startswith("opac")] == [("opacities_infinite", 2)]
 
 
-@pytest.mark.parametrize(
-    ("reach", "bits"), [(1e-5, 24), (0.1, 21), (1.0, 17), (100.0, 12), (3000.0, 11), (1e6, 3)]
-)
+@pytest.mark.parametrize(("reach", "bits"), [(1e-5, 24), (0.1, 21), (1.0, 17), (100.0, 12), (3000.0, 11), (1e6, 3)])
 def test_fractional_bits_follow_the_size_of_the_scene(reach, bits):
     model = random_model(0)
     model = model.with_(means=model.means / np.abs(model.means).max() * reach)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.spz import read_spz, write_spz
+from engine.formats.spz.stream import read_spz, write_spz
 from tests.formats.spz_scenes import assert_valid, gzipped, head, random_model, random_sections
 
 
@@ -61,14 +61,7 @@ def test_what_is_not_read_is_named(header, what):
 
 
 def test_other_files_are_no_spz():
-    for data in (
-        b"",
-        b"ply\n",
-        b"NGSP",
-        gzip.compress(b"hello"),
-        gzip.compress(b"PK" + bytes(1000)),
-        b"\x1f\x8b",
-    ):
+    for data in (b"", b"ply\n", b"NGSP", gzip.compress(b"hello"), gzip.compress(b"PK" + bytes(1000)), b"\x1f\x8b"):
         with pytest.raises(FormatError):
             read_spz(data, file="x")
 
@@ -89,11 +82,7 @@ def test_gzip_bomb_costs_no_memory():
 def v4(n: int, sections: list[bytes], toc: list[tuple[int, int]] | None = None) -> bytes:
     entries = toc or [(len(zstandard.compress(s)), len(s)) for s in sections]
     header = struct.pack("<IIIBBBBI12x", 0x5053474E, 4, n, 0, 12, 0, 5, 32)
-    return (
-        header
-        + b"".join(struct.pack("<QQ", *e) for e in entries)
-        + b"".join(map(zstandard.compress, sections))
-    )
+    return header + b"".join(struct.pack("<QQ", *e) for e in entries) + b"".join(map(zstandard.compress, sections))
 
 
 def test_zstd_streams_that_lie_are_refused():

@@ -14,10 +14,12 @@ def random_model(count: int) -> GaussianModel:
     rng = np.random.default_rng(0)
     quats = rng.standard_normal((count, 4))
     return GaussianModel(
-        rng.standard_normal((count, 3)), rng.normal(-3, 1, (count, 3)),
-        quats / np.linalg.norm(quats, axis=1, keepdims=True), rng.standard_normal(count),
+        rng.standard_normal((count, 3)),
+        rng.normal(-3, 1, (count, 3)),
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        rng.standard_normal(count),
         rng.standard_normal((count, 4, 3)),
-    )  # fmt: skip
+    )
 
 
 def test_the_smallest_axis_goes_and_nothing_else() -> None:

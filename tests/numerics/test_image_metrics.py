@@ -23,9 +23,7 @@ def picture(seed: int, height: int = 48, width: int = 61, channels: int = 3) -> 
 def skimage_ssim(a: np.ndarray, b: np.ndarray) -> float:
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0}
     axis = 2 if a.ndim == 3 else None
-    return float(
-        structural_similarity(a.astype(np.float64), b.astype(np.float64), channel_axis=axis, **options)
-    )
+    return float(structural_similarity(a.astype(np.float64), b.astype(np.float64), channel_axis=axis, **options))
 
 
 @pytest.mark.parametrize("amplitude", [0.1, 0.01, 1e-3])

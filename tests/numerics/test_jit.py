@@ -53,13 +53,9 @@ def test_idle_workers_sleep() -> None:
     environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
     program = "import engine.numerics.jit, os; print(os.environ['OMP_WAIT_POLICY'])"
     run = [sys.executable, "-c", program]
-    assert (
-        subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "passive\n"
-    )
+    assert subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "passive\n"
     environment["OMP_WAIT_POLICY"] = "active"  # the user's own choice stands
-    assert (
-        subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "active\n"
-    )
+    assert subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "active\n"
 
 
 @pytest.mark.parametrize("layer", ["workqueue", "omp"])

@@ -31,9 +31,7 @@ def test_against_twin(n, quat_weight, hard, cap):
     grid = WhitenedGrid(points, quats, quat_weight=quat_weight, hard=hard, soft_cap=cap)
     got = grid.query(queries, turned, box=6.0, limit2=36.0)  # box^2 = limit: the grid itself loses nothing
     for i in range(300):
-        d2 = distances2(
-            points, quats, queries[i], turned[i], quat_weight=quat_weight, hard=hard, soft_cap=cap
-        )
+        d2 = distances2(points, quats, queries[i], turned[i], quat_weight=quat_weight, hard=hard, soft_cap=cap)
         best = int(np.argmin(d2))
         if d2[best] > 36.0:
             assert got.index[i] == -1

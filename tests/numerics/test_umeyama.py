@@ -53,14 +53,7 @@ def test_a_third_of_wrong_pairs_does_no_harm():
     assert angle(fit, TRUTH) < 1e-6 < angle(plain, TRUTH)
 
 
-@pytest.mark.parametrize(
-    "x",
-    [
-        np.zeros((2, 3)),
-        np.zeros((10, 3)),
-        np.outer(np.arange(10.0), [1, 2, 3]),
-    ],
-)
+@pytest.mark.parametrize("x", [np.zeros((2, 3)), np.zeros((10, 3)), np.outer(np.arange(10.0), [1, 2, 3])])
 def test_undetermined(x):
     assert umeyama(x, TRUTH.apply(x)) is None
     assert robust_umeyama(x, TRUTH.apply(x)) is None

@@ -78,9 +78,7 @@ def test_the_embedding_goes_on_from_what_was_rehearsed_on(plant: GaussianModel) 
 
 def test_the_owners_cameras_that_are_no_key_views_are_the_unseen_ones(plant: GaussianModel) -> None:
     cameras = make_rig(plant, 12, 300, 200)
-    choice = choose(
-        plant, bench_key(1), 32, profile("fast"), original_sha256=DIGEST, cameras=cameras, keep_psnr=True
-    )
+    choice = choose(plant, bench_key(1), 32, profile("fast"), original_sha256=DIGEST, cameras=cameras, keep_psnr=True)
     assert [(c.width, c.height) for c in choice.ground.cameras] == [(256, 171)] * 6
     assert choice.rehearsal.predicted_z > 0.0
 

@@ -27,9 +27,14 @@ def quick(model: GaussianModel, **changes: object) -> Embedding:
     message = options.pop("message", None)
     copy = options.pop("copy", "")
     return embed(
-        model, bench_key(1), original_sha256=DIGEST, bits=bits, message=message, copy=copy,
+        model,
+        bench_key(1),
+        original_sha256=DIGEST,
+        bits=bits,
+        message=message,
+        copy=copy,
         config=profile("fast", **options),
-    )  # fmt: skip
+    )
 
 
 def test_fidelity_is_kept_in_the_key_views(scene: MarkedScene) -> None:
@@ -123,9 +128,12 @@ def test_copies_have_messages_and_chips_of_their_own(small_plant: GaussianModel)
 def test_owner_cameras_are_used(small_plant: GaussianModel) -> None:
     cameras = make_rig(small_plant, 12, 1000, 500)
     result = embed(
-        small_plant, bench_key(1), original_sha256=DIGEST, cameras=cameras,
+        small_plant,
+        bench_key(1),
+        original_sha256=DIGEST,
+        cameras=cameras,
         config=profile("fast", landmark_views=0, views=3, view_size=200),
-    )  # fmt: skip
+    )
     opened = open_record(result.record.to_bytes(bench_key(1)), bench_key(1))
     poses = [camera.viewmat for camera in cameras]
     assert len(opened.cameras) == 3
@@ -146,9 +154,12 @@ def test_refinement_moves_the_mark_and_keeps_fidelity_and_bits(small_plant: Gaus
 def test_progress_and_seconds_name_the_stages(small_plant: GaussianModel) -> None:
     seen: dict[str, float] = {}
     result = embed(
-        small_plant, bench_key(1), original_sha256=DIGEST, progress=lambda stage, share: seen.update({stage: share}),
+        small_plant,
+        bench_key(1),
+        original_sha256=DIGEST,
+        progress=lambda stage, share: seen.update({stage: share}),
         config=profile("fast", landmark_views=0, views=3, view_size=128),
-    )  # fmt: skip
+    )
     assert set(seen) == set(result.report["seconds_by_stage"]) >= {"look", "quantize", "plan", "record"}
     assert all(share == 1.0 for share in seen.values())
 

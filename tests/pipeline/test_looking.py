@@ -7,11 +7,11 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.rigs import make_rig
-from engine.watermark.landmarks import Landmarks, make_landmarks
-from tests.watermark.registration_cases import MOVES
-from tests.watermark.registration_cases import scene as made_up
+from tests.registration.registration_cases import MOVES
+from tests.registration.registration_cases import scene as made_up
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,7 @@ from engine.pipeline.strength import Strength, solve_strength
 
 @pytest.mark.parametrize("power", [2.0, 3.0, 5.0])
 @pytest.mark.parametrize("start", [0.01, 1.0, 30.0])
-def test_both_targets_are_met_and_nearly_reached(
-    monkeypatch: pytest.MonkeyPatch, power: float, start: float
-) -> None:
+def test_both_targets_are_met_and_nearly_reached(monkeypatch: pytest.MonkeyPatch, power: float, start: float) -> None:
     """SSIM that falls with another power of the factor than the second must not throw the solver off."""
 
     def measure(views: Any, displacement: Any, factor: float) -> Strength:

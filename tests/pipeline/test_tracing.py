@@ -43,8 +43,7 @@ def copies(small_plant: GaussianModel) -> Copies:
     """Five copies of one asset, and the records of copies that nobody leaked."""
     key = bench_key(5)
     made = [
-        embed(small_plant, key, original_sha256="11" * 32, bits=16, config=CONFIG, copy=f"buyer {i}")
-        for i in range(5)
+        embed(small_plant, key, original_sha256="11" * 32, bits=16, config=CONFIG, copy=f"buyer {i}") for i in range(5)
     ]
     opened = [open_record(m.record.to_bytes(key), key) for m in made]
     first = opened[0]
@@ -61,9 +60,7 @@ def copies(small_plant: GaussianModel) -> Copies:
     return Copies([m.model for m in made], opened, [innocent(i) for i in range(INNOCENT)])
 
 
-@pytest.mark.parametrize(
-    "rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"]
-)
+@pytest.mark.parametrize("rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"])
 def test_each_of_five_is_named_and_no_innocent(copies: Copies, rule: str) -> None:
     answer = trace_model(copies.together(5, rule), [*copies.others, *copies.opened], MODEL)
     assert {f.copy for f in answer.named} == {f"buyer {i}" for i in range(5)}
@@ -87,9 +84,7 @@ def test_every_record_and_route_is_a_try(copies: Copies) -> None:
     among = trace_model(copies.models[0], copies.opened + copies.others, VerifyConfig(route="auto"))
     assert (alone.tries, among.tries) == (1, 2 * (5 + INNOCENT))
     assert among.z_threshold == z_threshold(1e-9, among.tries) > alone.z_threshold
-    assert among.named[0].log10_false_claim == pytest.approx(
-        alone.named[0].log10_false_claim + np.log10(among.tries)
-    )
+    assert among.named[0].log10_false_claim == pytest.approx(alone.named[0].log10_false_claim + np.log10(among.tries))
     counted = trace_model(copies.models[0], copies.opened, VerifyConfig(route="model", tries=10**6))
     assert counted.tries == 10**6
 

@@ -52,9 +52,13 @@ def test_commitments_are_kept_and_decide_the_chips(small_plant: GaussianModel) -
     ids = set()
     for value in ("a", "b"):
         result = embed(
-            small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG,
+            small_plant,
+            KEY,
+            original_sha256="0" * 64,
+            bits=16,
+            config=CONFIG,
             variant=Variant(commitments={"beside": value}),
-        )  # fmt: skip
+        )
         opened = open_record(result.record.to_bytes(KEY), KEY)
         assert opened.commitments == {"beside": value}
         ids.add(opened.header.record_id)
@@ -82,8 +86,6 @@ def test_a_code_that_half_the_scene_shares_is_displaced_less(small_plant: Gaussi
     """Else its few chips would spend the whole fidelity: more bits fit when the energies are even."""
     labels = (1 + np.arange(len(small_plant)) % 700).astype(np.int32)
     labels[small_plant.means[:, 1] > np.median(small_plant.means[:, 1])] = 0
-    result = embed(
-        small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG, variant=Variant(labels=labels)
-    )
+    result = embed(small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG, variant=Variant(labels=labels))
     size = np.linalg.norm(result.model.sh[:, 0] - small_plant.sh[:, 0], axis=1)
     assert size[labels == 0].mean() < 0.2 * size[labels > 0].mean()

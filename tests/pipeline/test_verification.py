@@ -19,9 +19,16 @@ from engine.sim.attacks import image_attack, model_attack
 from engine.sim.fine_tuning import fine_tune
 
 MODEL_ATTACKS = [
-    ("similarity", 10.0), ("shuffle", 1.0), ("clone", 0.5), ("prune_random", 0.9), ("crop", 0.1),
-    ("noise_all", 0.1), ("convert", "splat"), ("convert", "spz"), ("merge_into", 1.0),
-]  # fmt: skip
+    ("similarity", 10.0),
+    ("shuffle", 1.0),
+    ("clone", 0.5),
+    ("prune_random", 0.9),
+    ("crop", 0.1),
+    ("noise_all", 0.1),
+    ("convert", "splat"),
+    ("convert", "spz"),
+    ("merge_into", 1.0),
+]
 
 
 @pytest.mark.parametrize(("name", "strength"), MODEL_ATTACKS, ids=lambda value: str(value))
@@ -64,9 +71,11 @@ def test_another_key_cannot_open_the_record(small_plant: object) -> None:
 
     key, other = bench_key(1), bench_key(2)
     result = embed(
-        small_plant, key, original_sha256="22" * 32,  # type: ignore[arg-type]
+        small_plant,
+        key,
+        original_sha256="22" * 32,  # type: ignore[arg-type]
         config=profile("fast", landmark_views=0, views=3, view_size=128),
-    )  # fmt: skip
+    )
     with pytest.raises(WrongKeyError):
         open_record(result.record.to_bytes(key), other)
 
@@ -79,9 +88,17 @@ def test_a_forged_original_makes_no_claim(scene: MarkedScene) -> None:
 
 @pytest.mark.parametrize(
     ("name", "strength"),
-    [("jpeg", 10), ("noise_image", 0.1), ("blur", 1.0), ("crop_image", 0.4), ("scale_image", 0.75),
-     ("rotate_image", 30.0), ("brightness", 0.5), ("brightness", 1.5)],
-)  # fmt: skip
+    [
+        ("jpeg", 10),
+        ("noise_image", 0.1),
+        ("blur", 1.0),
+        ("crop_image", 0.4),
+        ("scale_image", 0.75),
+        ("rotate_image", 30.0),
+        ("brightness", 0.5),
+        ("brightness", 1.5),
+    ],
+)
 def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength: float) -> None:
     camera = scene.opened.cameras[1]
     picture = image_attack(name).apply(to_8_bit(render(scene.marked, camera)), strength, rng=2)
@@ -92,12 +109,8 @@ def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength:
 
 def test_several_pictures_say_more_than_one(scene: MarkedScene) -> None:
     cameras = scene.opened.cameras[:3]
-    pictures = [
-        image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)
-    ]
-    each = [
-        verify_images([p], scene.opened, cameras=[c]).claim.z for p, c in zip(pictures, cameras, strict=True)
-    ]
+    pictures = [image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)]
+    each = [verify_images([p], scene.opened, cameras=[c]).claim.z for p, c in zip(pictures, cameras, strict=True)]
     together = verify_images(pictures, scene.opened, cameras=cameras).claim.z
     assert together > 1.2 * max(each)
 

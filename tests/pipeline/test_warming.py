@@ -19,7 +19,8 @@ def test_no_kernel_of_a_verification_is_left_uncompiled() -> None:
     warm_up("model")
     from numba.core.dispatcher import Dispatcher
 
-    from engine.watermark import matching, registration_kernels
+    from engine.registration import kernels as registration_kernels
+    from engine.registration import matching
 
     kernels = [
         value

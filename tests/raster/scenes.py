@@ -28,9 +28,12 @@ def random_model(count: int, seed: int, coefficients: int = 16) -> GaussianModel
         return rng.normal(mean, scale, shape).astype(np.float32)
 
     return GaussianModel(
-        normal(0.0, 1.0, count, 3), normal(-2.2, 0.9, count, 3), normal(0.0, 1.0, count, 4),
-        normal(0.0, 2.0, count), normal(0.0, 0.4, count, coefficients, 3),
-    )  # fmt: skip
+        normal(0.0, 1.0, count, 3),
+        normal(-2.2, 0.9, count, 3),
+        normal(0.0, 1.0, count, 4),
+        normal(0.0, 2.0, count),
+        normal(0.0, 0.4, count, coefficients, 3),
+    )
 
 
 def random_discs(count: int, seed: int, coefficients: int = 16) -> GaussianModel:

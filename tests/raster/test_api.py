@@ -52,10 +52,20 @@ def test_plain_loop_draws_the_same_image() -> None:
 def test_benchmark() -> None:
     result = bench_raster(random_model(500, 91, 4), 64, 48, 1)
     wanted = {
-        "forward_ms", "backward_color_ms", "backward_ms", "cached_iteration_ms", "naive_forward_ms",
-        "speedup_over_naive", "gaussians", "width", "height", "fragments_per_second", "peak_memory_mb",
-        "machine", "versions",
-    }  # fmt: skip
+        "forward_ms",
+        "backward_color_ms",
+        "backward_ms",
+        "cached_iteration_ms",
+        "naive_forward_ms",
+        "speedup_over_naive",
+        "gaussians",
+        "width",
+        "height",
+        "fragments_per_second",
+        "peak_memory_mb",
+        "machine",
+        "versions",
+    }
     assert wanted <= set(result)
     assert all(result[name] > 0 for name in wanted if name.endswith("_ms"))
     json.dumps(result)

@@ -71,9 +71,7 @@ def test_sh(coefficients: int, count: int) -> None:
 
     cotangent = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
     gradient = basis[:, :, None] * np.where(expected > 0, cotangent, 0.0)[:, None, :]
-    np.testing.assert_allclose(
-        sh_colors_backward(cotangent, model.sh, model.means, position), gradient, atol=3e-6
-    )
+    np.testing.assert_allclose(sh_colors_backward(cotangent, model.sh, model.means, position), gradient, atol=3e-6)
     out = np.full_like(model.sh, np.nan)
     result = sh_colors_backward(cotangent, model.sh, model.means, position, colors=colors, out=out)
     assert result is out
@@ -102,6 +100,4 @@ def test_sh_refuses_wrong_shapes() -> None:
     with pytest.raises(InputError):
         sh_colors_backward(np.zeros((5, 4), np.float32), model.sh, model.means, np.zeros(3))
     with pytest.raises(InputError):
-        sh_colors_backward(
-            np.zeros((5, 3), np.float32), model.sh, model.means, np.zeros(3), out=np.zeros((5, 16, 3))
-        )
+        sh_colors_backward(np.zeros((5, 3), np.float32), model.sh, model.means, np.zeros(3), out=np.zeros((5, 16, 3)))

@@ -45,9 +45,14 @@ def test_what_gsplat_is_given(calls: list[tuple[Any, ...]]) -> None:
     p = tensors("cpu")
     settings = RasterSettings(eps2d=0.1, near=0.2)
     image, alpha = cuda.rasterize(
-        **{k: v for k, v in p.items() if k != "sh"}, width=53, height=47, sh=p["sh"], colors=None,
-        background=0.5, settings=settings,
-    )  # fmt: skip
+        **{k: v for k, v in p.items() if k != "sh"},
+        width=53,
+        height=47,
+        sh=p["sh"],
+        colors=None,
+        background=0.5,
+        settings=settings,
+    )
     assert image.shape == (47, 53, 3)
     assert alpha.shape == (47, 53)
     (means, _, scales, opacities, colors, viewmats, Ks, width, height), options = calls[0]
@@ -67,9 +72,14 @@ def test_settings_that_gsplat_cannot_honour(calls: list[tuple[Any, ...]]) -> Non
     p = tensors("cpu")
     with pytest.raises(InputError, match="gsplat"):
         cuda.rasterize(
-            **{k: v for k, v in p.items() if k != "sh"}, width=53, height=47, sh=p["sh"], colors=None,
-            background=0.0, settings=RasterSettings(alpha_clamp=0.99),
-        )  # fmt: skip
+            **{k: v for k, v in p.items() if k != "sh"},
+            width=53,
+            height=47,
+            sh=p["sh"],
+            colors=None,
+            background=0.0,
+            settings=RasterSettings(alpha_clamp=0.99),
+        )
     assert not calls
 
 
@@ -79,9 +89,14 @@ def test_without_gsplat() -> None:
     p = tensors("cpu")
     with pytest.raises(InputError, match="mark3dgs"):
         cuda.rasterize(
-            **{k: v for k, v in p.items() if k != "sh"}, width=53, height=47, sh=p["sh"], colors=None,
-            background=0.0, settings=RasterSettings(),
-        )  # fmt: skip
+            **{k: v for k, v in p.items() if k != "sh"},
+            width=53,
+            height=47,
+            sh=p["sh"],
+            colors=None,
+            background=0.0,
+            settings=RasterSettings(),
+        )
 
 
 @pytest.mark.skipif(not cuda.available(), reason="needs a CUDA device and the gsplat package")

@@ -26,14 +26,10 @@ def colors_for(count: int, channels: int = 3) -> np.ndarray:
     return np.random.default_rng(count).normal(size=(count, channels)).astype(np.float32)
 
 
-def one_disc(
-    quat: tuple[float, ...], scale: float, mean: tuple[float, ...] = (0.0, 0.0, 2.0)
-) -> GaussianModel:
+def one_disc(quat: tuple[float, ...], scale: float, mean: tuple[float, ...] = (0.0, 0.0, 2.0)) -> GaussianModel:
     """A half-transparent white disc, turned by `quat` (w, x, y, z); (1, 0, 0, 0) faces the camera."""
     scales = [[np.log(scale), np.log(scale), np.log(scale) - 14.0]]
-    return GaussianModel(
-        np.array([mean]), np.array(scales), np.array([quat]), np.zeros(1), np.zeros((1, 1, 3))
-    )
+    return GaussianModel(np.array([mean]), np.array(scales), np.array([quat]), np.zeros(1), np.zeros((1, 1, 3)))
 
 
 def straight(width: int = 64, height: int = 64, focal: float = 60.0) -> Camera:
@@ -90,11 +86,7 @@ def test_low_pass_of_what_is_too_small_or_seen_from_the_edge() -> None:
     expected = 0.5 * np.exp(-((x - 32.0) ** 2 + (y - 32.0) ** 2))
     expected[expected < 1 / 255] = 0.0
     half = np.sqrt(0.5)
-    for disc in (
-        one_disc((1, 0, 0, 0), 1e-4),
-        one_disc((half, half, 0, 0), 1e-3),
-        one_disc((half, 0, half, 0), 1e-3),
-    ):
+    for disc in (one_disc((1, 0, 0, 0), 1e-4), one_disc((half, half, 0, 0), 1e-3), one_disc((half, 0, half, 0), 1e-3)):
         alpha = prepare_view(disc, straight()).render(np.ones((1, 1), np.float32))[1]
         np.testing.assert_allclose(alpha, expected, atol=1e-5)
 
@@ -136,10 +128,20 @@ def test_records(run) -> None:
     records, discs = np.zeros((n + 2) * RECORD, np.float32), np.zeros((n + 2) * RECORD, np.float32)
     depths, index, counts = np.zeros(n, np.float32), np.zeros(n, np.int32), np.zeros(4, np.int64)
     run(
-        DISCS.means.ravel(), DISCS.quats.ravel(), DISCS.log_scales.ravel(), DISCS.opacity_logits,
-        pack_lens(view_from, RasterSettings()), 50, records, discs, np.zeros(2 * n, np.float32),
-        np.zeros(4 * n, np.int16), depths, index, counts,
-    )  # fmt: skip
+        DISCS.means.ravel(),
+        DISCS.quats.ravel(),
+        DISCS.log_scales.ravel(),
+        DISCS.opacity_logits,
+        pack_lens(view_from, RasterSettings()),
+        50,
+        records,
+        discs,
+        np.zeros(2 * n, np.float32),
+        np.zeros(4 * n, np.int16),
+        depths,
+        index,
+        counts,
+    )
     found = np.concatenate([index[50 * part : 50 * part + k] for part, k in enumerate(counts)])
     assert len(found) > 100
     WH = twin.homographies(DISCS, view_from)
@@ -164,8 +166,7 @@ def test_lists_hold_every_disc_that_shows_and_few_more(seed: int) -> None:
     for i in range(300):  # alone, so that nothing hides it
         weights = twin.rasterize(discs.take(np.array([i])), view_from, np.ones((1, 1)))[2][0]
         needed |= {
-            (int(y) // TILE * geometry.tiles_x + int(x) // TILE, i)
-            for y, x in np.argwhere(weights > 1.0001 / 255)
+            (int(y) // TILE * geometry.tiles_x + int(x) // TILE, i) for y, x in np.argwhere(weights > 1.0001 / 255)
         }
     listed = {
         (tile, int(i))
@@ -194,10 +195,7 @@ def test_backward_colors(channels: int) -> None:
 def test_backward_is_the_adjoint_of_render() -> None:
     discs, view_from = random_discs(3000, 22, 1), camera(301, 203, 300.0)
     view = prepare_view(discs, view_from)
-    colors, cotangent = (
-        colors_for(3000),
-        np.random.default_rng(0).normal(size=(203, 301, 3)).astype(np.float32),
-    )
+    colors, cotangent = (colors_for(3000), np.random.default_rng(0).normal(size=(203, 301, 3)).astype(np.float32))
     forward = np.vdot(view.render(colors)[0].astype(np.float64), cotangent)
     pulled = np.vdot(view.backward_colors(cotangent).astype(np.float64), colors)
     assert forward == pytest.approx(pulled, rel=1e-5)

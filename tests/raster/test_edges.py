@@ -62,7 +62,17 @@ def test_camera_inside() -> None:
     check(random_discs(400, 4, 4), inside)
 
 
-@pytest.mark.parametrize("log_scales", [(-40.0, -40.0, -40.0), (-88.0, -3.0, -3.0), (-20.0, -20.0, 2.0), (5.0, 5.0, 5.0), (40.0, 0.0, -40.0), (80.0, 80.0, 80.0)])  # fmt: skip # noqa: E501
+@pytest.mark.parametrize(
+    "log_scales",
+    [
+        (-40.0, -40.0, -40.0),
+        (-88.0, -3.0, -3.0),
+        (-20.0, -20.0, 2.0),
+        (5.0, 5.0, 5.0),
+        (40.0, 0.0, -40.0),
+        (80.0, 80.0, 80.0),
+    ],
+)
 def test_tiny_huge_and_needle_gaussians(log_scales: tuple[float, float, float]) -> None:
     model = random_model(50, 5, 4)
     alike = np.tile(np.float32(log_scales), (50, 1))
@@ -96,26 +106,26 @@ def test_zero_quaternions_and_far_coordinates() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(
-    seed=st.integers(0, 2**32 - 1), spread=st.floats(0.0, 1e4), size=st.floats(-30.0, 12.0),
-    anisotropy=st.floats(0.0, 12.0), opacity=st.floats(-20.0, 40.0), focal=st.floats(1.0, 5000.0),
-)  # fmt: skip
-def test_anything(
-    seed: int, spread: float, size: float, anisotropy: float, opacity: float, focal: float
-) -> None:
+    seed=st.integers(0, 2**32 - 1),
+    spread=st.floats(0.0, 1e4),
+    size=st.floats(-30.0, 12.0),
+    anisotropy=st.floats(0.0, 12.0),
+    opacity=st.floats(-20.0, 40.0),
+    focal=st.floats(1.0, 5000.0),
+)
+def test_anything(seed: int, spread: float, size: float, anisotropy: float, opacity: float, focal: float) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 40))
     model = GaussianModel(
         (rng.normal(size=(n, 3)) * spread).astype(np.float32),
         (size + anisotropy * rng.normal(size=(n, 3))).astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32), (opacity + rng.normal(size=n)).astype(np.float32),
+        rng.normal(size=(n, 4)).astype(np.float32),
+        (opacity + rng.normal(size=n)).astype(np.float32),
         rng.normal(size=(n, 4, 3)).astype(np.float32),
-    )  # fmt: skip
+    )
     flat = model.log_scales.copy()
     flat[:, 2] = flat[:, :2].min(axis=1) - 12.0
-    check(
-        model.with_(log_scales=flat),
-        look_at((0.1, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), focal, 37, 21),
-    )
+    check(model.with_(log_scales=flat), look_at((0.1, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), focal, 37, 21))
     check(model, look_at((0.1, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), focal, 37, 21))
 
 

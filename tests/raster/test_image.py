@@ -22,7 +22,9 @@ def twin_image(model: GaussianModel, view_from, **options):
     return image.numpy(), alpha.numpy()
 
 
-@pytest.mark.parametrize(("count", "coefficients", "size"), [(200, 16, (53, 47)), (200, 9, (32, 48)), (60, 4, (17, 16)), (7, 1, (64, 5))])  # fmt: skip # noqa: E501
+@pytest.mark.parametrize(
+    ("count", "coefficients", "size"), [(200, 16, (53, 47)), (200, 9, (32, 48)), (60, 4, (17, 16)), (7, 1, (64, 5))]
+)
 def test_render(count: int, coefficients: int, size: tuple[int, int]) -> None:
     model, view_from = random_model(count, count, coefficients), camera(*size)
     expected, alpha = twin_image(model, view_from, background=0.3)
@@ -46,10 +48,12 @@ def test_pixels_end() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        RasterSettings(eps2d=0.0), RasterSettings(eps2d=1.5, near=1.5), RasterSettings(alpha_clamp=0.5),
+        RasterSettings(eps2d=0.0),
+        RasterSettings(eps2d=1.5, near=1.5),
+        RasterSettings(alpha_clamp=0.5),
         RasterSettings(alpha_skip=0.05, transmittance_stop=0.2),
     ],
-)  # fmt: skip
+)
 def test_settings(settings: RasterSettings) -> None:
     model = random_model(150, 5, 4)
     expected, _ = twin_image(model, camera(), settings=settings)
@@ -138,7 +142,17 @@ def test_wrong_shapes_are_refused() -> None:
         view.weighted(np.zeros((53, 47), np.float32))
 
 
-@pytest.mark.parametrize("bad", [{"eps2d": -1.0}, {"near": 0.0}, {"alpha_clamp": 1.0}, {"alpha_skip": 0.0}, {"transmittance_stop": 0.0}, {"impact_stop": 0.0}])  # fmt: skip # noqa: E501
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"eps2d": -1.0},
+        {"near": 0.0},
+        {"alpha_clamp": 1.0},
+        {"alpha_skip": 0.0},
+        {"transmittance_stop": 0.0},
+        {"impact_stop": 0.0},
+    ],
+)
 def test_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(InputError):
         RasterSettings(**bad)

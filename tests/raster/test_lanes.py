@@ -22,19 +22,9 @@ from engine.raster.lane_memory import (
     unzip4,
     zip3,
     zip4,
-)  # fmt: skip
+)
 from engine.raster.lane_sums import max_rows, sum_rows, transpose
-from engine.raster.lanes import (
-    bits_of,
-    fma,
-    maximum,
-    minimum,
-    minus_magnitude,
-    root,
-    round_down,
-    select,
-    spread,
-)  # fmt: skip
+from engine.raster.lanes import bits_of, fma, maximum, minimum, minus_magnitude, root, round_down, select, spread
 from tests.raster.scenes import TOLERANCE
 
 _THREE, _SIXTEEN = (0,) * 3, (0,) * 16
@@ -71,10 +61,22 @@ def test_arithmetic() -> None:
     x, y, out = numbers(16), numbers(16, 1), np.zeros(240, np.float32)
     _arithmetic(x, y, out)
     expected = [
-        x + y, x - 1.5, 1.5 * y, x / y, -x, 1.5 * x + y, np.minimum(x, y), np.maximum(x, 1.5),
-        np.where((x > y) & (x >= 1.5), x, y), np.where((x < y) | (x <= 1.5), x, y), -np.abs(x), np.abs(x),
-        np.floor(x), np.full(16, 1.5), (x + y) * 1.5 - 1.5,
-    ]  # fmt: skip
+        x + y,
+        x - 1.5,
+        1.5 * y,
+        x / y,
+        -x,
+        1.5 * x + y,
+        np.minimum(x, y),
+        np.maximum(x, 1.5),
+        np.where((x > y) & (x >= 1.5), x, y),
+        np.where((x < y) | (x <= 1.5), x, y),
+        -np.abs(x),
+        np.abs(x),
+        np.floor(x),
+        np.full(16, 1.5),
+        (x + y) * 1.5 - 1.5,
+    ]
     np.testing.assert_allclose(out.reshape(15, 16), np.stack(expected), rtol=1e-6, atol=1e-6)
 
 
@@ -200,7 +202,17 @@ def test_bits_and_queue() -> None:
 
 @kernel
 def _algebra(x, out):
-    m = (load(x, 0), load(x, 16), load(x, 32), load(x, 48), load(x, 64), load(x, 80), load(x, 96), load(x, 112), load(x, 128))  # fmt: skip # noqa: E501
+    m = (
+        load(x, 0),
+        load(x, 16),
+        load(x, 32),
+        load(x, 48),
+        load(x, 64),
+        load(x, 80),
+        load(x, 96),
+        load(x, 112),
+        load(x, 128),
+    )
     v, w = (load(x, 144), load(x, 160), load(x, 176)), (load(x, 192), load(x, 208), load(x, 224))
     results = (times(m, v), row_times(v, m), cross(v, w))
     for k in range(3):

@@ -23,10 +23,21 @@ def everything() -> list[np.ndarray]:
     colors = sh_colors(MODEL.sh, MODEL.means, VIEW.position)
     g = backward(draw(MODEL, VIEW, 0.2), COTANGENT, COTANGENT[..., 0])
     return [
-        view.visible, view.geometry.ids, colors, *view.render(colors), view.backward_colors(COTANGENT),
-        *view.weights(), render(MODEL, VIEW), g.means, g.quats, g.log_scales, g.opacity_logits, g.sh,
-        g.viewmat, g.K,
-    ]  # fmt: skip
+        view.visible,
+        view.geometry.ids,
+        colors,
+        *view.render(colors),
+        view.backward_colors(COTANGENT),
+        *view.weights(),
+        render(MODEL, VIEW),
+        g.means,
+        g.quats,
+        g.log_scales,
+        g.opacity_logits,
+        g.sh,
+        g.viewmat,
+        g.K,
+    ]
 
 
 @pytest.fixture(autouse=True)

@@ -15,9 +15,7 @@ def overlapping(
     high: npt.NDArray[np.float64],
 ) -> list[int]:
     """Boxes that touch low..high, ascending."""
-    return [
-        i for i in range(len(lows)) if all(lows[i][a] <= high[a] and highs[i][a] >= low[a] for a in range(3))
-    ]
+    return [i for i in range(len(lows)) if all(lows[i][a] <= high[a] and highs[i][a] >= low[a] for a in range(3))]
 
 
 def along_ray(

@@ -1,13 +1,11 @@
-"""Slow twins of the kernels of engine/watermark/landmark_matching.py."""
+"""Slow twins of the kernels of engine/pictures/landmark_matching.py."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def rank(
-    query: np.ndarray, target: np.ndarray, points: np.ndarray, radius: float
-) -> tuple[int, float, float]:
+def rank(query: np.ndarray, target: np.ndarray, points: np.ndarray, radius: float) -> tuple[int, float, float]:
     """Best landmark of one descriptor, its squared distance, and the best squared distance elsewhere."""
     square = ((target.astype(np.int64) - query.astype(np.int64)) ** 2).sum(axis=1)
     best = int(np.argmin(square))

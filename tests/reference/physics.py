@@ -8,13 +8,7 @@ from tests.reference.deformation import nearest_rotation
 
 
 def project(
-    x: np.ndarray,
-    w: np.ndarray,
-    who: np.ndarray,
-    violation: float,
-    gradient: np.ndarray,
-    compliance: float,
-    h: float,
+    x: np.ndarray, w: np.ndarray, who: np.ndarray, violation: float, gradient: np.ndarray, compliance: float, h: float
 ) -> None:
     """XPBD for one constraint on points `who` with gradient (len(who), 3), multiplier from zero."""
     weight = (w[who] * (gradient**2).sum(axis=1)).sum()

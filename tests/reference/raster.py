@@ -16,19 +16,30 @@ from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, RasterSettings
 def parameters(model: GaussianModel, camera: Camera) -> dict[str, torch.Tensor]:
     """Everything differentiable, as float64 leaves."""
     arrays = {
-        "means": model.means, "quats": model.quats, "log_scales": model.log_scales,
-        "opacity_logits": model.opacity_logits, "sh": model.sh, "viewmat": camera.viewmat, "K": camera.K,
-    }  # fmt: skip
+        "means": model.means,
+        "quats": model.quats,
+        "log_scales": model.log_scales,
+        "opacity_logits": model.opacity_logits,
+        "sh": model.sh,
+        "viewmat": camera.viewmat,
+        "K": camera.K,
+    }
     return {k: torch.tensor(v, dtype=torch.float64, requires_grad=True) for k, v in arrays.items()}
 
 
 def rotations(quats: torch.Tensor) -> torch.Tensor:
     w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).unbind(1)
     rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return torch.stack(rows, 1).reshape(-1, 3, 3)
 
 
@@ -86,9 +97,8 @@ def rasterize(
     colors = colors_seen(p) if colors is None else colors
     opacities = torch.sigmoid(p["opacity_logits"])
     rows, columns = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64) + 0.5, torch.arange(width, dtype=torch.float64) + 0.5,
-        indexing="ij",
-    )  # fmt: skip
+        torch.arange(height, dtype=torch.float64) + 0.5, torch.arange(width, dtype=torch.float64) + 0.5, indexing="ij"
+    )
     transmittance = torch.ones(height, width, dtype=torch.float64)
     occlusion = torch.zeros(height, width, dtype=torch.float64)
     ended = torch.zeros(height, width, dtype=torch.bool)

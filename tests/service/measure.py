@@ -36,8 +36,17 @@ from tests.service.measuring import FINAL, PLANT, client_of, resident_mb, wait_f
 def upload(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     """A PLY of 1 GB, of noise: as large as a model gets."""
     rows = (1 << 30) // 248
-    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45)),
-             "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]  # fmt: skip
+    names = [
+        *"xyz",
+        "nx",
+        "ny",
+        "nz",
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(45)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
     path = folder / "large.ply"
     head = "ply\nformat binary_little_endian 1.0\n" + f"element vertex {rows}\n"
     head += "".join(f"property float {name}\n" for name in names) + "end_header\n"
@@ -56,8 +65,15 @@ def upload(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
             for _ in range(args.repeats):
                 slot = client.post("/v1/uploads", json={"size": size}).json()["id"]
                 began = time.perf_counter()
-                command = ["curl", "-sf", "-T", str(path), "-H", f"Authorization: Bearer {served.api_key}",
-                           f"{served.address}/v1/uploads/{slot}"]  # fmt: skip
+                command = [
+                    "curl",
+                    "-sf",
+                    "-T",
+                    str(path),
+                    "-H",
+                    f"Authorization: Bearer {served.api_key}",
+                    f"{served.address}/v1/uploads/{slot}",
+                ]
                 subprocess.run(command, check=True, capture_output=True)
                 speeds.append(size / 1e6 / (time.perf_counter() - began))
                 assert client.get(f"/v1/uploads/{slot}").json()["state"] == "complete"
@@ -103,15 +119,11 @@ def parallel(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
             done = time.perf_counter() - began
 
             jobs = [
-                client.post(
-                    "/v1/embed", data={"key_id": key, "copy_name": name}, files={"model": PLANT.read_bytes()}
-                )
+                client.post("/v1/embed", data={"key_id": key, "copy_name": name}, files={"model": PLANT.read_bytes()})
                 for name in ("a", "b")
             ]
             times = []
-            while any(
-                client.get(f"/v1/jobs/{job.json()['id']}").json()["state"] not in FINAL for job in jobs
-            ):
+            while any(client.get(f"/v1/jobs/{job.json()['id']}").json()["state"] not in FINAL for job in jobs):
                 for _ in range(10):
                     began = time.perf_counter()
                     assert client.get("/healthz").status_code == 200
@@ -152,12 +164,7 @@ def overhead(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
             for number in range(args.repeats + 1):
                 time.sleep(4)  # the process in waiting has loaded
                 began = time.perf_counter()
-                body = {
-                    "upload_id": slot,
-                    "key_id": key_id,
-                    "profile": args.profile,
-                    "copy_name": f"c{number}",
-                }
+                body = {"upload_id": slot, "key_id": key_id, "profile": args.profile, "copy_name": f"c{number}"}
                 job = wait_for(client, client.post("/v1/embed", json=body).json()["id"])
                 assert job["state"] == "succeeded", job
                 through.append(time.perf_counter() - began)
@@ -165,20 +172,38 @@ def overhead(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
                 began = time.perf_counter()
                 out = folder / f"m{number}{''.join(scene.suffixes)}"
                 subprocess.run(
-                    [*command, "embed", str(scene), str(out), "--key", str(key), "--record", f"{out}.record",
-                     "--profile", args.profile, "--copy", f"c{number}"],
-                    check=True, capture_output=True,
-                )  # fmt: skip
+                    [
+                        *command,
+                        "embed",
+                        str(scene),
+                        str(out),
+                        "--key",
+                        str(key),
+                        "--record",
+                        f"{out}.record",
+                        "--profile",
+                        args.profile,
+                        "--copy",
+                        f"c{number}",
+                    ],
+                    check=True,
+                    capture_output=True,
+                )
                 bare.append(time.perf_counter() - began)
     finally:
         served.stop()
     # The first round finds cold files.
     ratios = [a / b for a, b in zip(through[1:], bare[1:], strict=True)]
     return {
-        "scene": scene.name, "profile": args.profile, "upload_and_look_s": upload_seconds,
-        "service_s": through[1:], "engine_inside_s": inside[1:], "command_line_s": bare[1:],
-        "first_round": [through[0], bare[0]], "overhead_percent": 100 * (statistics.median(ratios) - 1),
-    }  # fmt: skip
+        "scene": scene.name,
+        "profile": args.profile,
+        "upload_and_look_s": upload_seconds,
+        "service_s": through[1:],
+        "engine_inside_s": inside[1:],
+        "command_line_s": bare[1:],
+        "first_round": [through[0], bare[0]],
+        "overhead_percent": 100 * (statistics.median(ratios) - 1),
+    }
 
 
 WHAT = {"upload": upload, "parallel": parallel, "overhead": overhead, "kill": kill}
@@ -186,9 +211,7 @@ WHAT = {"upload": upload, "parallel": parallel, "overhead": overhead, "kill": ki
 
 def main() -> None:
     """Measure, and print what was found."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=sorted(WHAT))
     parser.add_argument("--scene", default=str(PLANT), help="overhead: the model to mark")
     parser.add_argument("--profile", default="fast")
@@ -204,8 +227,7 @@ def main() -> None:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     sys.stdout.write(
-        json.dumps({"what": args.what, **found, "seed": args.seed, "machine": machine_info()}, indent=1)
-        + "\n"
+        json.dumps({"what": args.what, **found, "seed": args.seed, "machine": machine_info()}, indent=1) + "\n"
     )
 
 

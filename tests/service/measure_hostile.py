@@ -31,9 +31,7 @@ AT_ONCE = 2
 
 def main() -> None:
     """Collect, send, and print what was found."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--most", type=int, default=0, help="send a random sample of so many; 0: all")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
@@ -42,8 +40,11 @@ def main() -> None:
     corpus.mkdir()
     subprocess.run(
         [sys.executable, "-m", "pytest", "tests/formats", "-p", "tests.service.refused_inputs"],
-        cwd=ROOT, env={**os.environ, "MARK3DGS_REFUSED_DIR": str(corpus)}, check=True, stdout=sys.stderr,
-    )  # fmt: skip
+        cwd=ROOT,
+        env={**os.environ, "MARK3DGS_REFUSED_DIR": str(corpus)},
+        check=True,
+        stdout=sys.stderr,
+    )
     files = sorted(corpus.iterdir())
     collected = len(files)
     if args.most and collected > args.most:
@@ -70,11 +71,16 @@ def main() -> None:
     seconds = np.array([taken for _, taken in answers])
     odd = [path.name for path, (status, _) in zip(files, answers, strict=True) if not 400 <= status < 500]
     found = {
-        "collected": collected, "files": len(files),
-        "answers": dict(Counter(status for status, _ in answers)), "not_4xx": odd,
-        "seconds_median": float(np.median(seconds)), "seconds_max": float(seconds.max()), "alive": alive,
-        "api_mb_before": before, "api_mb_peak": peak,
-    }  # fmt: skip
+        "collected": collected,
+        "files": len(files),
+        "answers": dict(Counter(status for status, _ in answers)),
+        "not_4xx": odd,
+        "seconds_median": float(np.median(seconds)),
+        "seconds_max": float(seconds.max()),
+        "alive": alive,
+        "api_mb_before": before,
+        "api_mb_peak": peak,
+    }
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
 
 

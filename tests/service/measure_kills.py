@@ -31,8 +31,14 @@ def kill(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
         assert client.put(f"/v1/uploads/{slot}", content=data).status_code == 200
     for number in range(args.repeats):
         with client_of(served) as client:
-            body = {"upload_id": slot, "key_id": key, "profile": "fast", "bits": 16, "psnr": 40,
-                    "copy_name": f"copy {number}"}  # fmt: skip
+            body = {
+                "upload_id": slot,
+                "key_id": key,
+                "profile": "fast",
+                "bits": 16,
+                "psnr": 40,
+                "copy_name": f"copy {number}",
+            }
             headers = {"Idempotency-Key": f"round {number}"}
             job = client.post("/v1/embed", json=body, headers=headers).json()["id"]
             time.sleep(rng.uniform(0.0, 2.5))
@@ -75,10 +81,15 @@ def kill(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     )
     left = [str(path) for path in (folder / "data" / "scratch").rglob("*") if path.is_file()]
     return {
-        "rounds": args.repeats, "killed": killed, "lost": lost, "assets": len(assets),
-        "duplicates": len(assets) - len(set(assets)), "audit_exit": audit.returncode, "left_in_scratch": left,
+        "rounds": args.repeats,
+        "killed": killed,
+        "lost": lost,
+        "assets": len(assets),
+        "duplicates": len(assets) - len(set(assets)),
+        "audit_exit": audit.returncode,
+        "left_in_scratch": left,
         "succeeded": len(acknowledged),
-    }  # fmt: skip
+    }
 
 
 def client_model(folder: Path) -> bytes:

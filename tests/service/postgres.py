@@ -44,11 +44,24 @@ class Postgres:
         with open(self.folder / "log", "ab") as log:
             self.process = subprocess.Popen(
                 [
-                    self._bin / "postgres", "-D", "data", "-p", str(self.port), "-h", "127.0.0.1",
-                    "-k", "", "-F", "-c", "max_connections=50",
+                    self._bin / "postgres",
+                    "-D",
+                    "data",
+                    "-p",
+                    str(self.port),
+                    "-h",
+                    "127.0.0.1",
+                    "-k",
+                    "",
+                    "-F",
+                    "-c",
+                    "max_connections=50",
                 ],
-                cwd=self.folder, user=self._user, stdout=log, stderr=log,
-            )  # fmt: skip
+                cwd=self.folder,
+                user=self._user,
+                stdout=log,
+                stderr=log,
+            )
         deadline = time.monotonic() + 20
         while True:
             try:
@@ -82,11 +95,7 @@ class Postgres:
 
     def _run(self, program: str, *arguments: str) -> None:
         done = subprocess.run(
-            [self._bin / program, *arguments],
-            cwd=self.folder,
-            user=self._user,
-            capture_output=True,
-            text=True,
+            [self._bin / program, *arguments], cwd=self.folder, user=self._user, capture_output=True, text=True
         )
         if done.returncode:
             raise RuntimeError(f"{program}: {done.stderr[-2000:]}")

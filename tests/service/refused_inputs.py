@@ -13,7 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
-from engine.formats import compressed_ply, ply, reading, sog, splat, spz
+from engine.formats import reading, splat
+from engine.formats.ply import compressed as compressed_ply
+from engine.formats.ply import gaussians as ply
+from engine.formats.sog import bundle as sog
+from engine.formats.spz import stream as spz
 
 MOST_BYTES = 64 << 20
 
@@ -35,7 +39,11 @@ def pytest_configure() -> None:
         return told
 
     for module, name in (
-        (ply, "read_ply"), (compressed_ply, "read_compressed_ply"), (splat, "read_splat"), (spz, "read_spz"),
-        (sog, "read_sog"), (reading, "_decode"),
-    ):  # fmt: skip
+        (ply, "read_ply"),
+        (compressed_ply, "read_compressed_ply"),
+        (splat, "read_splat"),
+        (spz, "read_spz"),
+        (sog, "read_sog"),
+        (reading, "_decode"),
+    ):
         setattr(module, name, wrapped(getattr(module, name)))

@@ -71,8 +71,11 @@ def start(folder: Path, *, workers: int = 1, api_key: str = "", **settings: str)
     with log.open("a") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--workers", str(workers)],
-            cwd=ROOT, env=environment, stdout=out, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            cwd=ROOT,
+            env=environment,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+        )
     address = f"http://127.0.0.1:{port}"
     wait_until_up(process, address, log)
     if not api_key:

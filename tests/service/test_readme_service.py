@@ -23,9 +23,7 @@ def form(value: Any) -> Any:
         return {name: form(entry) for name, entry in value.items()}
     if isinstance(value, list):
         return [form(entry) for entry in value[:1]]
-    return (
-        "number" if isinstance(value, (int, float)) and not isinstance(value, bool) else type(value).__name__
-    )
+    return "number" if isinstance(value, (int, float)) and not isinstance(value, bool) else type(value).__name__
 
 
 def test_commands_run_as_written(tmp_path: Path) -> None:
@@ -42,9 +40,13 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
             for name, value in answers.items():
                 commands = re.sub(rf"(?m)^{name}=\S+", f"{name}={value}", commands)
             done = subprocess.run(
-                ["bash", "-e", "-c", commands], cwd=tmp_path, capture_output=True, text=True,
-                env=os.environ | {"PATH": path, "MARK3DGS_API_KEY": served.api_key}, check=False,
-            )  # fmt: skip
+                ["bash", "-e", "-c", commands],
+                cwd=tmp_path,
+                capture_output=True,
+                text=True,
+                env=os.environ | {"PATH": path, "MARK3DGS_API_KEY": served.api_key},
+                check=False,
+            )
             assert done.returncode == 0, commands + done.stdout + done.stderr
             if block["answer"] is not None:
                 job = json.loads(done.stdout)

@@ -155,9 +155,18 @@ def test_every_strength_of_the_grid_runs(
 def test_two_readings_where_the_field_has_two(image: Float32) -> None:
     both = {name for name, a in (MODEL_ATTACKS | IMAGE_ATTACKS).items() if len(a.readings) == 2}
     assert both == {
-        "rotate", "translate", "crop", "clone", "noise_means", "noise_colors", "noise_image", "blur",
-        "rotate_image", "scale_image", "crop_image",
-    }  # fmt: skip
+        "rotate",
+        "translate",
+        "crop",
+        "clone",
+        "noise_means",
+        "noise_colors",
+        "noise_image",
+        "blur",
+        "rotate_image",
+        "scale_image",
+        "crop_image",
+    }
     noise = image_attack("noise_image")
     assert noise.apply(image) is not None
     assert (noise.reading("literal").default, noise.reading("as_code").default) == (0.1, 0.01)
@@ -187,17 +196,52 @@ def test_unknown_names_are_refused_with_the_known_ones(model: GaussianModel) -> 
 
 
 OUT_OF_RANGE = {
-    "rotate": float("nan"), "scale": 0.0, "translate": float("inf"), "similarity": 0.9, "shuffle": 1.1,
-    "crop": 0.0, "prune_random": 1.0, "prune_opacity": -0.1, "prune_low_impact": 1.0, "clone": 1.5,
-    "noise_means": -1.0, "noise_colors": float("nan"), "noise_all": float("inf"), "drop_sh": 4, "quantize": 0,
-    "merge_into": 0.0, "convert": "ksplat", "bend": float("nan"),
-    "twist": float("inf"), "squash": 1.0, "jpeg": 0, "noise_image": -0.1, "blur": -1.0,
-    "rotate_image": float("nan"), "scale_image": 0.0, "crop_image": 1.0, "brightness": -1.0,
-    "inject": 1.5, "noise_dc": -0.1, "noise_opacity": float("nan"), "noise_position": -1.0, "quantize_colors": 0,
-    "round_floats": 24, "bake_colors": 0, "smooth_colors": 0, "repaint": 1.1, "purify": 0.0, "evolve": 0.0,
-    "overwrite": -3.0, "collude": "sum", "transplant": 0.0, "median": 4, "bilateral": 0.0,
-    "denoise_nonlocal": -1.0, "denoise_wavelet": -0.1,
-}  # fmt: skip
+    "rotate": float("nan"),
+    "scale": 0.0,
+    "translate": float("inf"),
+    "similarity": 0.9,
+    "shuffle": 1.1,
+    "crop": 0.0,
+    "prune_random": 1.0,
+    "prune_opacity": -0.1,
+    "prune_low_impact": 1.0,
+    "clone": 1.5,
+    "noise_means": -1.0,
+    "noise_colors": float("nan"),
+    "noise_all": float("inf"),
+    "drop_sh": 4,
+    "quantize": 0,
+    "merge_into": 0.0,
+    "convert": "ksplat",
+    "bend": float("nan"),
+    "twist": float("inf"),
+    "squash": 1.0,
+    "jpeg": 0,
+    "noise_image": -0.1,
+    "blur": -1.0,
+    "rotate_image": float("nan"),
+    "scale_image": 0.0,
+    "crop_image": 1.0,
+    "brightness": -1.0,
+    "inject": 1.5,
+    "noise_dc": -0.1,
+    "noise_opacity": float("nan"),
+    "noise_position": -1.0,
+    "quantize_colors": 0,
+    "round_floats": 24,
+    "bake_colors": 0,
+    "smooth_colors": 0,
+    "repaint": 1.1,
+    "purify": 0.0,
+    "evolve": 0.0,
+    "overwrite": -3.0,
+    "collude": "sum",
+    "transplant": 0.0,
+    "median": 4,
+    "bilateral": 0.0,
+    "denoise_nonlocal": -1.0,
+    "denoise_wavelet": -0.1,
+}
 OUT_OF_RANGE |= {a.name: "none" if isinstance(a.default, str) else float("nan") for a in VIEW_ATTACKS}
 
 

@@ -62,8 +62,7 @@ def test_clean_images_pull_the_model_back(trained: str, model: GaussianModel, ma
     cameras, images = pictures_of(SETTINGS["clean+key"], model, marked, make_rig(model, 3, 64, 64), size=SIZE)
     tuned = fine_tune(marked, cameras, images, 15, trained=trained)
     gain = [
-        psnr(image, render(tuned, c)) - psnr(image, render(marked, c))
-        for c, image in zip(cameras, images, strict=True)
+        psnr(image, render(tuned, c)) - psnr(image, render(marked, c)) for c, image in zip(cameras, images, strict=True)
     ]
     assert min(gain) > 3
     assert len(tuned) == len(marked)

@@ -13,9 +13,7 @@ from engine.numerics.image_metrics import psnr
 from engine.sim import IMAGE_ATTACKS, image_attack
 
 
-def run(
-    name: str, image: Float32, strength: float | None = None, seed: int = 0, **options: object
-) -> Float32:
+def run(name: str, image: Float32, strength: float | None = None, seed: int = 0, **options: object) -> Float32:
     return image_attack(name).apply(image, strength, rng=seed, **options)
 
 

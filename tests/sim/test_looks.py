@@ -79,12 +79,9 @@ def test_low_impact_is_what_one_misses_least(model: GaussianModel, camera: Camer
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["prune_random", "prune_opacity", "noise_means", "noise_colors", "noise_all", "quantize", "drop_sh"],
+    "name", ["prune_random", "prune_opacity", "noise_means", "noise_colors", "noise_all", "quantize", "drop_sh"]
 )
-def test_grids_run_from_harmless_to_ruinous(
-    name: str, model: GaussianModel, camera: Camera, before: Float32
-) -> None:
+def test_grids_run_from_harmless_to_ruinous(name: str, model: GaussianModel, camera: Camera, before: Float32) -> None:
     attack = MODEL_ATTACKS[name]
     grid = [s for s in attack.grid if name != "drop_sh" or s in (2, 1, 0)]
     looks = [psnr(before, render(attack.apply(model, s, rng=2), camera)) for s in grid]

@@ -57,9 +57,7 @@ def test_rotate_turns_about_the_centre(model: GaussianModel, degrees: float) -> 
     assert factor == pytest.approx(1.0, abs=1e-5)
     assert angle_of(R) == pytest.approx(degrees, abs=0.05)
     center = measure_extent(model).center
-    np.testing.assert_allclose(
-        moved.means - center, (model.means - center) @ R.T, atol=2e-3
-    )  # the centre itself stays
+    np.testing.assert_allclose(moved.means - center, (model.means - center) @ R.T, atol=2e-3)  # the centre itself stays
     assert np.abs(moved.quats - model.quats).max() > 0.01
     assert np.abs(moved.sh[:, 1:] - model.sh[:, 1:]).max() > 0.01
     np.testing.assert_array_equal(moved.sh[:, 0], model.sh[:, 0])
@@ -145,9 +143,7 @@ def test_prune_low_impact_removes_what_is_not_seen(model: GaussianModel) -> None
     both = GaussianModel(*(np.concatenate([getattr(hidden, n), getattr(model, n)]) for n in ATTRIBUTES))
     # From all six sides: generated views look from above and would call the underside unseen too.
     sides = [
-        look_at(center + 4 * sign * axis, center, (1, 2, 3), 80.0, 96, 96)
-        for sign in (-1, 1)
-        for axis in np.eye(3)
+        look_at(center + 4 * sign * axis, center, (1, 2, 3), 80.0, 96, 96) for sign in (-1, 1) for axis in np.eye(3)
     ]
     index = assert_taken(both, run("prune_low_impact", both, 0.3, cameras=sides))
     assert len(index) == 525
@@ -200,9 +196,7 @@ def test_cloned_pairs_let_as_much_light_through_as_one(model: GaussianModel) -> 
 @pytest.mark.parametrize(
     ("name", "noisy"), [("noise_means", {"means"}), ("noise_colors", {"sh"}), ("noise_all", set(ATTRIBUTES))]
 )
-def test_noise_touches_its_attributes_with_their_own_std(
-    model: GaussianModel, name: str, noisy: set[str]
-) -> None:
+def test_noise_touches_its_attributes_with_their_own_std(model: GaussianModel, name: str, noisy: set[str]) -> None:
     out = run(name, model, 0.1)
     for attribute in ATTRIBUTES:
         was, now = getattr(model, attribute), getattr(out, attribute)

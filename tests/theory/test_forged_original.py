@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from engine.model import GaussianModel
+from engine.records.record import Record, chip_context, make_record_id
+from engine.records.reference import decode_reference, encode_reference, reference_digest
 from engine.watermark.claim import Claim, Verdict, decide
 from engine.watermark.keys import CHIPS, OwnerKey, signs
-from engine.watermark.record import Record, chip_context, make_record_id
-from engine.watermark.reference_codec import decode_reference, encode_reference, reference_digest
 
 N, BITS, AMPLITUDE = 2048, 32, 1 / 64  # the amplitude lies on the grid of DC
 BIT_OF = np.arange(3 * N) % BITS
@@ -27,11 +27,7 @@ def honest_model() -> GaussianModel:
     rng = np.random.default_rng(2)
     quats = rng.normal(size=(N, 4))
     return GaussianModel(
-        rng.normal(size=(N, 3)),
-        rng.normal(-4, 1, size=(N, 3)),
-        quats,
-        rng.normal(size=N),
-        rng.normal(size=(N, 1, 3)),
+        rng.normal(size=(N, 3)), rng.normal(-4, 1, size=(N, 3)), quats, rng.normal(size=N), rng.normal(size=(N, 1, 3))
     )
 
 
@@ -102,14 +98,12 @@ def test_fitting_the_plan_to_the_chips_changes_the_chips() -> None:
     def z_of(dealing: np.ndarray, chips: np.ndarray) -> Claim:
         return decide(y, np.ones(3 * N), np.full(3 * N, 0.01), dealing, chips, MESSAGE)
 
-    plain = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN,
-                        plan_arrays={"bit_of": BIT_OF})  # fmt: skip
+    plain = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN, plan_arrays={"bit_of": BIT_OF})
     chips = signs(ATTACKER.derive(CHIPS, plain.header.chip_context()), 3 * N)
     plus, minus = int(np.argmax(MESSAGE)), int(np.argmin(MESSAGE))
     fitted = np.where(y * chips > 0, plus, minus)
     assert z_of(fitted, chips).meets_dishonest_claimant_rate  # with yesterday's chips it would be a claim ...
-    again = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN,
-                        plan_arrays={"bit_of": fitted})  # fmt: skip
+    again = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN, plan_arrays={"bit_of": fitted})
     opened = Record.from_bytes(again.to_bytes(ATTACKER), ATTACKER)
     redrawn = signs(ATTACKER.derive(CHIPS, opened.header.chip_context()), 3 * N)
     assert abs(z_of(fitted, redrawn).z) < 5  # ... but the record that holds this dealing draws others

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from engine.watermark.keys import signs
-from engine.watermark.statistics import (
-    claim_z,
-    combine,
-    log10_binomial_tail,
-    wrong_key_z,
-    z_threshold,
-)
+from engine.watermark.statistics import claim_z, combine, log10_binomial_tail, wrong_key_z, z_threshold
 
 KEYS = 200_000
 SEED = bytes(range(32))

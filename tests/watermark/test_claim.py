@@ -30,9 +30,7 @@ def claim(amplitude: float, signal: float = 0.3, seed: int = 1, **options: objec
 
 
 def test_a_marked_suspect() -> None:
-    found = claim(
-        0.3, derived_fraction=0.9, route="model", copy="a friend", tries=3, transform={"scale": 2.0}
-    )
+    found = claim(0.3, derived_fraction=0.9, route="model", copy="a friend", tries=3, transform={"scale": 2.0})
     assert found.verdict is Verdict.MARKED
     assert found.z > found.z_threshold == z_threshold(1e-9, 3)
     assert found.log10_false_claim == pytest.approx(-(found.z**2) / 2 / math.log(10) + math.log10(3))
@@ -137,14 +135,7 @@ def test_json_is_plain_and_complete() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"false_claim_rate": 0.0},
-        {"power": 1.0},
-        {"doubt_rate": 2.0},
-        {"surviving": 0.0},
-        {"derived_least": 2},
-    ],
+    "wrong", [{"false_claim_rate": 0.0}, {"power": 1.0}, {"doubt_rate": 2.0}, {"surviving": 0.0}, {"derived_least": 2}]
 )
 def test_config_is_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):

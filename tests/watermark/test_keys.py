@@ -45,9 +45,7 @@ def test_key_file_says_what_it_is_and_never_gets_overwritten(tmp_path: Path) -> 
     assert os.listdir(tmp_path) == ["owner.key"]
 
 
-def test_key_file_is_written_where_links_are_not_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_key_file_is_written_where_links_are_not_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(1, "Operation not permitted")
 
@@ -97,8 +95,11 @@ def test_missing_files_and_folders_are_key_errors(tmp_path: Path) -> None:
 
 
 def test_sub_keys_are_separate() -> None:
-    purposes = [value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)
-                and not name.startswith("_")]  # fmt: skip
+    purposes = [
+        value
+        for name, value in vars(keys).items()
+        if name.isupper() and isinstance(value, str) and not name.startswith("_")
+    ]
     assert len(purposes) == len(set(purposes)) >= 8
     made = {KEY.derive(p, c) for p in purposes for c in (b"", b"a", b"\0a")}
     assert len(made) == 3 * len(purposes)

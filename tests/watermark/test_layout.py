@@ -37,9 +37,7 @@ def test_displacement_of_one_chip_moves_its_members_along_its_carrier() -> None:
     signed[3 * 5 + 2] = 0.5  # stage 0, code 5, carrier 2
     moved = layout.displace(signed)
     member = layout.labels[0] == 5
-    np.testing.assert_allclose(
-        moved[member], np.tile(0.5 * layout.directions[0][2], (member.sum(), 1)), atol=1e-6
-    )
+    np.testing.assert_allclose(moved[member], np.tile(0.5 * layout.directions[0][2], (member.sum(), 1)), atol=1e-6)
     assert not moved[~member].any()
 
 

@@ -8,16 +8,15 @@ from engine.watermark.model_evidence import gather_model_evidence, remove_affine
 from engine.watermark.paper_decoder import decode_paper, paper_steps
 
 
-def marked(
-    n: int = 20_000, codes: int = 1024, seed: int = 0
-) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
+def marked(n: int = 20_000, codes: int = 1024, seed: int = 0) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
     """Layout, reference DC, marked DC and the signed displacement of each chip."""
     rng = np.random.default_rng(seed)
     layout = Layout(
-        (rng.permutation(np.arange(n) % codes).astype(np.int32),), (codes,),
+        (rng.permutation(np.arange(n) % codes).astype(np.int32),),
+        (codes,),
         (np.linalg.qr(rng.standard_normal((3, 3)))[0],),
         np.full(3 * codes, 0.02),
-    )  # fmt: skip
+    )
     reference = rng.standard_normal((n, 3)).astype(np.float32)
     signs = rng.permutation(np.repeat([-1.0, 1.0], codes // 2 * 3)).reshape(codes, 3)
     signs[:, 1:] = rng.permuted(np.repeat([[-1.0], [1.0]], codes // 2, axis=0).repeat(2, axis=1), axis=0)
@@ -78,9 +77,11 @@ def test_later_stages_see_what_earlier_ones_leave() -> None:
     rng = np.random.default_rng(2)
     n, codes = 20_000, (64, 32)
     layout = Layout(
-        tuple(rng.integers(0, c, n).astype(np.int32) for c in codes), codes, (np.eye(3), np.eye(3)),
+        tuple(rng.integers(0, c, n).astype(np.int32) for c in codes),
+        codes,
+        (np.eye(3), np.eye(3)),
         np.full(3 * sum(codes), 0.02),
-    )  # fmt: skip
+    )
     reference = rng.standard_normal((n, 3)).astype(np.float32)
     signed = layout.amplitudes * rng.choice([-1.0, 1.0], layout.chips)
     evidence = gather_model_evidence(layout, reference, reference + layout.displace(signed), *identity(n))

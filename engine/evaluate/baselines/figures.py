@@ -36,9 +36,7 @@ def draw_matrix(
             value = values[row, column]
             dark = not np.isnan(value) and value < 78
             text = "-" if np.isnan(value) else f"{value:.1f}"
-            axes.text(
-                column, row, text, ha="center", va="center", fontsize=8, color="white" if dark else "black"
-            )
+            axes.text(column, row, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
     bar = drawn.colorbar(image, ax=axes, shrink=0.6)
     bar.set_label("bits right, %")
     drawn.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")

@@ -70,9 +70,7 @@ class FittedPictures:
     ) -> tuple[GaussianModel, Kept]:
         """See `Method`; the strength is a factor on the fitted change of colours."""
         training = self.cameras(model)
-        pictures = [
-            self.mark.encode(np.clip(render(model, camera), 0.0, 1.0), key, message) for camera in training
-        ]
+        pictures = [self.mark.encode(np.clip(render(model, camera), 0.0, 1.0), key, message) for camera in training]
         fitted = fine_tune(model, training, pictures, self.epochs, trained="colors")
         change = fitted.sh - model.sh
 

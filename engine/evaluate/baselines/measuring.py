@@ -38,9 +38,7 @@ LEAST_MATCHES = 26
 QUICK_ATTACKS = ("none", "prune random 20 %", "similarity x10 + shuffle", "JPEG 10")
 
 
-def attack_baseline(
-    path: str, method: str, seed: int, pictures: int, wrong_keys: int, quick: bool
-) -> list[Row]:
+def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys: int, quick: bool) -> list[Row]:
     """Mark a scene by another method at our PSNR, in the views where ours would have been measured, and attack it.
 
     Parameters
@@ -72,16 +70,19 @@ def attack_baseline(
     began = time.perf_counter()
     marked, kept = chosen.embed(original, key, message, _config(quick).psnr_db, views)
     rows: list[Row] = [
-        {**about, "what": "embedding", "seconds": time.perf_counter() - began, "strength": kept.strength,
-         **_fidelity(original, marked, views)}
-    ]  # fmt: skip
+        {
+            **about,
+            "what": "embedding",
+            "seconds": time.perf_counter() - began,
+            "strength": kept.strength,
+            **_fidelity(original, marked, views),
+        }
+    ]
     for name, suspect in _attacked_models(marked, quick):
         rows.append({**about, **_bits("model", name, chosen.read_model(suspect, kept), message)})
     for name, picture in _attacked_pictures(marked, chosen.cameras(original)[:pictures], quick):
         rows.append({**about, **_bits("picture", name, chosen.read_picture(picture, kept), message)})
-    rows.append(
-        {**about, "what": "wrong keys", **_wrong_keys(chosen, original, marked, kept, message, wrong_keys)}
-    )
+    rows.append({**about, "what": "wrong keys", **_wrong_keys(chosen, original, marked, kept, message, wrong_keys)})
     return rows
 
 
@@ -94,9 +95,14 @@ def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
     scene: MarkedScene = mark_scene(path, _config(quick), bits=BITS, seed=seed)
     cameras = scene.opened.cameras
     rows: list[Row] = [
-        {**about, "what": "embedding", "seconds": scene.report["seconds"], "strength": scene.opened.strength,
-         **_fidelity(scene.original, scene.marked, cameras)}
-    ]  # fmt: skip
+        {
+            **about,
+            "what": "embedding",
+            "seconds": scene.report["seconds"],
+            "strength": scene.opened.strength,
+            **_fidelity(scene.original, scene.marked, cameras),
+        }
+    ]
     for name, suspect in _attacked_models(scene.marked, quick):
         claim = verify_model(suspect, scene.opened, VerifyConfig(route="model")).claim
         rows.append({**about, "what": "attack", "on": "model", "attack": name, **_claimed(claim)})
@@ -105,8 +111,15 @@ def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
             claim = verify_images([picture], scene.opened, VerifyConfig(), cameras=[camera]).claim
             rows.append({**about, "what": "attack", "on": "picture", "attack": name, **_claimed(claim)})
     rates = wrong_key_rates(scene, 1_000 if quick else 10_000, seed)
-    rows += [{**about, "what": "wrong keys", **{k: r[k] for k in ("route", "keys", "largest_z")},
-              "accepted": r["claims_at_1e-9"]} for r in rates]  # fmt: skip
+    rows += [
+        {
+            **about,
+            "what": "wrong keys",
+            **{k: r[k] for k in ("route", "keys", "largest_z")},
+            "accepted": r["claims_at_1e-9"],
+        }
+        for r in rates
+    ]
     return rows
 
 
@@ -136,19 +149,14 @@ def _attacked_models(marked: GaussianModel, quick: bool) -> Iterator[tuple[str, 
             yield name, apply_chain(marked, Trial(name, chain, "bars"), 0)
 
 
-def _attacked_pictures(
-    marked: GaussianModel, cameras: Sequence[Camera], quick: bool
-) -> Iterator[tuple[str, Float32]]:
+def _attacked_pictures(marked: GaussianModel, cameras: Sequence[Camera], quick: bool) -> Iterator[tuple[str, Float32]]:
     for number, camera in enumerate(cameras):
         picture = to_8_bit(render(marked, camera))
         for name, attack, strength in (("none", "", 0.0), *IMAGE_BARS):
             if quick and name not in QUICK_ATTACKS:
                 continue
             rng = np.random.default_rng((0, number))
-            yield (
-                name,
-                to_8_bit(image_attack(attack).apply(picture, strength, rng=rng)) if attack else picture,
-            )
+            yield (name, to_8_bit(image_attack(attack).apply(picture, strength, rng=rng)) if attack else picture)
 
 
 def _bits(on: str, name: str, scores: Float64 | None, message: Signs) -> dict[str, Any]:
@@ -168,10 +176,12 @@ def _wrong_keys(
         scores = method.read_model(marked, replace(kept, key=key)) if method.keyed else own
         matches.append(_matching(scores, derive_message(key, BITS, b"another")) or 0)
     return {
-        "keys": count, "matches": matches, "most_matches": max(matches),
+        "keys": count,
+        "matches": matches,
+        "most_matches": max(matches),
         "accepted": sum(value >= LEAST_MATCHES for value in matches),
         "unmarked_matches": _matching(method.read_model(original, kept), message),
-    }  # fmt: skip
+    }
 
 
 def _matching(scores: Float64 | None, message: Signs) -> int | None:

@@ -66,15 +66,17 @@ METHODS: dict[str, Method] = {
     "qim": DitheredQim(),
     "spread": FileOrderSpreadSpectrum(),
     "dct": FittedPictures(
-        "DCT mark in renders, fitted", DctSpreadSpectrum(),
+        "DCT mark in renders, fitted",
+        DctSpreadSpectrum(),
         "the class HiDDeN+3DGS: a mark in every training picture, the model fitted to them. HiDDeN's weights cannot "
         "be had; a classic blind DCT mark stands in",
     ),
     "rivagan": FittedPictures(
-        "RivaGAN in renders, fitted", RivaGan(),
+        "RivaGAN in renders, fitted",
+        RivaGan(),
         "the class HiDDeN+3DGS with a trained network: RivaGAN of invisible-watermark",
     ),
-}  # fmt: skip
+}
 """By short name; the first two mark models at once, the others need half a minute and more."""
 
 

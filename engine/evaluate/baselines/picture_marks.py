@@ -108,9 +108,10 @@ class RivaGan:
     def missing(self) -> str:
         """Both packages must be there; they are no dependencies of ours."""
         lacking = [
-            package for module, package in
-            (("imwatermark", "invisible-watermark"), ("onnxruntime", "onnxruntime")) if find_spec(module) is None
-        ]  # fmt: skip
+            package
+            for module, package in (("imwatermark", "invisible-watermark"), ("onnxruntime", "onnxruntime"))
+            if find_spec(module) is None
+        ]
         if not lacking:
             return ""
         return f"{' and '.join(lacking)} not installed (pip install --no-deps {' '.join(lacking)})"

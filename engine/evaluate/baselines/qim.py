@@ -60,9 +60,7 @@ class DitheredQim:
         """See `Method`; the strength is the lattices' step, DC units."""
         bit, dither = _carriers(model, model, key, len(message))
         dc = model.sh[:, 0].astype(np.float64)
-        shift = (
-            dither + 0.25 * message[bit].astype(np.float64)[:, None]
-        )  # (N, 3); half a step between the two
+        shift = dither + 0.25 * message[bit].astype(np.float64)[:, None]  # (N, 3); half a step between the two
 
         def colors_at(step: float) -> Float32:
             sh = model.sh.copy()

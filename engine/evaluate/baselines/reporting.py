@@ -17,8 +17,16 @@ from engine.watermark.statistics import log10_binomial_tail
 
 __all__ = ["report"]
 
-TABLE_2 = ("none", "rotation 30 deg", "scale 0.75", "crop 40 % of the area", "JPEG 10", "noise std 0.1",
-           "clone 50 %", "prune random 20 %")  # fmt: skip
+TABLE_2 = (
+    "none",
+    "rotation 30 deg",
+    "scale 0.75",
+    "crop 40 % of the area",
+    "JPEG 10",
+    "noise std 0.1",
+    "clone 50 %",
+    "prune random 20 %",
+)
 LEAST = 99.9
 """Per cent of bits: the bar of DESIGN 12 on Table 2."""
 NAMES = {"ours": "ours", **{short: method.name for short, method in METHODS.items()}}
@@ -29,52 +37,59 @@ def report(rows: list[Row], options: Options) -> Report:
     attacks = [row for row in rows if row["what"] == "attack"]
     skipped = [row for row in rows if row["what"] == "skipped"]
     methods = [name for name in NAMES if any(row["method"] == name for row in attacks)]
-    missing = [
-        f"{NAMES[n]} was not run: {r}" for n, r in {row["method"]: row["reason"] for row in skipped}.items()
-    ]
+    missing = [f"{NAMES[n]} was not run: {r}" for n, r in {row["method"]: row["reason"] for row in skipped}.items()]
     shares = _shares(attacks)
     lines = list(dict.fromkeys((row["on"], row["attack"]) for row in attacks))
     labels = {(on, attack): f"{attack} ({on})" for on, attack in lines}
     matrix = {(labels[on, attack], NAMES[name]): value for (on, attack, name), value in shares.items()}
-    lost = {
-        name: sum(value < LEAST for (_, _, whose), value in shares.items() if whose == name)
-        for name in methods
-    }
+    lost = {name: sum(value < LEAST for (_, _, whose), value in shares.items() if whose == name) for name in methods}
     readable = {name: sum(whose == name for _, _, whose in shares) for name in methods}
     title = "Attacks that cost bits: " + ", ".join(
         f"{_short(name)} {lost[name]} of {readable[name]}" for name in methods
     )
     drawing = Drawing(
-        "matrix", partial(draw_matrix, list(labels.values()), [NAMES[n] for n in methods], matrix, title),
+        "matrix",
+        partial(draw_matrix, list(labels.values()), [NAMES[n] for n in methods], matrix, title),
         "Bits read right, mean over scenes, keys and pictures, at one PSNR; chance is 50 %. A dash: the method reads "
         "no pictures.",
-    )  # fmt: skip
+    )
     return Report(
-        _bars(attacks, skipped), [
-            Section("Attacks", [
-                "Every method marks the same scenes with 32 bits at the same PSNR in the worst of views drawn alike. "
-                "Ours and the spread spectrum are informed: they compare with the original. The others are blind, a "
-                "harder problem. Fitted methods are read at the owner's training views, their best case.", *missing],
-                [_attack_table(attacks, methods)], [drawing]),
-            Section("False claims", [
-                f"Other owners' keys and messages on the marked model. The field accepts a mark from {LEAST_MATCHES} "
-                f"of {BITS} bits on, which fair bits reach with probability "
-                f"{10 ** log10_binomial_tail(LEAST_MATCHES, BITS):.1g}. Ours claims by a proven bound of 1e-9, "
-                "whatever bits are read."], [_false_table(rows)]),
+        _bars(attacks, skipped),
+        [
+            Section(
+                "Attacks",
+                [
+                    "Every method marks the same scenes with 32 bits at one PSNR in the worst of views drawn alike. "
+                    "Ours and the spread spectrum are informed: they compare with the original. The others are blind, "
+                    "a harder problem. Fitted methods are read at the owner's training views, their best case.",
+                    *missing,
+                ],
+                [_attack_table(attacks, methods)],
+                [drawing],
+            ),
+            Section(
+                "False claims",
+                [
+                    f"Other owners' keys and messages on the marked model. The field accepts a mark from "
+                    f"{LEAST_MATCHES} of {BITS} bits on, which fair bits reach with probability "
+                    f"{10 ** log10_binomial_tail(LEAST_MATCHES, BITS):.1g}. Ours claims by a proven bound of 1e-9, "
+                    "whatever bits are read."
+                ],
+                [_false_table(rows)],
+            ),
             Section("Fidelity and time", [], [_embedding_table(rows)]),
             Section(
                 "What these methods stand for", [f"{METHODS[n].name}: {METHODS[n].stands_for}." for n in methods[1:]]
             ),
             _published_section(),
         ],
-        answer=[title + ".", *missing], summary={"lost": lost, "read": readable},
-    )  # fmt: skip
+        answer=[title + ".", *missing],
+        summary={"lost": lost, "read": readable},
+    )
 
 
 def _short(name: str) -> str:
-    return {"qim": "QIM", "spread": "spread spectrum", "dct": "fitted DCT", "rivagan": "fitted RivaGAN"}.get(
-        name, name
-    )
+    return {"qim": "QIM", "spread": "spread spectrum", "dct": "fitted DCT", "rivagan": "fitted RivaGAN"}.get(name, name)
 
 
 def _shares(attacks: Sequence[Row]) -> dict[tuple[str, str, str], float]:
@@ -96,14 +111,18 @@ def _bars(attacks: Sequence[Row], skipped: Sequence[Row]) -> list[Bar]:
         low, high = share_interval(right, total)
         others = {
             row["method"]: _rate([r for r in attacks if r["method"] == row["method"] and r["attack"] == attack])
-            for row in attacks if row["method"] != "ours" and row["attack"] == attack and row["right"] is not None
-        }  # fmt: skip
+            for row in attacks
+            if row["method"] != "ours" and row["attack"] == attack and row["right"] is not None
+        }
         beside = ", ".join(f"{_short(name)} {value:.1f}" for name, value in others.items())
         bars.append(
-            Bar(f"32 bits after: {attack}", f">= {LEAST} %",
+            Bar(
+                f"32 bits after: {attack}",
+                f">= {LEAST} %",
                 f"{100 * right / total:.2f} % (95 % {100 * low:.1f} to {100 * high:.1f}, n = {len(own)}); {beside}",
-                100 * right / total >= LEAST)
-        )  # fmt: skip
+                100 * right / total >= LEAST,
+            )
+        )
     reasons = {row["method"]: row["reason"] for row in skipped}
     bars += [Bar(f"{NAMES[name]} beside ours", "run", reason, None) for name, reason in reasons.items()]
     return bars
@@ -119,9 +138,10 @@ def _attack_table(attacks: Sequence[Row], methods: Sequence[str]) -> Table:
         line = [attack, on]
         for name in methods:
             right = [
-                row["right"] for row in attacks
+                row["right"]
+                for row in attacks
                 if (row["on"], row["attack"], row["method"]) == (on, attack, name) and row["right"] is not None
-            ]  # fmt: skip
+            ]
             if not right:
                 line.append("cannot read it")
                 continue
@@ -143,12 +163,23 @@ def _false_table(rows: Sequence[Row]) -> Table:
         most = max((row["most_matches"] for row in own if "most_matches" in row), default=None)
         unmarked = [row["unmarked_matches"] for row in own if "unmarked_matches" in row]
         lines.append(
-            [NAMES[name], keys, accepted, f"{low:.1g} to {high:.1g}",
-             "by z" if most is None else f"{most} of {BITS}",
-             "" if not unmarked else f"{np.mean(unmarked):.1f} of {BITS}, at most {max(unmarked)}"]
-        )  # fmt: skip
-    columns = ["method", "wrong keys", "accepted", "95 % of the rate", "most bits matched",
-               "bits matched by the right key on the unmarked model"]  # fmt: skip
+            [
+                NAMES[name],
+                keys,
+                accepted,
+                f"{low:.1g} to {high:.1g}",
+                "by z" if most is None else f"{most} of {BITS}",
+                "" if not unmarked else f"{np.mean(unmarked):.1f} of {BITS}, at most {max(unmarked)}",
+            ]
+        )
+    columns = [
+        "method",
+        "wrong keys",
+        "accepted",
+        "95 % of the rate",
+        "most bits matched",
+        "bits matched by the right key on the unmarked model",
+    ]
     return Table(columns, lines)
 
 
@@ -158,19 +189,32 @@ def _embedding_table(rows: Sequence[Row]) -> Table:
         own = [row for row in rows if row["what"] == "embedding" and row["method"] == name]
         if own:
             lines.append(
-                [NAMES[name], f"{np.mean([row['psnr'] for row in own]):.2f}", f"{min(row['psnr'] for row in own):.2f}",
-                 f"{np.mean([row['ssim'] for row in own]):.5f}", f"{np.median([row['seconds'] for row in own]):.1f}"]
-            )  # fmt: skip
-    return Table(
-        ["method", "PSNR of the worst view, mean", "least", "its SSIM, mean", "seconds to embed"], lines
-    )
+                [
+                    NAMES[name],
+                    f"{np.mean([row['psnr'] for row in own]):.2f}",
+                    f"{min(row['psnr'] for row in own):.2f}",
+                    f"{np.mean([row['ssim'] for row in own]):.5f}",
+                    f"{np.median([row['seconds'] for row in own]):.1f}",
+                ]
+            )
+    return Table(["method", "PSNR of the worst view, mean", "least", "its SSIM, mean", "seconds to embed"], lines)
 
 
 def _published_section() -> Section:
     lines = [
-        [p.method, f"{p.venue} {p.year}", p.what, p.conditions, p.value, p.unit, "blind" if p.blind else "informed",
-         p.hardware, p.source] for p in read_published()
-    ]  # fmt: skip
+        [
+            p.method,
+            f"{p.venue} {p.year}",
+            p.what,
+            p.conditions,
+            p.value,
+            p.unit,
+            "blind" if p.blind else "informed",
+            p.hardware,
+            p.source,
+        ]
+        for p in read_published()
+    ]
     columns = ["method", "where", "what", "conditions", "value", "unit", "reading", "hardware", "source"]
     text = "Published, other hardware, other scenes; blind or informed as it says. Not measured here."
     return Section("Published numbers", [text], [Table(columns, lines)])

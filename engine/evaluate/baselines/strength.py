@@ -17,11 +17,7 @@ CLOSE_DB = 0.05
 
 
 def at_psnr(
-    model: GaussianModel,
-    cameras: Sequence[Camera],
-    psnr_db: float,
-    colors_at: Callable[[float], Float32],
-    start: float,
+    model: GaussianModel, cameras: Sequence[Camera], psnr_db: float, colors_at: Callable[[float], Float32], start: float
 ) -> tuple[GaussianModel, float]:
     """The model with the strongest colours that keep a PSNR in the worst view.
 

@@ -30,9 +30,5 @@ def cells(options: Options) -> list[Cell]:
 
 
 STUDY = Study(
-    "baselines",
-    "Other methods, here",
-    "What do other ways of marking keep, where ours is measured?",
-    cells,
-    report,
+    "baselines", "Other methods, here", "What do other ways of marking keep, where ours is measured?", cells, report
 )

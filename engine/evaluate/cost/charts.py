@@ -49,27 +49,46 @@ def draw_roofline(rows: Sequence[Row]) -> Figure:
     x = np.geomspace(min(1.0, ridge / 4), max(200.0, 4 * ridge), 100)
     axes.plot(x, np.minimum(peak, x * bandwidth) / 1e9, color=INK)
     axes.annotate(
-        f"{bandwidth / 1e9:.0f} GB/s", (x[0] * 1.3, x[0] * 1.3 * bandwidth / 1e9), xytext=(0, -14),
-        textcoords="offset points", fontsize=8, color=INK,
-    )  # fmt: skip
+        f"{bandwidth / 1e9:.0f} GB/s",
+        (x[0] * 1.3, x[0] * 1.3 * bandwidth / 1e9),
+        xytext=(0, -14),
+        textcoords="offset points",
+        fontsize=8,
+        color=INK,
+    )
     axes.annotate(
-        f"{peak / 1e9:.0f} GFLOP/s", (x[-1], peak / 1e9), xytext=(0, 4), textcoords="offset points", fontsize=8,
+        f"{peak / 1e9:.0f} GFLOP/s",
+        (x[-1], peak / 1e9),
+        xytext=(0, 4),
+        textcoords="offset points",
+        fontsize=8,
         ha="right",
-    )  # fmt: skip
+    )
     for row, style in zip(rows, styles(), strict=False):
         achieved = row["achieved_flops"] / 1e9
         axes.plot(
-            [row["flops_per_byte"]] * 2, [achieved, row["attainable_flops"] / 1e9], color=FAINT, linestyle=":",
+            [row["flops_per_byte"]] * 2,
+            [achieved, row["attainable_flops"] / 1e9],
+            color=FAINT,
+            linestyle=":",
             linewidth=1.0,
-        )  # fmt: skip
+        )
         axes.plot(
-            row["flops_per_byte"], achieved, linestyle="none", color=style["color"], marker=style["marker"],
-            markersize=7, label=f"{row['scene']}: {achieved:.0f} GFLOP/s, {100 * row['fraction']:.0f} % of attainable",
-        )  # fmt: skip
+            row["flops_per_byte"],
+            achieved,
+            linestyle="none",
+            color=style["color"],
+            marker=style["marker"],
+            markersize=7,
+            label=f"{row['scene']}: {achieved:.0f} GFLOP/s, {100 * row['fraction']:.0f} % of attainable",
+        )
     axes.set_xlabel("operations a byte of memory traffic (log scale)")
     axes.set_ylabel("GFLOP/s (log scale)")
-    axes.set_title("The forward kernel is bound by arithmetic, not by memory" if _by_arithmetic(rows, ridge)
-                   else "The forward kernel under the machine's roof")  # fmt: skip
+    axes.set_title(
+        "The forward kernel is bound by arithmetic, not by memory"
+        if _by_arithmetic(rows, ridge)
+        else "The forward kernel under the machine's roof"
+    )
     axes.legend(loc="lower right")
     return drawn
 
@@ -91,9 +110,14 @@ def draw_formats(rows: Sequence[Row]) -> Figure:
         values = [own.get(name, 0.0) for name in formats]
         places = np.arange(len(formats)) + (number - (len(scenes) - 1) / 2) * wide
         axes.bar(
-            places, values, 0.92 * wide, color=style["color"], edgecolor="white",
-            hatch=hatches[number % len(hatches)], label=scene,
-        )  # fmt: skip
+            places,
+            values,
+            0.92 * wide,
+            color=style["color"],
+            edgecolor="white",
+            hatch=hatches[number % len(hatches)],
+            label=scene,
+        )
         for place, value in zip(places, values, strict=True):
             axes.text(place, value, f"{value:.0f}", ha="center", va="bottom", fontsize=7.5)
         most = max(most, *values)

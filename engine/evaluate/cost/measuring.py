@@ -92,18 +92,10 @@ def _size(
     model = loaded.model if gaussians is None else sized(loaded.model, gaussians, seed)
     key = bench_key(seed)
     small = EmbedConfig(views=2, view_size=128, landmark_views=2, psnr_db=40.0)
-    embed(
-        sized(loaded.model, min(5_000, len(loaded.model))),
-        key,
-        original_sha256=loaded.sha256,
-        bits=16,
-        config=small,
-    )
+    embed(sized(loaded.model, min(5_000, len(loaded.model))), key, original_sha256=loaded.sha256, bits=16, config=small)
     model_memory = peak_memory_mb()
     # As strong as it takes for the smallest size to carry the bits; that costs the same time.
-    config = profile(
-        "fast", views=views, view_size=view_size, landmark_views=landmarks, psnr_db=35.0, ssim=0.95
-    )  # fmt: skip
+    config = profile("fast", views=views, view_size=view_size, landmark_views=landmarks, psnr_db=35.0, ssim=0.95)
     runs = []
     for _ in range(repeats):
         made = embed(model, key, original_sha256=loaded.sha256, bits=16, config=config)
@@ -116,15 +108,24 @@ def _size(
     seen = [verify_images([picture], opened, VerifyConfig(), cameras=[camera]) for _ in range(repeats)]
     raster = bench_raster(made.model, *raster_size, repeats=3 if repeats == 1 else 7)
     return {
-        "gaussians": len(model), "views": views, "view_size": view_size, "repeats": repeats,
-        "busy": load_per_core(), "stages": stage_medians(runs),
+        "gaussians": len(model),
+        "views": views,
+        "view_size": view_size,
+        "repeats": repeats,
+        "busy": load_per_core(),
+        "stages": stage_medians(runs),
         "verify_model_s": statistics.median(run.seconds for run in whole),
         "verify_picture_s": statistics.median(run.seconds for run in seen),
-        "z_model": whole[0].claim.z, "z_picture": seen[0].claim.z,
-        "forward_ms": raster["forward_ms"], "backward_color_ms": raster["backward_color_ms"],
-        "backward_ms": raster.get("backward_ms"), "pairs": raster["pairs"],
-        "peak_memory_mb": memory, "memory_before_mb": model_memory, "peak_memory_all_mb": peak_memory_mb(),
-    }  # fmt: skip
+        "z_model": whole[0].claim.z,
+        "z_picture": seen[0].claim.z,
+        "forward_ms": raster["forward_ms"],
+        "backward_color_ms": raster["backward_color_ms"],
+        "backward_ms": raster.get("backward_ms"),
+        "pairs": raster["pairs"],
+        "peak_memory_mb": memory,
+        "memory_before_mb": model_memory,
+        "peak_memory_all_mb": peak_memory_mb(),
+    }
 
 
 def measure_formats(scene: str, formats: list[str]) -> list[Row]:
@@ -136,9 +137,7 @@ def measure_formats(scene: str, formats: list[str]) -> list[Row]:
     from engine.formats import read_model, write_model
     from engine.pipeline.profiles import profile
 
-    subject = mark_scene(
-        scene, profile("fast", views=4, view_size=256, landmark_views=0, psnr_db=40.0), bits=16
-    )
+    subject = mark_scene(scene, profile("fast", views=4, view_size=256, landmark_views=0, psnr_db=40.0), bits=16)
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in formats:
@@ -149,11 +148,14 @@ def measure_formats(scene: str, formats: list[str]) -> list[Row]:
             read_model(path)
             rows.append(
                 {
-                    "format": name, "bytes": size, "gaussians": len(subject.marked),
-                    "sh_degree": subject.marked.sh_degree, "write_s": written - began,
+                    "format": name,
+                    "bytes": size,
+                    "gaussians": len(subject.marked),
+                    "sh_degree": subject.marked.sh_degree,
+                    "write_s": written - began,
                     "read_s": time.perf_counter() - written,
                 }
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -178,8 +180,15 @@ def _roofline(raster: dict[str, Any], bandwidth: float, flops: float) -> Row:
     intensity = operations / moved
     attainable = min(flops, intensity * bandwidth)
     return {
-        "gaussians": raster["gaussians"], "pairs": raster["pairs"], "fragments": fragments,
-        "blend_ms": raster["blend_ms"], "flops_per_byte": intensity, "achieved_flops": operations / seconds,
-        "attainable_flops": attainable, "peak_flops": flops, "peak_bytes": bandwidth,
-        "fraction": operations / seconds / attainable, "threads": raster["threads"],
-    }  # fmt: skip
+        "gaussians": raster["gaussians"],
+        "pairs": raster["pairs"],
+        "fragments": fragments,
+        "blend_ms": raster["blend_ms"],
+        "flops_per_byte": intensity,
+        "achieved_flops": operations / seconds,
+        "attainable_flops": attainable,
+        "peak_flops": flops,
+        "peak_bytes": bandwidth,
+        "fraction": operations / seconds / attainable,
+        "threads": raster["threads"],
+    }

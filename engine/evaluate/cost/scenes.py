@@ -45,9 +45,7 @@ def sized(model: GaussianModel, count: int, seed: int = 0) -> GaussianModel:
         first, last = copy * len(model), min((copy + 1) * len(model), count)
         piece = model if last - first == len(model) else sized(model, last - first, seed)
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        turn = np.array(
-            [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
-        )
+        turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
         step = SPACING * extent.radius * np.array([copy % side, 0.0, copy // side])
         piece = transform_model(piece, 1.0, turn, extent.center + step - turn @ extent.center)
         for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):

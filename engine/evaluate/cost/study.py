@@ -26,11 +26,7 @@ FORMATS = ("ply", "splat", "spz", "compressed.ply", "sog")
 LARGE = 1_000_000
 """From here on each embedding is timed once."""
 EMBED_BAR, VERIFY_BAR, BAR_GAUSSIANS = 15.0, 3.0, 500_000
-AXES = {
-    "gaussians": "Gaussians",
-    "views": "key views",
-    "pixels": "pixels a side, key views and picture",
-}
+AXES = {"gaussians": "Gaussians", "views": "key views", "pixels": "pixels a side, key views and picture"}
 COSTS: dict[str, Callable[[Row], float]] = {
     "embed, s": lambda row: float(sum(row["stages"].values())),
     "verify model, s": lambda row: float(row["verify_model_s"]),
@@ -50,7 +46,7 @@ def _of_scene(number: int, scene: str, options: Options) -> list[Cell]:
         {"landmarks": 0, "view_size": 96, "repeats": 1, "raster_size": [160, 100], "picture_size": 96, "apart": False}
         if quick
         else {}
-    )  # fmt: skip
+    )
     cells: list[tuple[str, str, dict[str, Any]]] = []
 
     def add(axis: str, size: int, **arguments: Any) -> None:
@@ -107,9 +103,7 @@ def _curves(found: Sequence[Row]) -> dict[str, Curve]:
     return curves
 
 
-def _growth_section(
-    scene: str, axis: str, words: str, found: Sequence[Row], curves: dict[str, Curve]
-) -> Section:
+def _growth_section(scene: str, axis: str, words: str, found: Sequence[Row], curves: dict[str, Curve]) -> Section:
     title = f"{scene}: cost over {words.split(',')[0]}"
     embed = curves["embed, s"][2]
     assert embed is not None
@@ -124,26 +118,46 @@ def _growth_section(
         "every size pulls them down."
     ]
     if axis == "gaussians":
-        text.append(
-            "Smaller sizes are the scene thinned at random, larger ones a grid of turned copies of it."
-        )
+        text.append("Smaller sizes are the scene thinned at random, larger ones a grid of turned copies of it.")
     else:
         text.append("Without the landmark bank, which does not depend on the key views.")
     stages = list(found[0]["stages"])
     peak = [row["peak_memory_mb"] for row in found]
     rows = [
-        [row["size"], row["gaussians"], COSTS["embed, s"](row), *(row["stages"][stage] for stage in stages),
-         row["verify_model_s"], row["verify_picture_s"], row["forward_ms"], row["backward_color_ms"],
-         row["backward_ms"], memory]
+        [
+            row["size"],
+            row["gaussians"],
+            COSTS["embed, s"](row),
+            *(row["stages"][stage] for stage in stages),
+            row["verify_model_s"],
+            row["verify_picture_s"],
+            row["forward_ms"],
+            row["backward_color_ms"],
+            row["backward_ms"],
+            memory,
+        ]
         for row, memory in zip(found, peak, strict=True)
-    ]  # fmt: skip
-    columns = [words, "Gaussians", "embed s", *(f"{stage} s" for stage in stages), "verify model s",
-               "verify picture s", "forward ms", "colour backward ms", "backward ms", "peak MB, embed"]  # fmt: skip
+    ]
+    columns = [
+        words,
+        "Gaussians",
+        "embed s",
+        *(f"{stage} s" for stage in stages),
+        "verify model s",
+        "verify picture s",
+        "forward ms",
+        "colour backward ms",
+        "backward ms",
+        "peak MB, embed",
+    ]
     exponents = Table(
         ["cost", "exponent (95 %)"],
-        [*([name, str(curve[2])] for name, curve in curves.items()), ["peak memory", str(fit_growth(
-            [row["size"] for row in found], peak))]], "Growth",
-    )  # fmt: skip
+        [
+            *([name, str(curve[2])] for name, curve in curves.items()),
+            ["peak memory", str(fit_growth([row["size"] for row in found], peak))],
+        ],
+        "Growth",
+    )
     drawing = Drawing(
         f"growth-{axis}-{Path(scene).stem.replace(' ', '-')}",
         partial(draw_growth, curves, words, "seconds", finding),
@@ -173,14 +187,35 @@ def _bars(scene: str, own: Sequence[Row]) -> list[Bar]:
 
 
 def _roofline_section(rows: Sequence[Row]) -> Section:
-    columns = ["scene", "pairs", "fragments", "blend ms", "operations a byte", "GFLOP/s", "attainable GFLOP/s",
-               "fraction", "peak GFLOP/s", "peak GB/s", "threads"]  # fmt: skip
+    columns = [
+        "scene",
+        "pairs",
+        "fragments",
+        "blend ms",
+        "operations a byte",
+        "GFLOP/s",
+        "attainable GFLOP/s",
+        "fraction",
+        "peak GFLOP/s",
+        "peak GB/s",
+        "threads",
+    ]
     table = [
-        [row["scene"], row["pairs"], row["fragments"], row["blend_ms"], row["flops_per_byte"],
-         row["achieved_flops"] / 1e9, row["attainable_flops"] / 1e9, row["fraction"], row["peak_flops"] / 1e9,
-         row["peak_bytes"] / 1e9, row["threads"]]
+        [
+            row["scene"],
+            row["pairs"],
+            row["fragments"],
+            row["blend_ms"],
+            row["flops_per_byte"],
+            row["achieved_flops"] / 1e9,
+            row["attainable_flops"] / 1e9,
+            row["fraction"],
+            row["peak_flops"] / 1e9,
+            row["peak_bytes"] / 1e9,
+            row["threads"],
+        ]
         for row in rows
-    ]  # fmt: skip
+    ]
     return Section(
         "The forward kernel under the machine's roof",
         [
@@ -189,20 +224,27 @@ def _roofline_section(rows: Sequence[Row]) -> Section:
             "none). Traffic: 48 bytes for each pair of tile and Gaussian (number, record, colour) and 16 for each "
             "pixel: an upper bound, as tiles end early and neighbours share records in the caches, so the fraction is "
             "one too. The roof: a stream triad and chains of fused multiply-adds in sixteen lanes, measured in the "
-            "same process, best of five.",
+            "same process, best of five."
         ],
         [Table(columns, table)],
         [Drawing("roofline", partial(draw_roofline, rows), "Achieved against attainable operations a second.")],
-    )  # fmt: skip
+    )
 
 
 def _formats_section(rows: Sequence[Row]) -> Section:
     columns = ["scene", "format", "SH degree", "bytes", "bytes a Gaussian", "write s", "read s"]
     table = [
-        [row["scene"], row["format"], row["sh_degree"], row["bytes"], row["bytes"] / row["gaussians"],
-         row["write_s"], row["read_s"]]
+        [
+            row["scene"],
+            row["format"],
+            row["sh_degree"],
+            row["bytes"],
+            row["bytes"] / row["gaussians"],
+            row["write_s"],
+            row["read_s"],
+        ]
         for row in rows
-    ]  # fmt: skip
+    ]
     return Section(
         "Storage by format",
         ["The marked model as each format holds it; .splat keeps no SH beyond degree 0."],

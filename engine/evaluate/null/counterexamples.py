@@ -43,10 +43,15 @@ def rebuild_reference(path: str, keys: int, quick: bool, seed: int) -> list[Row]
         z.append(claim_z(evidence.y, evidence.weights, bit_of, chips, message))
     return [
         {
-            "what": "wrong detector", "scene": scene.name, "keys": keys, "hits": above(z), "z_least": min(z),
-            "z_largest": max(z), "claims": int(np.sum(np.array(z) >= z_threshold(1e-9))),
+            "what": "wrong detector",
+            "scene": scene.name,
+            "keys": keys,
+            "hits": above(z),
+            "z_least": min(z),
+            "z_largest": max(z),
+            "claims": int(np.sum(np.array(z) >= z_threshold(1e-9))),
         }
-    ]  # fmt: skip
+    ]
 
 
 def forge_original(path: str, quick: bool, seed: int) -> list[Row]:
@@ -78,10 +83,14 @@ def ask_oracle(path: str, repeats: int, quick: bool, seed: int) -> list[Row]:
             asked = count
             rows.append(
                 {
-                    "what": "oracle", "queries": count, "repeat": repeat, "z_told_z": _z(by_z, secret),
-                    "z_told_verdict": _z(by_verdict, secret), "z_threshold": threshold,
+                    "what": "oracle",
+                    "queries": count,
+                    "repeat": repeat,
+                    "z_told_z": _z(by_z, secret),
+                    "z_told_verdict": _z(by_verdict, secret),
+                    "z_threshold": threshold,
                 }
-            )  # fmt: skip
+            )
     return rows
 
 

@@ -47,6 +47,9 @@ def count_wrong_keys(y: Float64, weights: Float64, keys: int, seed: bytes) -> Ro
     """
     z = wrong_key_z(y, weights, seed, keys)
     return {
-        "keys": keys, "hits": above(z), "z_largest": float(z.max()), "z_mean": float(z.mean()),
+        "keys": keys,
+        "hits": above(z),
+        "z_largest": float(z.max()),
+        "z_mean": float(z.mean()),
         "z_std": float(z.std()),
-    }  # fmt: skip
+    }

@@ -40,11 +40,19 @@ def compare_attributes(path: str, samples: int, draws: int, keys: int, quick: bo
                 distance, p, null = permutation_test(plain[here], other[there], draws=draws, seed=seed)
                 rows.append(
                     {
-                        "what": "detectability", "scene": scene.name, "key": seed + number, "features": features,
-                        "against": name, "samples": samples, "distance": distance, "p": p, "draws": draws,
-                        "null_median": float(np.median(null)), "null_highest": max(null),
+                        "what": "detectability",
+                        "scene": scene.name,
+                        "key": seed + number,
+                        "features": features,
+                        "against": name,
+                        "samples": samples,
+                        "distance": distance,
+                        "p": p,
+                        "draws": draws,
+                        "null_median": float(np.median(null)),
+                        "null_highest": max(null),
                     }
-                )  # fmt: skip
+                )
     return rows
 
 

@@ -31,22 +31,27 @@ def draw_false_claims(groups: Sequence[Rates], wrong: Rates | None, title: str) 
     with house_style():
         axes.plot(bounds, bounds, color=INK, linewidth=1.2, label="the bound, exp(-z²/2)")
         limits = np.sqrt(-2.0 * np.log(bounds))
-        axes.plot(
-            bounds, norm.sf(limits), color=FAINT, linewidth=1.2, linestyle=(0, (1, 1)), label="normal tail"
-        )
+        axes.plot(bounds, norm.sf(limits), color=FAINT, linewidth=1.2, linestyle=(0, (1, 1)), label="normal tail")
         for style, rates in zip(styles(), groups, strict=False):
             seen = rates.shares > 0
             spread = np.maximum(rates.intervals[seen], LEAST_SHARE)
             axes.plot(
-                bounds[seen], rates.shares[seen], label=f"{rates.name}: {rates.keys:,} keys",
+                bounds[seen],
+                rates.shares[seen],
+                label=f"{rates.name}: {rates.keys:,} keys",
                 **{**style, "linestyle": "none"},
-            )  # fmt: skip
+            )
             axes.vlines(bounds[seen], spread[:, 0], spread[:, 1], color=style["color"], linewidth=1.0)
         if wrong is not None and wrong.keys:
             axes.plot(
-                bounds, wrong.shares, color=INK, marker="x", linestyle="-.", linewidth=1.0,
+                bounds,
+                wrong.shares,
+                color=INK,
+                marker="x",
+                linestyle="-.",
+                linewidth=1.0,
                 label=f"a mistaken detector: {wrong.keys:,} keys",
-            )  # fmt: skip
+            )
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xlim(1.0, 1e-9)
@@ -122,8 +127,9 @@ def draw_detectability(rows: Sequence[Row], title: str) -> Figure:
             axes.plot(
                 [max(row["distance"] / row["null_median"], 0.1) for row in own],
                 [names.index((row["features"], row["against"])) for row in own],
-                label=scene, **{**style, "linestyle": "none"},
-            )  # fmt: skip
+                label=scene,
+                **{**style, "linestyle": "none"},
+            )
         for number, name in enumerate(names):
             own = [row for row in rows if (row["features"], row["against"]) == name]
             highest = max(row["null_highest"] / row["null_median"] for row in own)
@@ -154,9 +160,7 @@ def draw_oracle(rows: Sequence[Row], title: str) -> Figure:
         for style, (field, label) in zip(styles(), series, strict=False):
             values = [[row[field] for row in rows if row["queries"] == count] for count in queries]
             axes.plot(queries, [np.mean(own) for own in values], label=label, **style)
-            axes.vlines(
-                queries, [min(own) for own in values], [max(own) for own in values], color=style["color"]
-            )
+            axes.vlines(queries, [min(own) for own in values], [max(own) for own in values], color=style["color"])
         label_line(axes, rows[0]["z_threshold"], "claim at 1e-9")
         axes.set_xscale("log")
         axes.set_xlabel("questions to the owner's detector")

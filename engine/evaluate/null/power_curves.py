@@ -36,16 +36,21 @@ def few_gaussians(path: str, shares: list[float], trials: int, quick: bool, seed
             evidence, claim = result.evidence, result.claim
             rows.append(
                 {
-                    "what": "power", "kind": "gaussians", "scene": scene.name, "amount": len(left), "trial": trial,
-                    "share": share, "z": claim.z, "z_expected": claim.expected_z, "z_threshold": claim.z_threshold,
+                    "what": "power",
+                    "kind": "gaussians",
+                    "scene": scene.name,
+                    "amount": len(left),
+                    "trial": trial,
+                    "share": share,
+                    "z": claim.z,
+                    "z_expected": claim.expected_z,
+                    "z_threshold": claim.z_threshold,
                     "wrong": WRONG,
                     "wrong_hits": above(
-                        wrong_key_z(
-                            evidence.y, evidence.weights, wrong_key_seed(scene.name, share, trial, seed), WRONG
-                        )
+                        wrong_key_z(evidence.y, evidence.weights, wrong_key_seed(scene.name, share, trial, seed), WRONG)
                     ),
                 }
-            )  # fmt: skip
+            )
     return rows
 
 
@@ -56,9 +61,7 @@ def few_pictures(path: str, counts: list[int], draws: int, quick: bool, seed: in
     rng = np.random.default_rng((seed, 0x9017))
     most = max(counts)
     parts = []
-    for number, camera in enumerate(
-        make_rig(scene.marked, 2 * most, SIDE, SIDE, jitter=rng.random((2 * most, 4)))
-    ):
+    for number, camera in enumerate(make_rig(scene.marked, 2 * most, SIDE, SIDE, jitter=rng.random((2 * most, 4)))):
         clean = to_8_bit(render(scene.marked, camera))
         picture = to_8_bit(image_attack("noise_image").apply(clean, NOISE, rng=number))
         parts.append(verify_images([picture], opened, cameras=[camera]).evidence)
@@ -67,17 +70,18 @@ def few_pictures(path: str, counts: list[int], draws: int, quick: bool, seed: in
         for trial in range(draws):
             chosen = rng.choice(len(parts), count, replace=False)
             evidence = add_evidence([parts[k] for k in chosen])
-            z = claim_z(
-                evidence.y, evidence.weights, opened.spreading.bit_of, opened.spreading.chips, opened.message
-            )
+            z = claim_z(evidence.y, evidence.weights, opened.spreading.bit_of, opened.spreading.chips, opened.message)
             row = {
-                "what": "power", "kind": "pictures", "scene": scene.name, "amount": count, "trial": trial, "z": z,
+                "what": "power",
+                "kind": "pictures",
+                "scene": scene.name,
+                "amount": count,
+                "trial": trial,
+                "z": z,
                 "z_expected": expected_z(evidence.y, evidence.weights, evidence.signal),
-            }  # fmt: skip
+            }
             if trial == 0:
                 stream = wrong_key_seed(scene.name, count, "pictures", seed)
-                row |= {
-                    "wrong": WRONG, "wrong_hits": above(wrong_key_z(evidence.y, evidence.weights, stream, WRONG))
-                }  # fmt: skip
+                row |= {"wrong": WRONG, "wrong_hits": above(wrong_key_z(evidence.y, evidence.weights, stream, WRONG))}
             rows.append(row)
     return rows

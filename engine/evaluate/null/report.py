@@ -17,9 +17,11 @@ __all__ = ["report"]
 
 WANTED_KEYS = 1_000_000
 GROUPS = {
-    "found": "suspects as found", "crafted": "suspects made to deceive", "copies": "other recipients, real keys",
+    "found": "suspects as found",
+    "crafted": "suspects made to deceive",
+    "copies": "other recipients, real keys",
     "other scene": "other scenes",
-}  # fmt: skip
+}
 
 
 def report(rows: list[Row], options: Options) -> Report:
@@ -42,55 +44,71 @@ def report(rows: list[Row], options: Options) -> Report:
         bars,
         [
             _null_section(tried, [group for group in groups if group.keys], add_up(wrong, "wrong detector"), forged),
-            _power_section(power), _oracle_section(oracle), _detect_section(seen),
+            _power_section(power),
+            _oracle_section(oracle),
+            _detect_section(seen),
         ],
         answer=[answer],
         summary={
-            "wrong_keys": rates.keys, "claims": claims, "largest_z": max(row["z_largest"] for row in tried),
-            "measured": {f"{10.0**log10:.3g}": float(share) for log10, share in
-                         zip(LOG10_THRESHOLDS, rates.shares, strict=True)},
+            "wrong_keys": rates.keys,
+            "claims": claims,
+            "largest_z": max(row["z_largest"] for row in tried),
+            "measured": {
+                f"{10.0**log10:.3g}": float(share) for log10, share in zip(LOG10_THRESHOLDS, rates.shares, strict=True)
+            },
         },
-    )  # fmt: skip
+    )
 
 
 def _null_bars(tried: Sequence[Row], forged: Sequence[Row], rates: Rates) -> list[Bar]:
     high = rates.intervals[-1, 1]
-    above = [
-        log10 for log10, share in zip(LOG10_THRESHOLDS, rates.shares, strict=True) if share > 10.0**log10
-    ]
-    each = [
-        f"{row['scene']}, {row['suspect']}, {row['route']}"
-        for row in tried
-        if exceeding(add_up([row], "one"))
-    ]
-    clean = [row for row in tried if not row["carries"]] + [
-        {**row, "suspect": "forged original"} for row in forged
-    ]
+    above = [log10 for log10, share in zip(LOG10_THRESHOLDS, rates.shares, strict=True) if share > 10.0**log10]
+    each = [f"{row['scene']}, {row['suspect']}, {row['route']}" for row in tried if exceeding(add_up([row], "one"))]
+    clean = [row for row in tried if not row["carries"]] + [{**row, "suspect": "forged original"} for row in forged]
     claimed = [row["suspect"] for row in clean if row["verdict"] == "marked"]
     low_rate, high_rate = share_interval(len(claimed), len(clean))
     return [
-        Bar("claims at 1e-9 by wrong keys", "0", f"{rates.hits[-1]} of {rates.keys:,} (95 %: at most {high:.2g})",
-            rates.hits[-1] == 0),
-        Bar("measured rate at or below the bound, all keys together", f"at all {len(LOG10_THRESHOLDS)} thresholds",
+        Bar(
+            "claims at 1e-9 by wrong keys",
+            "0",
+            f"{rates.hits[-1]} of {rates.keys:,} (95 %: at most {high:.2g})",
+            rates.hits[-1] == 0,
+        ),
+        Bar(
+            "measured rate at or below the bound, all keys together",
+            f"at all {len(LOG10_THRESHOLDS)} thresholds",
             f"{len(LOG10_THRESHOLDS) - len(above)} of {len(LOG10_THRESHOLDS)}"
-            + "".join(f"; above at 1e{log10:g}" for log10 in above), not above),
-        Bar("measured rate of each suspect not above the bound beyond chance (exact, 95 %, thresholds counted)",
-            "every suspect", f"{len(tried) - len(each)} of {len(tried)}" + "".join(f"; {name}" for name in each),
-            not each),
-        Bar("records that claim an unmarked, foreign, crafted or forged suspect", "0",
+            + "".join(f"; above at 1e{log10:g}" for log10 in above),
+            not above,
+        ),
+        Bar(
+            "measured rate of each suspect not above the bound beyond chance (exact, 95 %, thresholds counted)",
+            "every suspect",
+            f"{len(tried) - len(each)} of {len(tried)}" + "".join(f"; {name}" for name in each),
+            not each,
+        ),
+        Bar(
+            "records that claim an unmarked, foreign, crafted or forged suspect",
+            "0",
             f"{len(claimed)} of {len(clean)} (95 %: {100 * low_rate:.1f} to {100 * high_rate:.1f} %)"
-            + "".join(f"; {name}" for name in claimed), not claimed),
+            + "".join(f"; {name}" for name in claimed),
+            not claimed,
+        ),
         Bar("wrong keys tried", f">= {WANTED_KEYS:,}", f"{rates.keys:,}", rates.keys >= WANTED_KEYS),
-    ]  # fmt: skip
+    ]
 
 
 def _counter_bars(wrong: Sequence[Row]) -> list[Bar]:
     claims, keys = sum(row["claims"] for row in wrong), sum(row["keys"] for row in wrong)
     least = min((row["z_least"] for row in wrong), default=0.0)
     return [
-        Bar("a detector with the classic mistake is caught by this test", "claims by wrong keys",
-            f"{claims} of {keys} wrong keys claim, least z {least:.0f}", claims > 0 if wrong else None),
-    ]  # fmt: skip
+        Bar(
+            "a detector with the classic mistake is caught by this test",
+            "claims by wrong keys",
+            f"{claims} of {keys} wrong keys claim, least z {least:.0f}",
+            claims > 0 if wrong else None,
+        )
+    ]
 
 
 def _detect_bars(seen: Sequence[Row]) -> list[Bar]:
@@ -100,27 +118,34 @@ def _detect_bars(seen: Sequence[Row]) -> list[Bar]:
     level = 0.05 / max(len(marked), 1)
     strong = sum(row["p"] <= 0.05 for row in blatant)
     return [
-        Bar("distributions of a marked file's numbers: Sinkhorn divergence within chance",
+        Bar(
+            "distributions of a marked file's numbers: Sinkhorn divergence within chance",
             f"p > {level:.3g} (0.05 over {len(marked)} tests)",
             f"smallest p {least:.3g}; a mark 20 times as strong: p <= 0.05 in {strong} of {len(blatant)}",
-            least > level if marked else None),
-    ]  # fmt: skip
+            least > level if marked else None,
+        )
+    ]
 
 
-def _null_section(
-    tried: Sequence[Row], groups: Sequence[Rates], wrong: Rates, forged: Sequence[Row]
-) -> Section:
+def _null_section(tried: Sequence[Row], groups: Sequence[Rates], wrong: Rates, forged: Sequence[Row]) -> Section:
     lines = []
     for row in sorted(tried, key=lambda row: -row["z_largest"]):
         own = add_up([row], row["suspect"])
         at = {log10: own.shares[LOG10_THRESHOLDS.index(log10)] for log10 in (-1.0, -3.0, -5.0)}
         lines.append(
             [
-                row["scene"], row["suspect"], row["route"], f"{row['keys']:,}", row["z_largest"], row["z_mean"],
-                row["z_std"], *(f"{share:.2g}" for share in at.values()), own.hits[-1],
+                row["scene"],
+                row["suspect"],
+                row["route"],
+                f"{row['keys']:,}",
+                row["z_largest"],
+                row["z_mean"],
+                row["z_std"],
+                *(f"{share:.2g}" for share in at.values()),
+                own.hits[-1],
                 f"{row['z_own']:.2f}: {row['verdict']}" + (" (carries it)" if row["carries"] else ""),
             ]
-        )  # fmt: skip
+        )
     title = f"{sum(group.keys for group in groups):,} wrong keys: no claim, and always below the bound"
     if any(group.hits[-1] for group in groups):
         title = "Wrong keys claim: the bound is broken"
@@ -134,12 +159,25 @@ def _null_section(
         f"registered by the right program: {len(forged)} tried, "
         f"largest z {max((row['z'] for row in forged), default=0.0):.2f}."
     )
-    columns = ["scene", "suspect", "route", "keys", "largest z", "mean", "std", "at 0.1", "at 1e-3", "at 1e-5",
-               "claims", "this record's own z and answer"]  # fmt: skip
+    columns = [
+        "scene",
+        "suspect",
+        "route",
+        "keys",
+        "largest z",
+        "mean",
+        "std",
+        "at 0.1",
+        "at 1e-3",
+        "at 1e-5",
+        "claims",
+        "this record's own z and answer",
+    ]
     drawing = Drawing(
-        "false-claims", partial(figures.draw_false_claims, groups, wrong if wrong.keys else None, title),
+        "false-claims",
+        partial(figures.draw_false_claims, groups, wrong if wrong.keys else None, title),
         "Share of wrong keys that reach each stated bound. Where nothing is drawn no key came so far.",
-    )  # fmt: skip
+    )
     return Section("False claims", [text], [Table(columns, lines, "Largest z first")], [drawing])
 
 
@@ -158,15 +196,30 @@ def _power_section(power: Sequence[Row]) -> Section:
             false = sum(row["wrong_hits"][LOG10_THRESHOLDS.index(-3.0)] for row in own if "wrong_hits" in row)
             lines.append(
                 [
-                    key[0], kind, key[1], len(z), float(np.mean(z)), float(np.mean([row["z_expected"] for row in own])),
+                    key[0],
+                    kind,
+                    key[1],
+                    len(z),
+                    float(np.mean(z)),
+                    float(np.mean([row["z_expected"] for row in own])),
                     f"{100 * hits / len(z):.0f} % ({100 * low:.0f} to {100 * high:.0f})",
-                    f"{100 * share_claimed(z, -3.0):.0f} %", f"{false / max(wrong, 1):.2g}",
+                    f"{100 * share_claimed(z, -3.0):.0f} %",
+                    f"{false / max(wrong, 1):.2g}",
                 ]
-            )  # fmt: skip
+            )
             roc.setdefault(f"{key[1]:,} {kind if key[1] > 1 else kind[:-1]}", []).extend(own)
     shown = _telling(roc)
-    columns = ["scene", "evidence", "how much", "trials", "z", "z expected", "claims at 1e-9 (95 %)", "at 1e-3",
-               "wrong keys at 1e-3, measured"]  # fmt: skip
+    columns = [
+        "scene",
+        "evidence",
+        "how much",
+        "trials",
+        "z",
+        "z expected",
+        "claims at 1e-9 (95 %)",
+        "at 1e-3",
+        "wrong keys at 1e-3, measured",
+    ]
     text = (
         "Gaussians are those left after random pruning, unmoved. Trials of one number of pictures share pictures, so "
         "that their interval is a little too narrow. Pictures are of 128 pixels with noise of 0.2: one that a person "
@@ -174,14 +227,22 @@ def _power_section(power: Sequence[Row]) -> Section:
     )
     title = f"A claim needs {_enough(gaussians, 'Gaussians')}, or {_enough(pictures, 'bad pictures')}"
     return Section(
-        "Power", [text], [Table(columns, lines)],
+        "Power",
+        [text],
+        [Table(columns, lines)],
         [
-            Drawing("power", partial(figures.draw_power, gaussians, pictures, title),
-                    "Share of marked suspects claimed at 1e-9 against the amount of evidence."),
-            Drawing("roc", partial(figures.draw_roc, shown, "ROC: right claims against the bound of a false one"),
-                    "ROC for evidence that is just enough and not enough."),
+            Drawing(
+                "power",
+                partial(figures.draw_power, gaussians, pictures, title),
+                "Share of marked suspects claimed at 1e-9 against the amount of evidence.",
+            ),
+            Drawing(
+                "roc",
+                partial(figures.draw_roc, shown, "ROC: right claims against the bound of a false one"),
+                "ROC for evidence that is just enough and not enough.",
+            ),
         ],
-    )  # fmt: skip
+    )
 
 
 def _telling(roc: dict[str, list[Row]], most: int = 6) -> dict[str, list[Row]]:
@@ -193,11 +254,7 @@ def _telling(roc: dict[str, list[Row]], most: int = 6) -> dict[str, list[Row]]:
 def _enough(rows: Sequence[Row], what: str) -> str:
     amounts = sorted({row["amount"] for row in rows})
     for amount in amounts:
-        if all(
-            share_claimed([r["z"] for r in rows if r["amount"] == a], -9.0) >= 0.95
-            for a in amounts
-            if a >= amount
-        ):
+        if all(share_claimed([r["z"] for r in rows if r["amount"] == a], -9.0) >= 0.95 for a in amounts if a >= amount):
             return f"about {amount:,} {what}"
     return f"more than {amounts[-1]:,} {what}" if amounts else f"no {what} measured"
 
@@ -214,18 +271,24 @@ def _oracle_section(oracle: Sequence[Row]) -> Section:
         "coarsely and counts their questions."
     )
     title = f"An oracle that tells z is enough to frame its owner {after}"
-    drawing = Drawing(
-        "oracle", partial(figures.draw_oracle, oracle, title), "z of the sum of liked patterns."
-    )
+    drawing = Drawing("oracle", partial(figures.draw_oracle, oracle, title), "z of the sum of liked patterns.")
     return Section("What the owner's own answers give away", [text], [], [drawing])
 
 
 def _detect_section(seen: Sequence[Row]) -> Section:
     lines = [
-        [row["scene"], row["key"], row["features"], row["against"], row["distance"], row["null_median"],
-         row["null_highest"], row["p"]]
+        [
+            row["scene"],
+            row["key"],
+            row["features"],
+            row["against"],
+            row["distance"],
+            row["null_median"],
+            row["null_highest"],
+            row["p"],
+        ]
         for row in seen
-    ]  # fmt: skip
+    ]
     text = (
         "Two disjoint random samples of one scene's Gaussians, compared by Sinkhorn divergence (entropy a "
         "tenth of the median cost, attributes in standard deviations); p is the share of random divisions of the joint "
@@ -233,8 +296,16 @@ def _detect_section(seen: Sequence[Row]) -> Section:
         "together might; the learned detector of the study steganalysis looks further."
     )
     least = min((row["p"] for row in seen if row["against"] == "marked"), default=1.0)
-    columns = ["scene", "key", "attributes", "unmarked sample against", "divergence", "median of chance",
-               "largest of chance", "p"]  # fmt: skip
+    columns = [
+        "scene",
+        "key",
+        "attributes",
+        "unmarked sample against",
+        "divergence",
+        "median of chance",
+        "largest of chance",
+        "p",
+    ]
     title = f"In the numbers of the file the mark is within chance (smallest p {least:.2f})"
     if least <= 0.05 / max(sum(row["against"] == "marked" for row in seen), 1):
         title = f"The numbers of the file betray the mark (p {least:.3f})"

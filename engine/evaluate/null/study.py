@@ -52,9 +52,7 @@ def cells(options: Options) -> list[Cell]:
             made.append(Cell(f"{number}-{name}", f"engine.evaluate.null.{function}", {**common, **arguments}))
         if len(options.scenes) > 1:
             other = {"other": options.scenes[(number + 1) % len(options.scenes)]}
-            made.append(
-                Cell(f"{number}-pair", "engine.evaluate.null.suspects:try_pairs", {**common, **other})
-            )
+            made.append(Cell(f"{number}-pair", "engine.evaluate.null.suspects:try_pairs", {**common, **other}))
     return made
 
 

@@ -28,9 +28,11 @@ __all__ = ["FOUND", "config_of", "marked_scene", "try_copies", "try_crafted", "t
 
 BITS = 32
 FOUND = {
-    "marked": "marked by the owner", "noised": "marked, noise 0.1", "unmarked": "unmarked",
+    "marked": "marked by the owner",
+    "noised": "marked, noise 0.1",
+    "unmarked": "unmarked",
     "foreign": "marked by another key",
-}  # fmt: skip
+}
 LOUD = 40
 """Code vectors that drown all others in one of the crafted suspects."""
 
@@ -48,18 +50,21 @@ def marked_scene(path: str, quick: bool, seed: int) -> MarkedScene:
     return mark_scene(path, config_of(quick), bits=BITS, seed=seed)
 
 
-def _row(
-    what: str, scene: MarkedScene, name: str, result: Verification, keys: int, seed: int, own: bool
-) -> Row:
+def _row(what: str, scene: MarkedScene, name: str, result: Verification, keys: int, seed: int, own: bool) -> Row:
     """One suspect: what the record itself answered, and how far wrong keys came on the same evidence."""
     evidence, claim = result.evidence, result.claim
-    counted = count_wrong_keys(
-        evidence.y, evidence.weights, keys, wrong_key_seed(scene.name, name, claim.route, seed)
-    )
+    counted = count_wrong_keys(evidence.y, evidence.weights, keys, wrong_key_seed(scene.name, name, claim.route, seed))
     return {
-        "what": "null", "group": what, "scene": scene.name, "suspect": name, "route": claim.route,
-        "carries": own, "z_own": claim.z, "verdict": claim.verdict.value, **counted,
-    }  # fmt: skip
+        "what": "null",
+        "group": what,
+        "scene": scene.name,
+        "suspect": name,
+        "route": claim.route,
+        "carries": own,
+        "z_own": claim.z,
+        "verdict": claim.verdict.value,
+        **counted,
+    }
 
 
 def _routes(scene: MarkedScene, suspect: GaussianModel, routes: Sequence[str]) -> Iterator[Verification]:
@@ -118,14 +123,10 @@ def try_crafted(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
     one = reference.sh.copy()
     one[len(one) // 2, 0] += 50.0
     displaced: dict[str, Callable[[], Float64]] = {
-        "every chip at its full strength, guessed signs": lambda: (
-            amplitudes * rng.choice([-1.0, 1.0], layout.chips)
-        ),
+        "every chip at its full strength, guessed signs": lambda: amplitudes * rng.choice([-1.0, 1.0], layout.chips),
         "every chip pushed the same way": lambda: amplitudes,
         "normal noise along the carriers": lambda: amplitudes * rng.standard_normal(layout.chips),
-        "heavy-tailed noise along the carriers": lambda: (
-            amplitudes * rng.standard_cauchy(layout.chips).clip(-300, 300)
-        ),
+        "heavy-tailed noise along the carriers": lambda: amplitudes * rng.standard_cauchy(layout.chips).clip(-300, 300),
         f"{LOUD} code vectors drown the others": lambda: loud(LOUD, 100.0),
         "one code vector drowns the others": lambda: loud(1, 1000.0),
     }
@@ -136,18 +137,11 @@ def try_crafted(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
     suspects["one Gaussian dominates"] = (reference.with_(sh=one), False)
     # Owner's mark, every chip made equally loud: still his, so only wrong keys are counted.
     suspects["owner's evidence sharpened"] = (
-        reference.with_(sh=add_dc(reference.sh, layout.displace(sharpened))), True
-    )  # fmt: skip
+        reference.with_(sh=add_dc(reference.sh, layout.displace(sharpened))),
+        True,
+    )
     return [
-        _row(
-            "crafted",
-            scene,
-            name,
-            verify_model(suspect, opened, VerifyConfig(route="model")),
-            keys,
-            seed,
-            own,
-        )
+        _row("crafted", scene, name, verify_model(suspect, opened, VerifyConfig(route="model")), keys, seed, own)
         for name, (suspect, own) in suspects.items()
     ]
 
@@ -155,9 +149,7 @@ def try_crafted(path: str, keys: int, quick: bool, seed: int) -> list[Row]:
 def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     """Records of recipients who had no part, drawn by the real key derivation, on one recipient's copy."""
     loaded, key = read_model(path), bench_key(seed)
-    made = embed(
-        loaded.model, key, original_sha256=loaded.sha256, bits=BITS, config=config_of(quick), copy="guilty"
-    )
+    made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=BITS, config=config_of(quick), copy="guilty")
     opened = open_record(made.record.to_bytes(key), key)
     result = verify_model(made.model, opened, VerifyConfig(route="model"))
     marks = [
@@ -167,12 +159,21 @@ def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     z = copies_z(result.evidence.y, result.evidence.weights, marks)
     return [
         {
-            "what": "null", "group": "copies", "scene": Path(path).name,
-            "suspect": "copies of other recipients", "route": "model", "carries": False, "z_own": float(z.max()),
-            "verdict": "marked" if result.claim.z_threshold <= z.max() else "not_marked", "keys": copies,
-            "hits": above(z), "z_largest": float(z.max()), "z_mean": float(z.mean()), "z_std": float(z.std()),
+            "what": "null",
+            "group": "copies",
+            "scene": Path(path).name,
+            "suspect": "copies of other recipients",
+            "route": "model",
+            "carries": False,
+            "z_own": float(z.max()),
+            "verdict": "marked" if result.claim.z_threshold <= z.max() else "not_marked",
+            "keys": copies,
+            "hits": above(z),
+            "z_largest": float(z.max()),
+            "z_mean": float(z.mean()),
+            "z_std": float(z.std()),
         }
-    ]  # fmt: skip
+    ]
 
 
 def try_pairs(path: str, other: str, quick: bool, seed: int) -> list[Row]:
@@ -180,11 +181,7 @@ def try_pairs(path: str, other: str, quick: bool, seed: int) -> list[Row]:
     scene = marked_scene(path, quick, seed)
     foreign = marked_scene(other, quick, seed + 1)
     lifted = model_attack("transplant").apply(foreign.original, 1.0, rng=seed, source=scene.marked)
-    suspects = {
-        "unmarked": foreign.original,
-        "marked": foreign.marked,
-        "with this mark lifted onto it": lifted,
-    }
+    suspects = {"unmarked": foreign.original, "marked": foreign.marked, "with this mark lifted onto it": lifted}
     rows = []
     for name, suspect in suspects.items():
         result = verify_model(suspect, scene.opened, VerifyConfig(route="model"))

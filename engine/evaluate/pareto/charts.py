@@ -40,9 +40,7 @@ def peers(published: Sequence[Published], what: str) -> list[Peer]:
 def _counts(point: Published, what: str) -> bool:
     if what == "PSNR":
         return point.what == "PSNR"
-    return point.what == "bit accuracy" and point.conditions in {
-        f"32 bits, {name}" for name in PICTURE_ATTACKS
-    }
+    return point.what == "bit accuracy" and point.conditions in {f"32 bits, {name}" for name in PICTURE_ATTACKS}
 
 
 def draw_main(found: Sequence[Result], published: Sequence[Published], scene: str) -> Figure:
@@ -68,9 +66,7 @@ def _finding(named: Sequence[Result], others: Sequence[Peer]) -> str:
 def draw_time_and_fidelity(found: Sequence[Result], published: Sequence[Published]) -> Figure:
     """Time to embed against PSNR of the mark."""
     drawn, axes = figure(width=6.4, height=4.2)
-    points = [
-        (r.point, r.embed_seconds, float(r.row["psnr_worst_view"])) for r in found if r.point.bits == 32
-    ]
+    points = [(r.point, r.embed_seconds, float(r.row["psnr_worst_view"])) for r in found if r.point.bits == 32]
     _peers_and_ours(axes, peers(published, "PSNR"), points)
     axes.set_ylabel("PSNR of the mark, worst key view, dB")
     values = [value for _, _, value in points]
@@ -82,19 +78,43 @@ def _peers_and_ours(axes: Axes, others: Sequence[Peer], ours: Sequence[tuple[Any
     axes.set_xscale("log")
     for _, seconds, value, blind in others:
         axes.plot(
-            seconds, value, "o" if blind else "D", markerfacecolor="white", markeredgecolor=OTHERS, markersize=6,
+            seconds,
+            value,
+            "o" if blind else "D",
+            markerfacecolor="white",
+            markeredgecolor=OTHERS,
+            markersize=6,
             linestyle="none",
-        )  # fmt: skip
+        )
     _name_points(axes, [(name, seconds, value) for name, seconds, value, _ in others])
-    axes.plot([], [], "o", markerfacecolor="white", markeredgecolor=OTHERS, linestyle="none",
-              label="published, other hardware, blind")  # fmt: skip
-    if any(not blind for *_, blind in others):
-        axes.plot([], [], "D", markerfacecolor="white", markeredgecolor=OTHERS, linestyle="none",
-                  label="published, other hardware, informed")  # fmt: skip
     axes.plot(
-        [x for _, x, _ in ours], [y for _, _, y in ours], "s", color=next(styles())["color"], markersize=5,
-        linestyle="none", label="ours, measured here, informed",
-    )  # fmt: skip
+        [],
+        [],
+        "o",
+        markerfacecolor="white",
+        markeredgecolor=OTHERS,
+        linestyle="none",
+        label="published, other hardware, blind",
+    )
+    if any(not blind for *_, blind in others):
+        axes.plot(
+            [],
+            [],
+            "D",
+            markerfacecolor="white",
+            markeredgecolor=OTHERS,
+            linestyle="none",
+            label="published, other hardware, informed",
+        )
+    axes.plot(
+        [x for _, x, _ in ours],
+        [y for _, _, y in ours],
+        "s",
+        color=next(styles())["color"],
+        markersize=5,
+        linestyle="none",
+        label="ours, measured here, informed",
+    )
     axes.set_xlabel("seconds to embed (log scale)")
     axes.set_xlim(min(x for _, x, _ in ours) / 2, 3e4)
     axes.legend(loc="lower left")
@@ -107,9 +127,14 @@ def _name_points(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None
         below = any(b > y or (b == y and a > x) for a, b in close)
         left = x > 2000
         axes.annotate(
-            name.replace(" (the paper)", ""), (x, y), xytext=(-6 if left else 6, -9 if below else 3),
-            textcoords="offset points", ha="right" if left else "left", fontsize=7.5, color=INK,
-        )  # fmt: skip
+            name.replace(" (the paper)", ""),
+            (x, y),
+            xytext=(-6 if left else 6, -9 if below else 3),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            fontsize=7.5,
+            color=INK,
+        )
 
 
 def _evidence(axes: Axes, found: Sequence[Result]) -> None:
@@ -124,19 +149,28 @@ def _evidence(axes: Axes, found: Sequence[Result]) -> None:
         else:  # colours and markers come round again: hollow this time
             look |= {"markerfacecolor": "none", "markeredgewidth": 1.2}
         axes.plot(
-            [r.embed_seconds for r in own], [r.worst_z for r in own], linestyle="none", markersize=5.5, label=kind,
+            [r.embed_seconds for r in own],
+            [r.worst_z for r in own],
+            linestyle="none",
+            markersize=5.5,
+            label=kind,
             **look,
-        )  # fmt: skip
+        )
     points = [(result.embed_seconds, result.worst_z) for result in found]
     front = [points[index] for index in pareto_front(points)]
     axes.step([x for x, _ in front], [y for _, y in front], where="post", color=INK, linewidth=1.0, zorder=1)
     named = sorted((r for r in found if r.point.name in NAMED), key=lambda r: r.embed_seconds)
     for number, result in enumerate(named):  # in steps, so that near ones do not hide each other
         axes.annotate(
-            result.point.name, (result.embed_seconds, result.worst_z), xytext=(0, 14 + 11 * (number % 3)),
-            textcoords="offset points", ha="center", fontsize=8, fontweight="bold",
+            result.point.name,
+            (result.embed_seconds, result.worst_z),
+            xytext=(0, 14 + 11 * (number % 3)),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+            fontweight="bold",
             arrowprops={"arrowstyle": "-", "color": OTHERS, "linewidth": 0.7},
-        )  # fmt: skip
+        )
     label_line(axes, z_threshold(CHANCE_RATE), "claim at 1e-9")
     label_line(axes, z_threshold(DISHONEST_CLAIMANT_RATE), "claim at 2^-128")
     top = max(y for _, y in points)
@@ -166,16 +200,20 @@ def draw_rendering(found: Sequence[Result]) -> Figure:
         if kind == "corner":
             own = [result for result in own if result.point.name == "smallest"]
         axes.plot(
-            [r.frames_per_second for r in own], [r.row["psnr_total_held_out"] for r in own],
+            [r.frames_per_second for r in own],
+            [r.row["psnr_total_held_out"] for r in own],
             label={"corner": "pruned to 35 dB, compact"}.get(kind, kind),
             **(style if kind != "profile" else {**style, "linestyle": "none"}),
-        )  # fmt: skip
+        )
         for result in own if kind in ("SH degree", "pruning") else []:
             name = result.point.name.replace("pruning-", "").replace(".0", " dB").replace("SH-", "degree ")
             axes.annotate(
-                name, (result.frames_per_second, result.row["psnr_total_held_out"]), xytext=(5, 3),
-                textcoords="offset points", fontsize=7.5,
-            )  # fmt: skip
+                name,
+                (result.frames_per_second, result.row["psnr_total_held_out"]),
+                xytext=(5, 3),
+                textcoords="offset points",
+                fontsize=7.5,
+            )
     width, height = found[0].row["frame_size"]
     axes.set_xlabel(f"pictures a second, {width}x{height}, this machine's CPU")
     axes.set_ylabel("PSNR against the original, worst unseen view, dB")
@@ -199,15 +237,16 @@ def draw_foretold(told: Sequence[Result]) -> Figure:
     for scene, style in zip(scenes, styles(), strict=False):
         own = [r for r in told if r.row["scene"] == scene]
         axes.plot(
-            [r.row["predicted_worst_z"] for r in own], [r.picture_z for r in own], linestyle="none",
-            label=scene, **{name: value for name, value in style.items() if name != "linestyle"},
-        )  # fmt: skip
+            [r.row["predicted_worst_z"] for r in own],
+            [r.picture_z for r in own],
+            linestyle="none",
+            label=scene,
+            **{name: value for name, value in style.items() if name != "linestyle"},
+        )
     values = [r.row["predicted_worst_z"] for r in told] + [r.picture_z for r in told]
     ends = [0.9 * min(values), 1.1 * max(values)]
     axes.plot(ends, ends, color=INK, linewidth=0.8, zorder=1)
-    axes.fill_between(
-        ends, [0.8 * end for end in ends], [1.25 * end for end in ends], color="#eeeeee", zorder=0
-    )
+    axes.fill_between(ends, [0.8 * end for end in ends], [1.25 * end for end in ends], color="#eeeeee", zorder=0)
     axes.annotate("within 25 %", (ends[0], 1.25 * ends[0]), fontsize=7.5, color="#6a6a6a", va="bottom")
     axes.set_xlabel("z predicted by the rehearsal")
     axes.set_ylabel("z measured: worst of JPEG 10 and noise 0.1")

@@ -105,18 +105,27 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         foretold = rehearse(model, key, config, loaded.sha256).predicted_z
     row = {
         **about,
-        "views": config.views, "view_size": config.view_size, "cells": config.quantize.cells,
-        "psnr_asked": config.psnr_db, "landmark_views": config_of(setting).landmark_views, "bits": setting.bits,
-        "gaussians_out": len(made.model), "stages": timed.stages, "cpu_seconds": timed.cpu_seconds,
-        "busy": load_per_core(), "shares_landmarks": setting.shares_landmarks and not quick,
-        "predicted_worst_z": foretold, "choice": timed.choice,
+        "views": config.views,
+        "view_size": config.view_size,
+        "cells": config.quantize.cells,
+        "psnr_asked": config.psnr_db,
+        "landmark_views": config_of(setting).landmark_views,
+        "bits": setting.bits,
+        "gaussians_out": len(made.model),
+        "stages": timed.stages,
+        "cpu_seconds": timed.cpu_seconds,
+        "busy": load_per_core(),
+        "shares_landmarks": setting.shares_landmarks and not quick,
+        "predicted_worst_z": foretold,
+        "choice": timed.choice,
         **_fidelity(subject, loaded.model, views),
         "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
         "frame_size": [camera.width, camera.height],
-        "sog_bytes": len(encode_model(made.model, "sog")), "record_bytes": len(record),
+        "sog_bytes": len(encode_model(made.model, "sog")),
+        "record_bytes": len(record),
         **{name: made.report[name] for name in ("psnr_worst_view", "ssim_worst_view", "capacity_bits")},
         **_attacked(subject, views[: 1 if quick else PICTURES], seed, quick),
-    }  # fmt: skip
+    }
     if not quick and config.landmark_views and (setting == BASE or setting.axis == "landmarks"):
         shots = bench_screenshots(subject, SCREENSHOTS, seed)
         row["screenshots"] = [sum(shot["verdict"] == "marked" for shot in shots), len(shots)]
@@ -176,9 +185,12 @@ def _warm(scene: str) -> None:
     """The first embedding of a process pays for things that later ones find ready."""
     loaded = _read(scene)
     embed(
-        loaded.model, bench_key(0), original_sha256=loaded.sha256, bits=16,
+        loaded.model,
+        bench_key(0),
+        original_sha256=loaded.sha256,
+        bits=16,
         config=EmbedConfig(views=2, view_size=128, landmark_views=2, psnr_db=40.0),
-    )  # fmt: skip
+    )
 
 
 def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]) -> Row:
@@ -190,9 +202,7 @@ def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]
         alone.append(psnr(clean, marked))
         likeness.append(ssim(clean, marked))
         total.append(psnr(render(original, camera), marked))
-    return {
-        "psnr_held_out": alone, "ssim_held_out": min(likeness), "psnr_total_held_out": min(total),
-    }  # fmt: skip
+    return {"psnr_held_out": alone, "ssim_held_out": min(likeness), "psnr_total_held_out": min(total)}
 
 
 def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
@@ -219,9 +229,7 @@ def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: boo
                 shown = to_8_bit(apply_chain(picture, trial, seed))
                 runs.append(verify_images([shown], subject.opened, VerifyConfig(), cameras=[camera]))
         if not trial.chain:
-            seconds["model" if trial.kind == "model" else "picture"] = statistics.median(
-                r.seconds for r in runs
-            )
+            seconds["model" if trial.kind == "model" else "picture"] = statistics.median(r.seconds for r in runs)
         attacks[trial.label] = {
             "z": min(run.claim.z for run in runs),
             "bit_accuracy": min(run.claim.bit_accuracy for run in runs),

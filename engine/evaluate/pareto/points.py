@@ -68,9 +68,11 @@ def points(quick: bool) -> list[Point]:
     """
     if quick:
         return [
-            BASE, *_axis("cells", "cells", (1024,)), *_axis("fidelity", "psnr_db", (53.0,)),
+            BASE,
+            *_axis("cells", "cells", (1024,)),
+            *_axis("fidelity", "psnr_db", (53.0,)),
             Point("auto", "auto", "auto"),
-        ]  # fmt: skip
+        ]
     return [
         BASE,
         Point("balanced", "profile", "balanced"),
@@ -88,7 +90,7 @@ def points(quick: bool) -> list[Point]:
         Point("hardest", "corner", "strong", (("cells", 16384),)),
         Point("finest", "corner", changes=(("cells", 16384), ("psnr_db", 53.0)), bits=256),
         Point("auto", "auto", "auto"),
-    ]  # fmt: skip
+    ]
 
 
 def config_of(point: Point, **more: Any) -> EmbedConfig:

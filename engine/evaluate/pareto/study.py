@@ -13,13 +13,7 @@ from typing import Any
 
 from engine.evaluate.busy import busy_words
 from engine.evaluate.intervals import bootstrap, share_interval
-from engine.evaluate.pareto.charts import (
-    draw_foretold,
-    draw_main,
-    draw_rendering,
-    draw_time_and_fidelity,
-    peers,
-)
+from engine.evaluate.pareto.charts import draw_foretold, draw_main, draw_rendering, draw_time_and_fidelity, peers
 from engine.evaluate.pareto.points import BASE, points
 from engine.evaluate.pareto.summing import Result, cheapest, results
 from engine.evaluate.published import read_published
@@ -74,18 +68,20 @@ def _report(rows: list[Row], options: Options) -> Report:
             [
                 Drawing("pareto", partial(draw_main, main, published, Path(first).stem), MAIN_CAPTION),
                 Drawing(
-                    "time-fidelity", partial(draw_time_and_fidelity, main, published),
+                    "time-fidelity",
+                    partial(draw_time_and_fidelity, main, published),
                     "Seconds to embed against PSNR of the mark. Peers' is against renders or photographs, as they say.",
                 ),
                 Drawing(
-                    "rendering", partial(draw_rendering, main),
+                    "rendering",
+                    partial(draw_rendering, main),
                     "Rendering rate of the delivered model against its fidelity to the owner's original.",
                 ),
             ],
         ),
         *([_foretold_section(told)] if told else []),
         *(_scene_section(scene, own, by_scene[scene]) for scene, own in found.items()),
-    ]  # fmt: skip
+    ]
     advice = {scene: _advice(scene, own) for scene, own in found.items()}
     return Report(
         [bar for scene, own in found.items() for bar in _bars(scene, own)],
@@ -130,8 +126,10 @@ def _advice(scene: str, found: Sequence[Result]) -> tuple[str, dict[str, Any]]:
 
 
 def _named(result: Result) -> str:
-    changed = ", ".join(f"{name.replace('_', ' ')} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
-                        for name, value in result.point.changes)  # fmt: skip
+    changed = ", ".join(
+        f"{name.replace('_', ' ')} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
+        for name, value in result.point.changes
+    )
     return f"profile {result.point.profile}" + (f" with {changed}" if changed else "")
 
 
@@ -142,35 +140,40 @@ def _bars(scene: str, found: Sequence[Result]) -> list[Bar]:
     low, high = share_interval(matching, read)
     bars.append(
         Bar(
-            f"{scene}: bits right after all attacks, profiles and auto", "100 %",
-            f"{100 * matching / read:.2f} % of {read} (95 %: {100 * low:.2f} to {100 * high:.2f})", matching == read,
+            f"{scene}: bits right after all attacks, profiles and auto",
+            "100 %",
+            f"{100 * matching / read:.2f} % of {read} (95 %: {100 * low:.2f} to {100 * high:.2f})",
+            matching == read,
         )
-    )  # fmt: skip
+    )
     worst = min(plain, key=lambda result: result.worst_z)
     spread = bootstrap([result.worst_z for result in plain])
     bars.append(
         Bar(
-            f"{scene}: z after the worst attack, profiles and auto", f">= {MARGIN * z_threshold(CHANCE_RATE):.1f}",
+            f"{scene}: z after the worst attack, profiles and auto",
+            f">= {MARGIN * z_threshold(CHANCE_RATE):.1f}",
             f"{worst.worst_z:.1f} ({worst.point.name}, {worst.worst_attack}; mean of settings "
             f"{spread[0]:.1f} to {spread[1]:.1f})",
             worst.worst_z >= MARGIN * z_threshold(CHANCE_RATE),
         )
-    )  # fmt: skip
+    )
     base = next(result for result in found if result.point == BASE)
     large = base.row["gaussians"] >= 400_000 or base.embed_seconds > FAST_BAR
     for name, limit in (("fast", FAST_BAR), ("balanced", BALANCED_BAR)):
         result = next((r for r in found if r.point.name == name), None)
         if result is not None and large:
             bars.append(
-                Bar(f"{scene}: embed {name}, {base.row['gaussians']:,} Gaussians", f"<= {limit:g} s",
+                Bar(
+                    f"{scene}: embed {name}, {base.row['gaussians']:,} Gaussians",
+                    f"<= {limit:g} s",
                     f"{result.embed_seconds:.1f} s (medians of {len(result.row['cpu_seconds'])})",
-                    result.embed_seconds <= limit)
-            )  # fmt: skip
+                    result.embed_seconds <= limit,
+                )
+            )
     for what, seconds in base.row["verify_seconds"].items():
         bars.append(
-            Bar(f"{scene}: verify a {what}", f"<= {VERIFY_BAR:g} s", f"{seconds:.1f} s (median)",
-                seconds <= VERIFY_BAR)
-        )  # fmt: skip
+            Bar(f"{scene}: verify a {what}", f"<= {VERIFY_BAR:g} s", f"{seconds:.1f} s (median)", seconds <= VERIFY_BAR)
+        )
     return bars
 
 
@@ -184,12 +187,12 @@ def _foretold_section(told: Sequence[Result]) -> Section:
             "unseen views of 800 pixels at JPEG quality 10 (engine/pipeline/choosing.py). What is measured beside is "
             "the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
             f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(told)} settings, mean "
-            f"{sum(ratios) / len(ratios):.2f} (95 %: {low:.2f} to {high:.2f}).",
+            f"{sum(ratios) / len(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
         ],
         drawings=[
             Drawing("foretold", partial(draw_foretold, told), "z of the worst attacked picture: predicted, measured.")
         ],
-    )  # fmt: skip
+    )
 
 
 def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> Section:
@@ -208,20 +211,45 @@ def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> 
 
 def _cost_table(found: Sequence[Result]) -> Table:
     columns = [
-        "setting", "embed s", "embed, CPU s", "verify model s", "verify picture s", "pictures/s", "mark dB, unseen",
-        "SSIM, unseen", "total dB, unseen", "worst z", "worst attack", "bits right %", "capacity", "Gaussians",
-        ".sog bytes each", "record bytes each",
-    ]  # fmt: skip
+        "setting",
+        "embed s",
+        "embed, CPU s",
+        "verify model s",
+        "verify picture s",
+        "pictures/s",
+        "mark dB, unseen",
+        "SSIM, unseen",
+        "total dB, unseen",
+        "worst z",
+        "worst attack",
+        "bits right %",
+        "capacity",
+        "Gaussians",
+        ".sog bytes each",
+        "record bytes each",
+    ]
     return Table(columns, [_cost_row(result, result.row) for result in found], "Cost and worth")
 
 
 def _cost_row(r: Result, row: Row) -> list[Any]:
     return [
-        r.point.name, r.embed_seconds, r.cpu_seconds, row["verify_seconds"]["model"],
-        row["verify_seconds"]["picture"], r.frames_per_second, r.held_out_db, row["ssim_held_out"],
-        row["psnr_total_held_out"], r.worst_z, r.worst_attack, 100 * r.matching / r.read, row["capacity_bits"],
-        row["gaussians_out"], row["sog_bytes"] / row["gaussians_out"], row["record_bytes"] / row["gaussians_out"],
-    ]  # fmt: skip
+        r.point.name,
+        r.embed_seconds,
+        r.cpu_seconds,
+        row["verify_seconds"]["model"],
+        row["verify_seconds"]["picture"],
+        r.frames_per_second,
+        r.held_out_db,
+        row["ssim_held_out"],
+        row["psnr_total_held_out"],
+        r.worst_z,
+        r.worst_attack,
+        100 * r.matching / r.read,
+        row["capacity_bits"],
+        row["gaussians_out"],
+        row["sog_bytes"] / row["gaussians_out"],
+        row["record_bytes"] / row["gaussians_out"],
+    ]
 
 
 def _stage_table(found: Sequence[Result]) -> Table:
@@ -247,32 +275,36 @@ def _screenshot_table(found: Sequence[Result]) -> list[Table]:
         if "screenshots" in result.row:
             marked, trials = result.row["screenshots"]
             low, high = share_interval(marked, trials)
-            rows.append([result.row["landmark_views"], result.row["stages"]["landmarks"], f"{marked} of {trials}",
-                         f"{100 * low:.0f} to {100 * high:.0f} %"])  # fmt: skip
+            rows.append(
+                [
+                    result.row["landmark_views"],
+                    result.row["stages"]["landmarks"],
+                    f"{marked} of {trials}",
+                    f"{100 * low:.0f} to {100 * high:.0f} %",
+                ]
+            )
     columns = ["landmark views", "seconds", "screenshots claimed", "95 %"]
     return [Table(columns, sorted(rows), "Screenshots of unknown camera by landmark views")] if rows else []
 
 
 def _peers_table(published: Sequence[Any]) -> Table:
-    bits, fidelity = (
-        {name: value for name, _, value, _ in peers(published, what)} for what in ("bits", "PSNR")
-    )
+    bits, fidelity = ({name: value for name, _, value, _ in peers(published, what)} for what in ("bits", "PSNR"))
     first = {point.method: point for point in reversed(published)}
     rows = [
-        [method, point.venue, next(p.value for p in published if p.method == method and p.what == "embedding time"),
-         bits.get(method), fidelity.get(method), "blind" if point.blind else "informed", point.hardware, point.source]
-        for method, point in sorted(first.items()) if method in bits or method in fidelity
-    ]  # fmt: skip
-    columns = [
-        "method",
-        "venue",
-        "embed s",
-        "bits right, worst picture %",
-        "PSNR dB",
-        "reads",
-        "hardware",
-        "source",
+        [
+            method,
+            point.venue,
+            next(p.value for p in published if p.method == method and p.what == "embedding time"),
+            bits.get(method),
+            fidelity.get(method),
+            "blind" if point.blind else "informed",
+            point.hardware,
+            point.source,
+        ]
+        for method, point in sorted(first.items())
+        if method in bits or method in fidelity
     ]
+    columns = ["method", "venue", "embed s", "bits right, worst picture %", "PSNR dB", "reads", "hardware", "source"]
     return Table(columns, rows, "Published, other hardware")
 
 

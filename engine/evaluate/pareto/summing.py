@@ -79,9 +79,7 @@ def results(rows: Sequence[Row]) -> list[Result]:
     if base is not None:
         first, *others = base["cpu_seconds"]
         wall, cpu = float(base["stages"]["landmarks"]), first - statistics.median(others or [first])
-    return [
-        _result(row, wall, cpu) if row["shares_landmarks"] else _result(row, 0.0, None) for row in measured
-    ]
+    return [_result(row, wall, cpu) if row["shares_landmarks"] else _result(row, 0.0, None) for row in measured]
 
 
 def _result(row: Row, bank: float, bank_cpu: float | None) -> Result:

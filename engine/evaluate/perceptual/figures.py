@@ -48,20 +48,25 @@ def draw_views(rows: Sequence[Row], title: str) -> Figure:
     free = [row for row in rows if row["kind"] == "free"]
     for quality, marker in zip(COMPARED_QUALITIES, "x+", strict=True):
         axes.plot(
-            [row[f"jpeg{quality}_psnr"] for row in free], [row[f"jpeg{quality}_flip"] for row in free],
-            linestyle="", marker=marker, color=FAINT, label=f"no mark, JPEG {quality}",
-        )  # fmt: skip
+            [row[f"jpeg{quality}_psnr"] for row in free],
+            [row[f"jpeg{quality}_flip"] for row in free],
+            linestyle="",
+            marker=marker,
+            color=FAINT,
+            label=f"no mark, JPEG {quality}",
+        )
     profiles = list(dict.fromkeys(row["profile"] for row in free))
     for style, name in zip(styles(), profiles, strict=False):
         style["linestyle"] = ""
         own = [row for row in free if row["profile"] == name]
         axes.plot(
-            [row["psnr"] for row in own], [row["flip"] for row in own], label=f"marked, {name}",
-            markerfacecolor="none", **style,
-        )  # fmt: skip
-    axes.set(
-        xlabel="PSNR against the unmarked render (dB)", ylabel="mean FLIP (0 = not seen)", ylim=(0, None)
-    )
+            [row["psnr"] for row in own],
+            [row["flip"] for row in own],
+            label=f"marked, {name}",
+            markerfacecolor="none",
+            **style,
+        )
+    axes.set(xlabel="PSNR against the unmarked render (dB)", ylabel="mean FLIP (0 = not seen)", ylim=(0, None))
     axes.set_title(title)
     axes.legend()
     return drawn

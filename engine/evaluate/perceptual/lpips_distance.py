@@ -52,8 +52,7 @@ def load_lpips(weights: str) -> Callable[[Float32, Float32], float]:
 
     def distance(a: Float32, b: Float32) -> float:
         pair = [
-            torch.from_numpy(np.ascontiguousarray(np.clip(image, 0, 1).transpose(2, 0, 1)))[None]
-            for image in (a, b)
+            torch.from_numpy(np.ascontiguousarray(np.clip(image, 0, 1).transpose(2, 0, 1)))[None] for image in (a, b)
         ]
         with torch.no_grad():
             return float(network(*pair, normalize=True))

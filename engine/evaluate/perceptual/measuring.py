@@ -76,10 +76,7 @@ def look_at_mark(
             rows.append({**about, **row})
     cameras = [*scene.opened.cameras, *free]
     worst = int(np.argmin([row["psnr"] for row in rows]))
-    return [
-        *rows,
-        {**about, "kind": "picture", "of": rows[worst]["kind"], **_pictures(scene, cameras[worst])},
-    ]
+    return [*rows, {**about, "kind": "picture", "of": rows[worst]["kind"], **_pictures(scene, cameras[worst])}]
 
 
 def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
@@ -133,9 +130,7 @@ def flip_map(a: Float32, b: Float32) -> Float32:
     except ModuleNotFoundError:
         raise InputError("FLIP needs the package flip-evaluator: pip install 'mark3dgs[evaluate]'") from None
     pair = [np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32) for image in (a, b)]
-    errors: Float32 = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False, computeMeanError=False)[0][
-        ..., 0
-    ]
+    errors: Float32 = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False, computeMeanError=False)[0][..., 0]
     return errors
 
 

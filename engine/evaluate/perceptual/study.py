@@ -29,13 +29,20 @@ def cells(options: Options) -> list[Cell]:
     profiles, views, size = (("fast",), 2, 400) if options.quick else (PROFILES, 24, 800)
     return [
         Cell(
-            f"{number}-{name}", "engine.evaluate.perceptual.measuring:look_at_mark",
-            {"path": path, "profile_name": name, "views": views, "size": size, "seed": options.seed,
-             "lpips_weights": options.lpips_weights},
+            f"{number}-{name}",
+            "engine.evaluate.perceptual.measuring:look_at_mark",
+            {
+                "path": path,
+                "profile_name": name,
+                "views": views,
+                "size": size,
+                "seed": options.seed,
+                "lpips_weights": options.lpips_weights,
+            },
         )
         for number, path in enumerate(options.scenes)
         for name in profiles
-    ]  # fmt: skip
+    ]
 
 
 def report(rows: list[Row], options: Options) -> Report:
@@ -47,33 +54,36 @@ def report(rows: list[Row], options: Options) -> Report:
         groups.setdefault((row["scene"], row["profile"]), []).append(row)
     free = [row for row in views if row["kind"] == "free"]
     compared = _finding(free) + "."
-    drawings = [
-        Drawing("views", partial(draw_views, views, _finding(free)), "Every view outside the pose key.")
-    ]
+    drawings = [Drawing("views", partial(draw_views, views, _finding(free)), "Every view outside the pose key.")]
     for number, path in enumerate(options.scenes):
         name = Path(path).name
         own = [row for row in pictures if row["cell"].startswith(f"{number}-")]
         drawings.append(
             Drawing(
-                f"worst-view-{number}", partial(draw_pictures, own, f"{name}: the worst of all views"),
+                f"worst-view-{number}",
+                partial(draw_pictures, own, f"{name}: the worst of all views"),
                 f"{name}: the view with the lowest PSNR of each profile; differences amplified 20 times.",
             )
-        )  # fmt: skip
+        )
     return Report(
-        _bars(views), [
+        _bars(views),
+        [
             Section(
-                "How it looks", [
+                "How it looks",
+                [
                     "All metrics are against the unmarked render. Key views shaped the mark and hold its PSNR at "
-                    "the target; the other views had no part in it.", compared,
+                    "the target; the other views had no part in it.",
+                    compared,
                     *([] if options.lpips_weights else ["LPIPS was not measured: no --lpips-weights were given."]),
                 ],
-                [_fidelity_table(groups), _perception_table(groups)], drawings,
+                [_fidelity_table(groups), _perception_table(groups)],
+                drawings,
             )
         ],
         answer=[compared],
         summary={"flip": _mean(free, "flip")}
         | {f"flip_jpeg_{q}": _mean(free, f"jpeg{q}_flip") for q in COMPARED_QUALITIES},
-    )  # fmt: skip
+    )
 
 
 def _finding(free: Sequence[Row]) -> str:
@@ -98,10 +108,12 @@ def _bars(views: Sequence[Row]) -> list[Bar]:
             spread = f"mean {form.format(np.mean(values))}, 95 % {form.format(low)} to {form.format(high)}"
             bars.append(
                 Bar(
-                    f"{field.upper()} of the worst key view, profile {name}", f">= {least:g}",
-                    f"{form.format(worst)} ({spread}, {len(values)} key views)", worst >= least,
+                    f"{field.upper()} of the worst key view, profile {name}",
+                    f">= {least:g}",
+                    f"{form.format(worst)} ({spread}, {len(values)} key views)",
+                    worst >= least,
                 )
-            )  # fmt: skip
+            )
     return bars
 
 
@@ -113,17 +125,30 @@ def _fidelity_table(groups: dict[tuple[str, str], list[Row]]) -> Table:
         low, high = bootstrap([row["psnr"] for row in free])
         lines.append(
             [
-                scene, name, f"{min(r['psnr'] for r in key):.2f}", f"{min(r['ssim'] for r in key):.5f}",
-                f"{min(r['psnr'] for r in free):.2f}", f"{np.mean([r['psnr'] for r in free]):.2f}",
-                f"{low:.2f} to {high:.2f}", f"{min(r['ssim'] for r in free):.5f}",
+                scene,
+                name,
+                f"{min(r['psnr'] for r in key):.2f}",
+                f"{min(r['ssim'] for r in key):.5f}",
+                f"{min(r['psnr'] for r in free):.2f}",
+                f"{np.mean([r['psnr'] for r in free]):.2f}",
+                f"{low:.2f} to {high:.2f}",
+                f"{min(r['ssim'] for r in free):.5f}",
                 f"{100 * np.mean([r['changed_share'] for r in free]):.0f} %",
                 max(r["largest_levels"] for r in rows),
             ]
-        )  # fmt: skip
+        )
     columns = [
-        "scene", "profile", "PSNR, worst key view", "SSIM, worst key view", "PSNR, worst other view",
-        "mean of others", "95 %", "SSIM, worst other view", "pixels that differ in 8 bits", "by at most (of 255)",
-    ]  # fmt: skip
+        "scene",
+        "profile",
+        "PSNR, worst key view",
+        "SSIM, worst key view",
+        "PSNR, worst other view",
+        "mean of others",
+        "95 %",
+        "SSIM, worst other view",
+        "pixels that differ in 8 bits",
+        "by at most (of 255)",
+    ]
     return Table(columns, lines, "Fidelity (dB)")
 
 
@@ -135,15 +160,26 @@ def _perception_table(groups: dict[tuple[str, str], list[Row]]) -> Table:
         low, high = bootstrap([row["flip"] for row in free])
         lines.append(
             [
-                scene, name, f"{mean['ms_ssim']:.5f}", f"{mean['flip']:.4f}", f"{low:.4f} to {high:.4f}",
-                f"{mean['flip_999']:.3f}", mean["lpips"],
+                scene,
+                name,
+                f"{mean['ms_ssim']:.5f}",
+                f"{mean['flip']:.4f}",
+                f"{low:.4f} to {high:.4f}",
+                f"{mean['flip_999']:.3f}",
+                mean["lpips"],
                 *(mean[f"jpeg{q}_{what}"] for q in COMPARED_QUALITIES for what in ("flip", "psnr", "lpips")),
             ]
-        )  # fmt: skip
+        )
     columns = [
-        "scene", "profile", "MS-SSIM", "FLIP", "95 %", "FLIP, 99.9 % of pixels below", "LPIPS",
+        "scene",
+        "profile",
+        "MS-SSIM",
+        "FLIP",
+        "95 %",
+        "FLIP, 99.9 % of pixels below",
+        "LPIPS",
         *(f"{what} of JPEG {q}" for q in COMPARED_QUALITIES for what in ("FLIP", "PSNR", "LPIPS")),
-    ]  # fmt: skip
+    ]
     return Table(columns, lines, "Means over the views outside the pose key")
 
 
@@ -153,6 +189,9 @@ def _mean(rows: Sequence[Row], field: str) -> float | None:
 
 
 STUDY = Study(
-    "perceptual", "What eyes may notice", "Is the mark seen, and how does it compare with what a JPEG does?",
-    cells, report,
-)  # fmt: skip
+    "perceptual",
+    "What eyes may notice",
+    "Is the mark seen, and how does it compare with what a JPEG does?",
+    cells,
+    report,
+)

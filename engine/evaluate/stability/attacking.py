@@ -29,8 +29,14 @@ PICTURE_SIZE = 400
 UNCHANGED_DB = 80.0
 """Stands for this PSNR and all above, infinity included."""
 MOVES_ONLY = {
-    "crop_image", "rotate_image", "scale_image", "lens_radial", "lens_brown", "lens_fisheye", "rolling_shutter"
-}  # fmt: skip
+    "crop_image",
+    "rotate_image",
+    "scale_image",
+    "lens_radial",
+    "lens_brown",
+    "lens_fisheye",
+    "rolling_shutter",
+}
 """Attacks on pictures that only move or cut pixels: no PSNR says what they cost."""
 
 
@@ -93,13 +99,17 @@ def sweep_images(
     return rows
 
 
-def _about(
-    scene: MarkedScene, attack: str, kind: str, reading: str, strength: Strength, step: int, trial: int
-) -> Row:
+def _about(scene: MarkedScene, attack: str, kind: str, reading: str, strength: Strength, step: int, trial: int) -> Row:
     return {
-        "what": "sweep", "scene": scene.name, "attack": attack, "kind": kind, "reading": reading,
-        "strength": strength, "step": step, "trial": trial,
-    }  # fmt: skip
+        "what": "sweep",
+        "scene": scene.name,
+        "attack": attack,
+        "kind": kind,
+        "reading": reading,
+        "strength": strength,
+        "step": step,
+        "trial": trial,
+    }
 
 
 def _attacked(
@@ -115,9 +125,7 @@ def _attacked(
     copies: tuple[GaussianModel, ...] = ()
     if marked is not None and attack == "collude":
         copies = tuple(scene.marked for scene in marked.trials if scene.marked is not target)
-    trial = Trial(
-        attack, ((attack, strength),), "", "image" if kind == "image" else "model", reading, len(copies)
-    )
+    trial = Trial(attack, ((attack, strength),), "", "image" if kind == "image" else "model", reading, len(copies))
     return apply_chain(target, trial, seed, company=Company(copies))
 
 
@@ -126,10 +134,15 @@ def _said(result: Verification, scene: MarkedScene) -> Row:
     claim = result.claim
     paper = judge(result.evidence, scene.opened, claim.route, claim.tries, VerifyConfig(decoder="paper"))
     return {
-        "bits": claim.bit_accuracy, "bits_paper": paper.bit_accuracy, "message_bits": claim.bits, "z": claim.z,
-        "z_threshold": claim.z_threshold, "claimed": claim.verdict.value == "marked",
-        "verdict": claim.verdict.value, "log10_false_claim": claim.log10_false_claim,
-    }  # fmt: skip
+        "bits": claim.bit_accuracy,
+        "bits_paper": paper.bit_accuracy,
+        "message_bits": claim.bits,
+        "z": claim.z,
+        "z_threshold": claim.z_threshold,
+        "claimed": claim.verdict.value == "marked",
+        "verdict": claim.verdict.value,
+        "log10_false_claim": claim.log10_false_claim,
+    }
 
 
 def _model_cost(scene: MarkedScene, suspect: GaussianModel, attack: str, quick: bool) -> Row:

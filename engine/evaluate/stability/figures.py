@@ -34,7 +34,7 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
             (f"bits, {name}", [one.bits_baselines.get(name, np.full(len(one.strengths), np.nan)) for one in own])
             for name in baselines
         ),
-    ]  # fmt: skip
+    ]
     height = 1.1 + 0.165 * max(len(own), 4)
     drawn, axes = figure(1, len(panels), width=3.2 + 1.6 * len(panels), height=height, squeeze=False)
     pictures = []
@@ -42,9 +42,8 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
         for column, (axis, (name, curves)) in enumerate(zip(axes[0], panels, strict=True)):
             shown = np.array([_stretched(curve, one.ordered) for curve, one in zip(curves, own, strict=True)])
             picture = axis.imshow(
-                shown, cmap=SEQUENTIAL, vmin=0.5 if column else 0.0, vmax=1.0, aspect="auto",
-                interpolation="nearest",
-            )  # fmt: skip
+                shown, cmap=SEQUENTIAL, vmin=0.5 if column else 0.0, vmax=1.0, aspect="auto", interpolation="nearest"
+            )
             axis.set_facecolor("#ffffff")
             axis.grid(False)
             axis.set_title(name, fontsize=8.0)
@@ -53,9 +52,7 @@ def draw_map(swept: Sequence[Swept], kind: str, title: str) -> Figure:
                 label.set_horizontalalignment(side)
             axis.set_yticks(
                 range(len(own)),
-                [one.name.replace("-as_code", " (as code)").replace("_", " ") for one in own]
-                if not column
-                else [],
+                [one.name.replace("-as_code", " (as code)").replace("_", " ") for one in own] if not column else [],
             )
             axis.tick_params(axis="y", labelsize=6.5, length=0)
             pictures.append(picture)
@@ -94,18 +91,20 @@ def draw_costs(swept: Sequence[Swept], kind: str, most: int = 6) -> Figure:
                 **style,
             )
             spread = np.array([one.z_interval(step) for step in range(len(one.strengths))])
-            axes.vlines(
-                look, np.maximum(spread[:, 0], 1.0), np.maximum(spread[:, 1], 1.0), color=style["color"]
-            )
+            axes.vlines(look, np.maximum(spread[:, 0], 1.0), np.maximum(spread[:, 1], 1.0), color=style["color"])
         axes.set_yscale("log")
         axes.set_ylim(0.9, None)
         axes.invert_xaxis()
         label_line(axes, threshold, "claim at 1e-9")
         label_line(axes, CHEAP_DB, "", along="y")
         axes.text(
-            CHEAP_DB - 0.4, 0.02, f"below {CHEAP_DB:g} dB\nthe look is lost", fontsize=7.5, color="#6a6a6a",
+            CHEAP_DB - 0.4,
+            0.02,
+            f"below {CHEAP_DB:g} dB\nthe look is lost",
+            fontsize=7.5,
+            color="#6a6a6a",
             transform=axes.get_xaxis_transform(),
-        )  # fmt: skip
+        )
         axes.set_xlabel("look that is left: PSNR against the marked model, dB (60 and more at 60)")
         axes.set_ylabel("z, mean and 95 % interval (1 and less at 1)")
         axes.legend(fontsize=7.0, loc="lower left")

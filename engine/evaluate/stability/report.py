@@ -26,14 +26,16 @@ def report(rows: list[Row], options: Options) -> Report:
     sections += [_odd_section(odd), _same_section(same)]
     bars = [*_attack_bars(swept), *_input_bars(odd), *_same_bars(same)]
     return Report(
-        bars, sections, answer=_answer(swept),
+        bars,
+        sections,
+        answer=_answer(swept),
         summary={
             "sweeps": len(swept),
             "claims_lost": [one.name for one in swept if one.claim_break.lost],
             "bits_lost": [one.name for one in swept if one.bits_break.lost],
             "claims_lost_cheaply": [one.name for one in swept if one.is_cheap],
         },
-    )  # fmt: skip
+    )
 
 
 def _answer(swept: Sequence[Swept]) -> list[str]:
@@ -59,11 +61,12 @@ def _attack_bars(swept: Sequence[Swept]) -> list[Bar]:
         names = "".join(f"; {one.name}" for one in cheap)
         bars.append(
             Bar(
-                f"sweeps on {what} that take the claim and keep {CHEAP_DB:g} dB", "none",
+                f"sweeps on {what} that take the claim and keep {CHEAP_DB:g} dB",
+                "none",
                 f"{len(cheap)} of {len(own)} (95 % of the like: {100 * low:.0f} to {100 * high:.0f} %){names}",
                 not cheap if own else None,
             )
-        )  # fmt: skip
+        )
     return bars
 
 
@@ -71,17 +74,8 @@ def _input_bars(odd: Sequence[Row]) -> list[Bar]:
     faults = [row for row in odd if row["outcome"] == "fault"]
     same = sum(row["outcome"] == "same" for row in odd)
     words = "".join(f"; {row['input']} ({row['role']}): {row['words']}" for row in faults)
-    measured = (
-        f"{len(faults)} of {len(odd)} at fault; {same} answer alike, {len(odd) - same - len(faults)} refused"
-    )
-    return [
-        Bar(
-            "odd inputs: the same claim each time or a plain refusal",
-            "0 faults",
-            measured + words,
-            not faults,
-        )
-    ]
+    measured = f"{len(faults)} of {len(odd)} at fault; {same} answer alike, {len(odd) - same - len(faults)} refused"
+    return [Bar("odd inputs: the same claim each time or a plain refusal", "0 faults", measured + words, not faults)]
 
 
 def _same_bars(same: Sequence[Row]) -> list[Bar]:
@@ -91,14 +85,18 @@ def _same_bars(same: Sequence[Row]) -> list[Bar]:
     listed = "".join(f"; {row['how']}" for row in differ)
     return [
         Bar(
-            "again, from float64, by other numbers of threads: the same bytes of the claim", "all",
-            f"{len(bytewise) - len(differ)} of {len(bytewise)}{listed}", not differ,
+            "again, from float64, by other numbers of threads: the same bytes of the claim",
+            "all",
+            f"{len(bytewise) - len(differ)} of {len(bytewise)}{listed}",
+            not differ,
         ),
         Bar(
-            "seeds, rounding, processors: the same verdict and bits, z within 0.1 %", "all",
-            f"{len(same) - len(apart)} of {len(same)}" + "".join(f"; {row['how']}" for row in apart), not apart,
+            "seeds, rounding, processors: the same verdict and bits, z within 0.1 %",
+            "all",
+            f"{len(same) - len(apart)} of {len(same)}" + "".join(f"; {row['how']}" for row in apart),
+            not apart,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _section(swept: Sequence[Swept], kind: str, refused: Sequence[Row]) -> Section:
@@ -110,7 +108,7 @@ def _section(swept: Sequence[Swept], kind: str, refused: Sequence[Row]) -> Secti
         "public code does something else than the papers say, and in up or down where strengths go both ways. "
         "Strengths are interpolated along the sweep; intervals come from resampled trials (scenes, keys, seeds"
         f"{', views' if kind == 'image' else ''}), exact ones from shares. Few trials give rough intervals; between "
-        "two strengths that were tried a curve may fall anywhere.",
+        "two strengths that were tried a curve may fall anywhere."
     ]
     if kind == "model":
         text.append(
@@ -124,15 +122,17 @@ def _section(swept: Sequence[Swept], kind: str, refused: Sequence[Row]) -> Secti
     title = f"{len(own) - lost} of {len(own)} attacks on {what} never take the claim"
     drawings = [
         Drawing(
-            f"map-{kind}", partial(draw_map, own, kind, title),
+            f"map-{kind}",
+            partial(draw_map, own, kind, title),
             f"Attacks on {what}, failing first, each from its harmless to its ruinous strength. Dark is lost; white "
             "was not measured.",
         ),
         Drawing(
-            f"cost-{kind}", partial(draw_costs, swept, kind),
+            f"cost-{kind}",
+            partial(draw_costs, swept, kind),
             f"Attacks on {what} that come nearest to taking the claim: z against the look that is left.",
         ),
-    ]  # fmt: skip
+    ]
     return Section(f"Attacks on {what}", text, [_break_table(own)], drawings if own else ())
 
 
@@ -148,21 +148,35 @@ def _break_table(swept: Sequence[Swept]) -> Table:
         looking = "; ".join(f"z {z:.1f} at {strength}" for strength, z in one.by_looking.items())
         lines.append(
             [
-                one.name, _where(one, bits), _where(one, claim),
+                one.name,
+                _where(one, bits),
+                _where(one, claim),
                 None if look is None else f"{look:.1f}{' (end)' if not claim.lost else ''}",
                 None if left is None else f"{100 * left:.0f} %",
-                f"{one.strengths[-1]}", f"{100 * one.bits[:, -1].mean():.1f} %",
+                f"{one.strengths[-1]}",
+                f"{100 * one.bits[:, -1].mean():.1f} %",
                 f"{one.z[:, -1].mean():.1f} ({low:.1f} to {high:.1f})",
                 f"{int(one.claimed[:, -1].sum())} of {len(one.claimed)} "
                 f"({100 * share_low:.0f} to {100 * share_high:.0f} %)",
                 looking,
             ]
-        )  # fmt: skip
+        )
     return Table(
-        ["attack", "bits below 99 % at", "claim lost at", "PSNR by then, dB", "covered by then", "grid ends at",
-         "bits there", "z there (95 %)", "claims there (95 %)", "by looking"],
-        lines, "Failing first",
-    )  # fmt: skip
+        [
+            "attack",
+            "bits below 99 % at",
+            "claim lost at",
+            "PSNR by then, dB",
+            "covered by then",
+            "grid ends at",
+            "bits there",
+            "z there (95 %)",
+            "claims there (95 %)",
+            "by looking",
+        ],
+        lines,
+        "Failing first",
+    )
 
 
 def _where(one: Swept, broken: Break) -> str:
@@ -182,12 +196,16 @@ def _where(one: Swept, broken: Break) -> str:
 def _odd_section(odd: Sequence[Row]) -> Section:
     lines = [
         [
-            row["input"], row["role"],
+            row["input"],
+            row["role"],
             {"same": "answers", "refused": "refused", "fault": "FAULT"}[row["outcome"]],
-            row.get("verdict"), row.get("z"), row.get("unmarked_verdict"), row.get("words"),
+            row.get("verdict"),
+            row.get("z"),
+            row.get("unmarked_verdict"),
+            row.get("words"),
         ]
         for row in sorted(odd, key=lambda row: row["outcome"] != "fault")
-    ]  # fmt: skip
+    ]
     text = (
         "Each odd input was made of a connected fifth of the scene, written to a PLY, read back (readers repair what "
         "is harmless), marked, opened and verified twice (role marked); and made of a marked model and verified "
@@ -201,15 +219,29 @@ def _odd_section(odd: Sequence[Row]) -> Section:
 def _same_section(same: Sequence[Row]) -> Section:
     lines = [
         [
-            row["how"], "yes" if row["exact"] else "no", "yes" if row["close"] else "no", row["z_model"],
-            row.get("z_image"), row["model_digest"], row.get("image_digest"), row.get("marked_digest"),
+            row["how"],
+            "yes" if row["exact"] else "no",
+            "yes" if row["close"] else "no",
+            row["z_model"],
+            row.get("z_image"),
+            row["model_digest"],
+            row.get("image_digest"),
+            row.get("marked_digest"),
         ]
         for row in same
-    ]  # fmt: skip
+    ]
     text = (
         "A suspect cut to half, moved, shuffled and noised is verified again and again; children mark anew as well. "
         "Only this machine was at hand: another processor is played by compiling without AVX."
     )
-    columns = ["how", "same bytes", "same answer", "z of the model", "z of a picture", "claim, model", "claim, picture",
-               "marked model"]  # fmt: skip
+    columns = [
+        "how",
+        "same bytes",
+        "same answer",
+        "z of the model",
+        "z of a picture",
+        "claim, model",
+        "claim, picture",
+        "marked model",
+    ]
     return Section("The same answer each time", [text], [Table(columns, lines)])

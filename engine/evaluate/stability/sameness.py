@@ -39,19 +39,22 @@ CLOSE = 1e-3
 def write_claims(path: str, quick: bool, seed: int, out: str) -> None:
     """Mark, steal, verify by model and by picture; write what came out, to the last digit, to a JSON file."""
     scene = mark_scene(path, config_of(quick), seed=seed)
-    model = verify_model(
-        apply_chain(scene.marked, STOLEN, seed), scene.opened, VerifyConfig(route="model")
-    ).claim
+    model = verify_model(apply_chain(scene.marked, STOLEN, seed), scene.opened, VerifyConfig(route="model")).claim
     camera = scene.opened.cameras[0].resized(400, 400)
     picture = to_8_bit(render(scene.marked, camera))
     image = verify_images([picture], scene.opened, cameras=[camera]).claim
     marked = hashlib.sha256(scene.marked.sh.tobytes()).hexdigest()[:16]
     said = {
-        "marked_digest": marked, "record": scene.opened.header.record_id[:16],
-        "model_digest": claim_digest(model), "image_digest": claim_digest(image),
-        "z_model": model.z, "z_image": image.z, "bits_model": model.message, "bits_image": image.message,
+        "marked_digest": marked,
+        "record": scene.opened.header.record_id[:16],
+        "model_digest": claim_digest(model),
+        "image_digest": claim_digest(image),
+        "z_model": model.z,
+        "z_image": image.z,
+        "bits_model": model.message,
+        "bits_image": image.message,
         "verdicts": [model.verdict.value, image.verdict.value],
-    }  # fmt: skip
+    }
     Path(out).write_text(json.dumps(said))
 
 
@@ -61,10 +64,7 @@ def compare_machines(path: str, quick: bool, seed: int) -> list[Row]:
     Every child marks anew, so that records and marked models are compared, too.
     """
     one = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    settings: dict[str, dict[str, str]] = {
-        "one thread": one,
-        "two threads": {**one, "NUMBA_NUM_THREADS": "2"},
-    }
+    settings: dict[str, dict[str, str]] = {"one thread": one, "two threads": {**one, "NUMBA_NUM_THREADS": "2"}}
     if not quick:
         settings["two threads, and two of BLAS"] = {"NUMBA_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
         settings["processor without AVX"] = {**one, **PLAIN}
@@ -92,8 +92,9 @@ def _in_child(path: str, quick: bool, seed: int, variables: dict[str, str]) -> R
         own = {"NUMBA_CACHE_DIR": str(Path(folder) / "numba")} if "NUMBA_CPU_NAME" in variables else {}
         subprocess.run(
             [sys.executable, "-c", code, json.dumps([path, quick, seed, out])],
-            check=True, env={**os.environ, **variables, **own},
-        )  # fmt: skip
+            check=True,
+            env={**os.environ, **variables, **own},
+        )
         said: Row = json.loads(Path(out).read_text())
         return said
 
@@ -118,17 +119,19 @@ def compare_precision(path: str, quick: bool, seed: int) -> list[Row]:
         digest = claim_digest(claim)
         first = first or digest
         z = rows[0]["z_model"] if rows else claim.z
-        alike = not rows or (rows[0]["bits_model"], rows[0]["verdicts"]) == (
-            claim.message,
-            [claim.verdict.value],
-        )
+        alike = not rows or (rows[0]["bits_model"], rows[0]["verdicts"]) == (claim.message, [claim.verdict.value])
         rows.append(
             {
-                "what": "same", "how": name, "exact": digest == first, "model_digest": digest,
-                "close": alike and abs(claim.z - z) <= CLOSE * abs(z), "z_model": claim.z,
-                "bits_model": claim.message, "verdicts": [claim.verdict.value],
+                "what": "same",
+                "how": name,
+                "exact": digest == first,
+                "model_digest": digest,
+                "close": alike and abs(claim.z - z) <= CLOSE * abs(z),
+                "z_model": claim.z,
+                "bits_model": claim.message,
+                "verdicts": [claim.verdict.value],
             }
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -144,18 +147,24 @@ def _nudged(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
 def double_ply(model: GaussianModel) -> bytes:
     """A PLY of the model whose properties are all float64, as some trainers write."""
     rest = model.sh[:, 1:].transpose(0, 2, 1).reshape(len(model), -1)  # channel-major
-    columns = [
-        model.means,
-        model.sh[:, 0],
-        rest,
-        model.opacity_logits[:, None],
-        model.log_scales,
-        model.quats,
-    ]
+    columns = [model.means, model.sh[:, 0], rest, model.opacity_logits[:, None], model.log_scales, model.quats]
     names = [
-        "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(rest.shape[1])), "opacity",
-        "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
-    ]  # fmt: skip
+        "x",
+        "y",
+        "z",
+        "f_dc_0",
+        "f_dc_1",
+        "f_dc_2",
+        *(f"f_rest_{k}" for k in range(rest.shape[1])),
+        "opacity",
+        "scale_0",
+        "scale_1",
+        "scale_2",
+        "rot_0",
+        "rot_1",
+        "rot_2",
+        "rot_3",
+    ]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
     header += [*(f"property double {name}" for name in names), "end_header", ""]
     return "\n".join(header).encode() + np.concatenate(columns, axis=1).astype("<f8").tobytes()

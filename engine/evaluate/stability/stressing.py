@@ -90,10 +90,7 @@ def _mark_and_verify(model: GaussianModel, views: int, seed: int) -> Row:
     row["unmarked_verdict"] = unmarked.verdict.value
     sound = row["verdict"] == "marked" and unmarked.verdict.value != "marked"
     if row["outcome"] == "same" and not sound:
-        row |= {
-            "outcome": "fault",
-            "words": f"own mark: {row['verdict']}, without: {row['unmarked_verdict']}",
-        }
+        row |= {"outcome": "fault", "words": f"own mark: {row['verdict']}, without: {row['unmarked_verdict']}"}
     return row
 
 
@@ -101,7 +98,10 @@ def _verify_twice(suspect: GaussianModel, opened: OpenedRecord) -> Row:
     first, second = (verify_model(suspect, opened, VerifyConfig(route="model")).claim for _ in range(2))
     same = claim_digest(first) == claim_digest(second)
     return {
-        "outcome": "same" if same else "fault", "words": "" if same else "two claims differ",
-        "verdict": first.verdict.value, "z": first.z, "bits": first.bit_accuracy,
+        "outcome": "same" if same else "fault",
+        "words": "" if same else "two claims differ",
+        "verdict": first.verdict.value,
+        "z": first.z,
+        "bits": first.bit_accuracy,
         "derived_fraction": first.derived_fraction,
-    }  # fmt: skip
+    }

@@ -29,24 +29,25 @@ def cells(options: Options) -> list[Cell]:
                 continue
             trials = MODEL_TRIALS if sweep.kind == "model" else IMAGE_TRIALS
             arguments = {
-                "attack": sweep.attack, "reading": sweep.reading, "trials": 1 if options.quick else trials,
+                "attack": sweep.attack,
+                "reading": sweep.reading,
+                "trials": 1 if options.quick else trials,
                 "strengths": list(thinned(sweep.strengths, 3) if options.quick else sweep.strengths),
-            }  # fmt: skip
+            }
             work = f"engine.evaluate.stability.attacking:sweep_{sweep.kind}s"
             made.append(Cell(f"{number}-{sweep.name}", work, {**common, **arguments}))
         for name in ("precision", "machines"):
-            made.append(
-                Cell(f"{number}-same-{name}", f"engine.evaluate.stability.sameness:compare_{name}", common)
-            )
+            made.append(Cell(f"{number}-same-{name}", f"engine.evaluate.stability.sameness:compare_{name}", common))
         names = list(QUICK if options.quick else ODD)
         for start in range(0, len(names), ODD_A_CELL):
             part = {"names": names[start : start + ODD_A_CELL]}
             made.append(
                 Cell(
-                    f"{number}-odd-{start // ODD_A_CELL}", "engine.evaluate.stability.stressing:stress",
+                    f"{number}-odd-{start // ODD_A_CELL}",
+                    "engine.evaluate.stability.stressing:stress",
                     {**common, **part},
                 )
-            )  # fmt: skip
+            )
     return made
 
 

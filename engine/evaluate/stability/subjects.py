@@ -58,8 +58,7 @@ def subjects(path: str, trials: int, quick: bool, seed: int) -> Subjects:
     baselines = []
     for name in BASELINES:
         model, kept = METHODS[name].embed(
-            first.original, bench_key(seed), first.opened.message, first.report["psnr_worst_view"],
-            first.opened.cameras,
-        )  # fmt: skip
+            first.original, bench_key(seed), first.opened.message, first.report["psnr_worst_view"], first.opened.cameras
+        )
         baselines.append(BaselineMark(name, model, kept))
     return Subjects(marked, tuple(baselines))

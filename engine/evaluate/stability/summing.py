@@ -140,22 +140,26 @@ def _swept(name: str, kind: str, rows: Sequence[Row]) -> Swept:
         return np.array([_mean(row.get(field) for row in rows if row["step"] == step) for step in steps])
 
     baselines = {
-        key.removeprefix("bits_")
-        for row in rows
-        for key in row
-        if key.startswith("bits_") and key != "bits_paper"
+        key.removeprefix("bits_") for row in rows for key in row if key.startswith("bits_") and key != "bits_paper"
     }
     looked: dict[Strength, float] = {}
     for row in rows:
         if "z_by_looking" in row:
             looked[row["strength"]] = min(looked.get(row["strength"], math.inf), row["z_by_looking"])
     return Swept(
-        name, kind, strengths, table("bits"), table("bits_paper"), table("z"), table("claimed"),
-        {
-            name: over_steps(f"bits_{name}") for name in sorted(baselines)
-        },
-        over_steps("psnr"), over_steps("coverage"), max(row["z_threshold"] for row in rows), looked,
-    )  # fmt: skip
+        name,
+        kind,
+        strengths,
+        table("bits"),
+        table("bits_paper"),
+        table("z"),
+        table("claimed"),
+        {name: over_steps(f"bits_{name}") for name in sorted(baselines)},
+        over_steps("psnr"),
+        over_steps("coverage"),
+        max(row["z_threshold"] for row in rows),
+        looked,
+    )
 
 
 def _mean(values: Iterable[float | None]) -> float:

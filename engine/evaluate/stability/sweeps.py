@@ -60,11 +60,8 @@ def all_sweeps() -> list[Sweep]:
         for reading in attack.readings:
             for direction, strengths in branches(reading.grid).items():
                 sweeps.append(
-                    Sweep(
-                        attack.name, attack.kind, reading.label, direction, thinned(strengths),
-                        reading.meaning,
-                    )
-                )  # fmt: skip
+                    Sweep(attack.name, attack.kind, reading.label, direction, thinned(strengths), reading.meaning)
+                )
     return sweeps
 
 

@@ -31,9 +31,12 @@ def draw_roc(rows: Sequence[Row], title: str) -> Figure:
         found = np.array([row["fusion"] for row in own])
         points = rates(unmarked, found, [np.inf, *np.unique(np.concatenate([unmarked, found]))[::-1]])
         axes.plot(
-            [p[1] for p in points], [p[2] for p in points], label=f"{label}: AUC {area(unmarked, found):.3f}",
-            markevery=max(1, len(points) // 12), **style,
-        )  # fmt: skip
+            [p[1] for p in points],
+            [p[2] for p in points],
+            label=f"{label}: AUC {area(unmarked, found):.3f}",
+            markevery=max(1, len(points) // 12),
+            **style,
+        )
     axes.set(xlabel="false alarms", ylabel="hits", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
     axes.set_title(title)
     axes.legend(loc="lower right")
@@ -45,20 +48,20 @@ def draw_check(rows: Sequence[Row], title: str) -> Figure:
     drawn, axes = figure()
     checked = [row for row in rows if row["kind"] == "lsb"]
     places = {(row["scene"], row["seed"], row["view"]) for row in checked}
-    covers = [
-        row
-        for row in rows
-        if row["kind"] == "unmarked" and (row["scene"], row["seed"], row["view"]) in places
-    ]
+    covers = [row for row in rows if row["kind"] == "unmarked" and (row["scene"], row["seed"], row["view"]) in places]
     true = sorted({row["rate"] for row in checked})
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=1.0, zorder=1)
     for number, (style, name) in enumerate(zip(styles(), DETECTORS, strict=False)):
         values = [[row[name] for row in covers]]
         values += [[row[name] for row in checked if row["rate"] == rate] for rate in true]
         axes.errorbar(
-            np.array([0.0, *true]) + 0.008 * (number - 1.5), [np.mean(v) for v in values],
-            yerr=[np.std(v) for v in values], capsize=2, label=name, **style,
-        )  # fmt: skip
+            np.array([0.0, *true]) + 0.008 * (number - 1.5),
+            [np.mean(v) for v in values],
+            yerr=[np.std(v) for v in values],
+            capsize=2,
+            label=name,
+            **style,
+        )
     axes.set(xlabel="true embedding rate", ylabel="estimated rate, mean and std over pictures")
     axes.set_title(title)
     axes.legend()
@@ -75,14 +78,15 @@ def draw_areas(rows: Sequence[Row], title: str) -> Figure:
         style["linestyle"] = ""
         own = [row for row in rows if row["classifier"] == name]
         axes.errorbar(
-            [row["auc"] for row in own], [cases.index(_case(row)) + shift for row in own],
+            [row["auc"] for row in own],
+            [cases.index(_case(row)) + shift for row in own],
             xerr=[[row["auc"] - row["low"] for row in own], [row["high"] - row["auc"] for row in own]],
-            capsize=2, label=name, **style,
-        )  # fmt: skip
+            capsize=2,
+            label=name,
+            **style,
+        )
     axes.set_yticks(range(len(cases)), cases)
-    axes.set(
-        xlabel="AUC of one region of about 512 Gaussians", xlim=(0.4, 1.03), ylim=(-0.6, len(cases) - 0.4)
-    )
+    axes.set(xlabel="AUC of one region of about 512 Gaussians", xlim=(0.4, 1.03), ylim=(-0.6, len(cases) - 0.4))
     label_line(axes, 0.5, "chance", along="y")
     drawn.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
     drawn.legend(loc="outside lower right", ncols=2)

@@ -35,9 +35,7 @@ FORMS = ("floats", "own format", "lattice lost")
 of few values, marked, delivered in that format again. `lattice lost`: such a file, marked, delivered in floats."""
 
 
-def detect_as_insider(
-    path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours"
-) -> list[Row]:
+def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours") -> list[Row]:
     """Trained on one half of a scene's regions under some keys, asked about the other half under others; both ways.
 
     Parameters
@@ -160,9 +158,7 @@ def _classifiers(seed: int) -> dict[str, Any]:
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import StandardScaler
     except ModuleNotFoundError:
-        raise InputError(
-            "the learned detector needs scikit-learn: pip install 'mark3dgs[evaluate]'"
-        ) from None
+        raise InputError("the learned detector needs scikit-learn: pip install 'mark3dgs[evaluate]'") from None
     return {
         "logistic regression": make_pipeline(
             StandardScaler(), LogisticRegression(C=0.1, max_iter=2_000, class_weight="balanced")
@@ -194,6 +190,10 @@ def _judged(scores: Sequence[Float64]) -> dict[str, Any]:
     low, high = area_interval(negative, positive, places)
     spread = max(float(negative.std()), 1e-12)
     return {
-        "auc": area(negative, positive), "low": low, "high": high, "regions": len(places),
-        "marked_scores": len(positive), "shift": float((positive.mean() - negative.mean()) / spread),
-    }  # fmt: skip
+        "auc": area(negative, positive),
+        "low": low,
+        "high": high,
+        "regions": len(places),
+        "marked_scores": len(positive),
+        "shift": float((positive.mean() - negative.mean()) / spread),
+    }

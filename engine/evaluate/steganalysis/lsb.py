@@ -136,9 +136,7 @@ def rs_analysis(channel: Picture) -> float:
     return _smaller_root(0.25 * a + 0.5 * b + c, -0.5 * b - 2.0 * c, c)
 
 
-DETECTORS = {
-    "primary sets": primary_sets, "chi-square": chi_square, "sample pairs": sample_pairs, "RS": rs_analysis
-}  # fmt: skip
+DETECTORS = {"primary sets": primary_sets, "chi-square": chi_square, "sample pairs": sample_pairs, "RS": rs_analysis}
 """By name; each takes one 8-bit channel."""
 
 
@@ -157,9 +155,7 @@ def fuse(picture: Picture) -> dict[str, float]:
     if picture.ndim != 3:
         raise InputError(f"expected a picture (H, W, C), got shape {picture.shape}")
     channels = [np.ascontiguousarray(picture[..., c]) for c in range(picture.shape[2])]
-    found = {
-        name: float(np.mean([detect(channel) for channel in channels])) for name, detect in DETECTORS.items()
-    }
+    found = {name: float(np.mean([detect(channel) for channel in channels])) for name, detect in DETECTORS.items()}
     return {**found, "fusion": float(np.mean(np.clip(list(found.values()), 0.0, 1.0)))}
 
 
@@ -172,9 +168,7 @@ def replace_lsb(picture: Picture, rate: float, rng: np.random.Generator) -> Pict
 
 def _channel(channel: Picture) -> npt.NDArray[np.int32]:
     if channel.ndim != 2 or channel.dtype != np.uint8 or min(channel.shape) < 4:
-        raise InputError(
-            f"expected a channel (H, W) of uint8, at least 4x4, got {channel.shape} of {channel.dtype}"
-        )
+        raise InputError(f"expected a channel (H, W) of uint8, at least 4x4, got {channel.shape} of {channel.dtype}")
     return channel.astype(np.int32)
 
 

@@ -20,9 +20,7 @@ CHECKED_RATES = (0.05, 0.1, 0.25, 0.5, 1.0)
 """Embedding rates at which the detectors are checked."""
 
 
-def look_at_renders(
-    path: str, profile_name: str, views: int, checked_views: int, size: int, seed: int
-) -> list[Row]:
+def look_at_renders(path: str, profile_name: str, views: int, checked_views: int, size: int, seed: int) -> list[Row]:
     """Every detector on 8-bit renders of one scene.
 
     Parameters

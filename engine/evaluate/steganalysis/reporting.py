@@ -31,13 +31,16 @@ def report(rows: list[Row], options: Options) -> Report:
     bars = [_fusion_bar(pictures), *_check_bars(pictures), *_learned_bars(learned)]
     seen = [bar for bar in bars if bar.met is False]
     answer = (
-        "Every detector that was tried stays at chance." if not seen
+        "Every detector that was tried stays at chance."
+        if not seen
         else "Not everything stays at chance: " + "; ".join(f"{bar.what}: {bar.measured}" for bar in seen) + "."
-    )  # fmt: skip
+    )
     return Report(
-        bars, [_pictures_section(pictures), _check_section(pictures), _learned_section(learned)],
-        answer=[answer], summary={"auc": {name: _auc(pictures, name) for name in (*DETECTORS, "fusion")}},
-    )  # fmt: skip
+        bars,
+        [_pictures_section(pictures), _check_section(pictures), _learned_section(learned)],
+        answer=[answer],
+        summary={"auc": {name: _auc(pictures, name) for name in (*DETECTORS, "fusion")}},
+    )
 
 
 def _scores(rows: Sequence[Row], kind: str, name: str) -> np.ndarray:
@@ -53,10 +56,11 @@ def _auc(rows: Sequence[Row], name: str) -> dict[str, float]:
 def _fusion_bar(rows: Sequence[Row]) -> Bar:
     found, count = _auc(rows, "fusion"), len(_scores(rows, "marked", "fusion"))
     return Bar(
-        "StegExpose's fusion on renders: AUC, marked against unmarked", f"0.5 +- {HALF_WIDTH}",
+        "StegExpose's fusion on renders: AUC, marked against unmarked",
+        f"0.5 +- {HALF_WIDTH}",
         f"{found['auc']:.4f} (95 % {found['low']:.4f} to {found['high']:.4f}, {count} views)",
         abs(found["auc"] - 0.5) <= HALF_WIDTH,
-    )  # fmt: skip
+    )
 
 
 def _check_bars(rows: Sequence[Row]) -> list[Bar]:
@@ -70,11 +74,19 @@ def _check_bars(rows: Sequence[Row]) -> list[Bar]:
     unmarked = _scores(rows, "unmarked", "fusion")
     full = np.array([row["fusion"] for row in rows if row["kind"] == "lsb" and row["rate"] == true[-1]])
     return [
-        Bar("Detectors check: error of the mean rate on LSB-embedded renders", f"<= {RECOVERED}",
-            f"{worst:.3f} ({where})", worst <= RECOVERED),
-        Bar("Detectors check: AUC of the fusion on fully LSB-embedded renders", ">= 0.99",
-            f"{area(unmarked, full):.4f} ({len(full)} pictures)", area(unmarked, full) >= 0.99),
-    ]  # fmt: skip
+        Bar(
+            "Detectors check: error of the mean rate on LSB-embedded renders",
+            f"<= {RECOVERED}",
+            f"{worst:.3f} ({where})",
+            worst <= RECOVERED,
+        ),
+        Bar(
+            "Detectors check: AUC of the fusion on fully LSB-embedded renders",
+            ">= 0.99",
+            f"{area(unmarked, full):.4f} ({len(full)} pictures)",
+            area(unmarked, full) >= 0.99,
+        ),
+    ]
 
 
 def _learned_bars(rows: Sequence[Row]) -> list[Bar]:
@@ -82,10 +94,11 @@ def _learned_bars(rows: Sequence[Row]) -> list[Bar]:
     for attacker in dict.fromkeys(row["attacker"] for row in rows if row["method"] == "ours"):
         for form in ("floats", "own format"):
             own = [
-                row for row in rows
+                row
+                for row in rows
                 if (row["method"], row["attacker"], row["form"]) == ("ours", attacker, form)
                 and (attacker == "insider" or row["scene"] == "all")
-            ]  # fmt: skip
+            ]
             if not own:
                 continue
             worst = max(own, key=lambda row: abs(row["auc"] - 0.5))
@@ -94,22 +107,28 @@ def _learned_bars(rows: Sequence[Row]) -> list[Bar]:
                 f"{worst['scene']})"
             )
             bars.append(
-                Bar(f"Learned detector on attributes, {attacker}, {form}: AUC of a region, worst case",
-                    f"0.5 +- {HALF_WIDTH}", measured, abs(worst["auc"] - 0.5) <= HALF_WIDTH)
-            )  # fmt: skip
+                Bar(
+                    f"Learned detector on attributes, {attacker}, {form}: AUC of a region, worst case",
+                    f"0.5 +- {HALF_WIDTH}",
+                    measured,
+                    abs(worst["auc"] - 0.5) <= HALF_WIDTH,
+                )
+            )
     if not any(row["attacker"] == "stranger" for row in rows):
         bars.append(
-            Bar("Learned detector on attributes, stranger: AUC of a region", f"0.5 +- {HALF_WIDTH}",
-                "needs at least two scenes", None)
-        )  # fmt: skip
+            Bar(
+                "Learned detector on attributes, stranger: AUC of a region",
+                f"0.5 +- {HALF_WIDTH}",
+                "needs at least two scenes",
+                None,
+            )
+        )
     return bars
 
 
 def _pictures_section(rows: Sequence[Row]) -> Section:
     unmarked, marked = _scores(rows, "unmarked", "fusion"), _scores(rows, "marked", "fusion")
-    lines = [
-        [f"{t:g}", f"{100 * a:.1f} %", f"{100 * b:.1f} %"] for t, a, b in rates(unmarked, marked, THRESHOLDS)
-    ]
+    lines = [[f"{t:g}", f"{100 * a:.1f} %", f"{100 * b:.1f} %"] for t, a, b in rates(unmarked, marked, THRESHOLDS)]
     areas = [
         [name, f"{found['auc']:.4f}", f"{found['low']:.4f} to {found['high']:.4f}"]
         for name in (*DETECTORS, "fusion")
@@ -118,17 +137,25 @@ def _pictures_section(rows: Sequence[Row]) -> Section:
     auc = _auc(rows, "fusion")["auc"]
     title = f"On renders, StegExpose's fusion has an AUC of {auc:.3f}"
     return Section(
-        "On renders", [
+        "On renders",
+        [
             "The same views, unmarked and marked, as 8-bit pictures. Primary sets, chi-square, sample pairs and RS "
             "analysis, averaged as StegExpose does; own code. They look for replaced least significant bits, and our "
             "mark replaces none: it changes the scene before it is rounded. Staying at chance here says that these "
             "classic tools see nothing, not that nothing can. Intervals resample views."
         ],
-        [Table(["detector", "AUC", "95 %"], areas, "Marked against unmarked"),
-         Table(["threshold", "unmarked called marked", "marked called marked"], lines, "Fusion by threshold")],
-        [Drawing("roc", partial(draw_roc, rows, title),
-                 "ROC of the fusion on renders; pictures with replaced bits show what it can see.")],
-    )  # fmt: skip
+        [
+            Table(["detector", "AUC", "95 %"], areas, "Marked against unmarked"),
+            Table(["threshold", "unmarked called marked", "marked called marked"], lines, "Fusion by threshold"),
+        ],
+        [
+            Drawing(
+                "roc",
+                partial(draw_roc, rows, title),
+                "ROC of the fusion on renders; pictures with replaced bits show what it can see.",
+            )
+        ],
+    )
 
 
 def _check_section(rows: Sequence[Row]) -> Section:
@@ -136,24 +163,46 @@ def _check_section(rows: Sequence[Row]) -> Section:
         "Are the detectors right?",
         ["Unmarked renders, least significant bits replaced at random in a known share of all places."],
         drawings=[
-            Drawing("check", partial(draw_check, rows, "The detectors recover the true embedding rate"),
-                    "Chi-square answers to full embedding only, as its authors say.")
+            Drawing(
+                "check",
+                partial(draw_check, rows, "The detectors recover the true embedding rate"),
+                "Chi-square answers to full embedding only, as its authors say.",
+            )
         ],
-    )  # fmt: skip
+    )
 
 
 def _learned_section(rows: Sequence[Row]) -> Section:
     lines = [
-        [row["method"], row["attacker"], row["form"], row["scene"], row["classifier"], f"{row['auc']:.3f}",
-         f"{row['low']:.3f} to {row['high']:.3f}", f"{row['shift']:+.2f}", row["regions"]]
+        [
+            row["method"],
+            row["attacker"],
+            row["form"],
+            row["scene"],
+            row["classifier"],
+            f"{row['auc']:.3f}",
+            f"{row['low']:.3f} to {row['high']:.3f}",
+            f"{row['shift']:+.2f}",
+            row["regions"],
+        ]
         for row in rows
-    ]  # fmt: skip
-    columns = ["method", "attacker", "form", "scene", "classifier", "AUC of a region", "95 %",
-               "shift of the mean score (std of regions)", "regions"]  # fmt: skip
+    ]
+    columns = [
+        "method",
+        "attacker",
+        "form",
+        "scene",
+        "classifier",
+        "AUC of a region",
+        "95 %",
+        "shift of the mean score (std of regions)",
+        "regions",
+    ]
     ours = [row for row in rows if row["method"] == "ours" and row["form"] != "lattice lost"]
     worst = max(ours, key=lambda row: abs(row["auc"] - 0.5))
     return Section(
-        "On the model's own numbers", [
+        "On the model's own numbers",
+        [
             "A classifier sees how the DC colours of a region of about 512 Gaussians differ from their neighbours' at "
             "three sizes, how they are distributed, and how often a value repeats; never a key. The insider has the "
             "unmarked model and marked copies of this very scene under other keys, and is asked about other regions "
@@ -167,9 +216,14 @@ def _learned_section(rows: Sequence[Row]) -> Section:
             "An AUC well below 0.5 is a difference too, one that lies the other way round than what was learnt.",
         ],
         [Table(columns, lines)],
-        [Drawing("learned", partial(draw_areas, rows, _learned_title(worst)),
-                 "AUC of learned detectors on regions of the model, with 95 % intervals; 0.5 is a coin.")],
-    )  # fmt: skip
+        [
+            Drawing(
+                "learned",
+                partial(draw_areas, rows, _learned_title(worst)),
+                "AUC of learned detectors on regions of the model, with 95 % intervals; 0.5 is a coin.",
+            )
+        ],
+    )
 
 
 def _learned_title(worst: Row) -> str:

@@ -26,9 +26,13 @@ def area(negative: Float64, positive: Float64) -> float:
 
 
 def area_interval(
-    negative: Float64, positive: Float64, groups: Sequence[tuple[Float64, Float64]] | None = None, *,
-    draws: int = 500, seed: int = 0,
-) -> tuple[float, float]:  # fmt: skip
+    negative: Float64,
+    positive: Float64,
+    groups: Sequence[tuple[Float64, Float64]] | None = None,
+    *,
+    draws: int = 500,
+    seed: int = 0,
+) -> tuple[float, float]:
     """95 % interval of `area` by resampling what was seen once.
 
     Parameters
@@ -53,8 +57,6 @@ def area_interval(
     return float(low), float(high)
 
 
-def rates(
-    negative: Float64, positive: Float64, thresholds: Sequence[float]
-) -> list[tuple[float, float, float]]:
+def rates(negative: Float64, positive: Float64, thresholds: Sequence[float]) -> list[tuple[float, float, float]]:
     """(threshold, false alarms, hits) with everything at or above a threshold called positive."""
     return [(t, float((negative >= t).mean()), float((positive >= t).mean())) for t in thresholds]

@@ -24,8 +24,14 @@ def cells(options: Options) -> list[Cell]:
     seeds, views, checked, size, keys = (1, 24, 3, 256, 1) if options.quick else (2, 100, 10, 512, 4)
     for number, path in enumerate(options.scenes):
         for seed in range(options.seed, options.seed + seeds):
-            arguments = {"path": path, "profile_name": PROFILE, "views": views, "checked_views": checked,
-                         "size": size, "seed": seed}  # fmt: skip
+            arguments = {
+                "path": path,
+                "profile_name": PROFILE,
+                "views": views,
+                "checked_views": checked,
+                "size": size,
+                "seed": seed,
+            }
             made.append(Cell(f"renders-{number}-{seed}", f"{HERE}.renders:look_at_renders", arguments))
         insider = {"path": path, "profile_name": PROFILE, "keys": keys, "seed": options.seed}
         cases = [("ours", form) for form in (FORMS[:1] if options.quick else FORMS)]
@@ -36,14 +42,22 @@ def cells(options: Options) -> list[Cell]:
             made.append(Cell(name, f"{HERE}.learned:detect_as_insider", arguments))
     if len(options.scenes) > 1:
         for form in FORMS[:1] if options.quick else FORMS:
-            arguments = {"paths": list(options.scenes), "profile_name": PROFILE, "form": form,
-                         "keys": max(1, keys // 2), "seed": options.seed}  # fmt: skip
+            arguments = {
+                "paths": list(options.scenes),
+                "profile_name": PROFILE,
+                "form": form,
+                "keys": max(1, keys // 2),
+                "seed": options.seed,
+            }
             name = f"stranger-{form.replace(' ', '-')}"
             made.append(Cell(name, f"{HERE}.learned:detect_as_stranger", arguments))
     return made
 
 
 STUDY = Study(
-    "steganalysis", "Can the mark be seen without the key?",
-    "Do detectors without the key, on renders or on the model's own numbers, do better than a coin?", cells, report,
-)  # fmt: skip
+    "steganalysis",
+    "Can the mark be seen without the key?",
+    "Do detectors without the key, on renders or on the model's own numbers, do better than a coin?",
+    cells,
+    report,
+)

@@ -55,16 +55,23 @@ def knob_rows(knob: Knob, rows: list[Row]) -> Iterator[list[Any]]:
             continue
         pictures = [of_kind(of, kind="picture", attack=name) for name in CONDITIONS]
         yield [
-            knob.name, value, *(_bits(p) for p in pictures), *(mean_text([row["z"] for row in p]) for p in pictures),
+            knob.name,
+            value,
+            *(_bits(p) for p in pictures),
+            *(mean_text([row["z"] for row in p]) for p in pictures),
             mean_text([row["psnr"] for row in of_kind(of, kind="view")]),
             f"{sum(row['embed_seconds'] for row in marked) / len(marked):.1f}",
-        ]  # fmt: skip
+        ]
 
 
 COLUMNS = (
-    "knob", "value", *(f"bits, {c}" for c in CONDITIONS), *(f"z, {c}" for c in CONDITIONS), "PSNR to the original, dB",
+    "knob",
+    "value",
+    *(f"bits, {c}" for c in CONDITIONS),
+    *(f"z, {c}" for c in CONDITIONS),
+    "PSNR to the original, dB",
     "embed, s",
-)  # fmt: skip
+)
 """Of `knob_rows`."""
 
 
@@ -103,8 +110,4 @@ def _label(condition: str) -> str:
 
 def _bits(rows: list[Row]) -> str | None:
     found = accuracy(rows)
-    return (
-        None
-        if found is None
-        else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
-    )
+    return None if found is None else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"

@@ -56,14 +56,19 @@ def setting_cells(options: Options, settings: Iterable[Setting], *, sweep: bool 
             f"set-{setting.name}-{short}-k{seed}",
             f"{CELLS}.settings:measure_setting",
             {
-                "scene": path, "setting": setting.to_json(), "seed": seed, "views": views, "size": size,
-                "changes": effort.changes, "attacked": sweep,
+                "scene": path,
+                "setting": setting.to_json(),
+                "seed": seed,
+                "views": views,
+                "size": size,
+                "changes": effort.changes,
+                "attacked": sweep,
             },
         )
         for setting in settings
         for short, path in scenes_of(options)
         for seed in range(options.seed, options.seed + keys)
-    ]  # fmt: skip
+    ]
 
 
 def of_kind(rows: Iterable[Row], **wanted: object) -> list[Row]:

@@ -66,9 +66,7 @@ def _changed(config: T, changes: dict[str, Any]) -> T:
     values = {}
     for name, value in changes.items():
         if name not in known:
-            raise InputError(
-                f"{type(config).__name__} has no field {name!r}; it has {', '.join(sorted(known))}"
-            )
+            raise InputError(f"{type(config).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
         if isinstance(value, dict):
             value = _changed(getattr(config, name), value)
         values[name] = tuple(value) if isinstance(value, list) else value

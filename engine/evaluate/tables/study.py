@@ -12,17 +12,7 @@ from collections.abc import Sequence
 
 from engine.evaluate.study import Bar, Cell, Options, Report, Row, Study
 from engine.evaluate.tables.part import Part
-from engine.evaluate.tables.sections import (
-    ablation,
-    fig6,
-    fig7,
-    table1,
-    table2,
-    table3,
-    table4,
-    table5,
-    table6,
-)
+from engine.evaluate.tables.sections import ablation, fig6, fig7, table1, table2, table3, table4, table5, table6
 
 __all__ = ["PARTS", "STUDY", "studies"]
 

@@ -53,9 +53,7 @@ def accuracy(rows: Sequence[Row], right: str = "right") -> Accuracy | None:
         return None
     bits, hits = sum(row["bits"] for row in rows), sum(row[right] for row in rows)
     whole = sum(row[right] == row["bits"] for row in rows)
-    return Accuracy(
-        hits / bits, *share_interval(hits, bits), len(rows), whole, share_interval(whole, len(rows))[0]
-    )
+    return Accuracy(hits / bits, *share_interval(hits, bits), len(rows), whole, share_interval(whole, len(rows))[0])
 
 
 def mean_text(values: Sequence[float], digits: int = 1) -> str:

@@ -24,11 +24,7 @@ _Rule = Callable[[Float32, np.random.Generator], Float32]
 
 
 def collude(
-    model: GaussianModel,
-    strength: str,
-    rng: np.random.Generator,
-    *,
-    others: Sequence[GaussianModel] = (),
+    model: GaussianModel, strength: str, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
 ) -> GaussianModel:
     """One model out of several copies.
 

@@ -68,8 +68,6 @@ def denoise_wavelet(image: Float32, strength: float, rng: np.random.Generator) -
     for shift in ((0, 0), (1, 2), (2, 1), (3, 3)):
         moved = np.roll(image, shift, axis=(0, 1))
         approx, details = dwt2(moved, WAVELET_LEVELS)
-        shrunk = [
-            tuple(np.sign(b) * np.maximum(np.abs(b) - threshold, 0) for b in bands) for bands in details
-        ]
+        shrunk = [tuple(np.sign(b) * np.maximum(np.abs(b) - threshold, 0) for b in bands) for bands in details]
         total += np.roll(idwt2(approx, shrunk), (-shift[0], -shift[1]), axis=(0, 1))
     return finished(total / np.float32(4.0))

@@ -19,11 +19,7 @@ LEAST_CLUSTER = 32
 
 
 def purify(
-    model: GaussianModel,
-    strength: float,
-    rng: np.random.Generator,
-    *,
-    cameras: Sequence[Camera] | None = None,
+    model: GaussianModel, strength: float, rng: np.random.Generator, *, cameras: Sequence[Camera] | None = None
 ) -> GaussianModel:
     """Remove the density clusters of Gaussians that contribute little.
 

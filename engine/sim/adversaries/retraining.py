@@ -130,9 +130,7 @@ def retraining_steps(
         yield stop, trainer.run(progress, until=stop)
 
 
-def quality_lost(
-    retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]
-) -> dict[str, float]:
+def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
     """What the attack cost the thief, on views he did not train on.
 
     Parameters
@@ -151,10 +149,7 @@ def quality_lost(
         for camera in cameras
     ]
     mean = float(np.mean(values))
-    return {
-        "psnr_to_stolen": mean,
-        "lost_db": 10.0 * float(np.log10(1.0 + 10.0 ** ((PHOTO_DB - mean) / 10.0))),
-    }
+    return {"psnr_to_stolen": mean, "lost_db": 10.0 * float(np.log10(1.0 + 10.0 ** ((PHOTO_DB - mean) / 10.0)))}
 
 
 def _trainer(marked: GaussianModel, cameras: Sequence[Camera], config: RetrainConfig) -> Trainer:
@@ -171,9 +166,7 @@ def _trainer(marked: GaussianModel, cameras: Sequence[Camera], config: RetrainCo
         colors.append(shades)
     cloud, shade = np.concatenate(points), np.concatenate(colors)
     if len(cloud) < 100:
-        raise InputError(
-            f"the {len(cameras)} views show {len(cloud)} points of the model, expected 100 at least"
-        )
+        raise InputError(f"the {len(cameras)} views show {len(cloud)} points of the model, expected 100 at least")
     if config.start == "random":
         low, high = np.quantile(cloud, [0.02, 0.98], axis=0)
         cloud = rng.uniform(low, high, (config.points, 3))

@@ -131,10 +131,7 @@ def densify(
     kept[split] = False
     new = [model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng)]
     joined = GaussianModel(
-        *(
-            np.concatenate([getattr(part, name) for part in new])
-            for name in GaussianModel.__dataclass_fields__
-        )
+        *(np.concatenate([getattr(part, name) for part in new]) for name in GaussianModel.__dataclass_fields__)
     )
     if prune_large:
         joined = joined.take(joined.log_scales.max(axis=1) <= np.log(config.max_size * extent))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.formats.reconstruction import Reconstruction, read_reconstruction
+from engine.formats.points.reconstruction import Reconstruction, read_reconstruction
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline.progress import Clock, Progress
@@ -181,8 +181,7 @@ def photo_quality(model: GaussianModel, photos: PhotoSet, background: Any = 0.0)
     """
     behind = 0.0 if isinstance(background, str) else background
     values = [
-        psnr(render(model, camera, behind), image)
-        for camera, image in zip(photos.cameras, photos.images, strict=True)
+        psnr(render(model, camera, behind), image) for camera, image in zip(photos.cameras, photos.images, strict=True)
     ]
 
     def mean(which: Sequence[int]) -> float | None:

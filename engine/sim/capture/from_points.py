@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
-from engine.formats.points_reading import POINT_ENDINGS, read_point_cloud
+from engine.formats.cameras.trajectory import Trajectory, read_trajectory
+from engine.formats.points.cloud import PointCloud
+from engine.formats.points.reading import POINT_ENDINGS, read_point_cloud
 from engine.formats.repairs import Repair
-from engine.formats.trajectory import Trajectory, read_trajectory
 from engine.model import Float32, Float64, GaussianModel
 from engine.pipeline.progress import Clock, Progress
 from engine.sim.capture.kernels import kernels_from_points
@@ -89,10 +89,7 @@ class CloudModel:
 
 
 def points_to_model(
-    path: str | os.PathLike[str],
-    *,
-    config: CloudConfig | None = None,
-    progress: Progress | None = None,
+    path: str | os.PathLike[str], *, config: CloudConfig | None = None, progress: Progress | None = None
 ) -> CloudModel:
     """Make a model of a point cloud.
 
@@ -164,9 +161,7 @@ def scans_to_model(
     return _to_model(cloud, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
 
 
-def read_scans(
-    path: str | os.PathLike[str], clock: Clock | None = None
-) -> tuple[list[Scan], tuple[Repair, ...]]:
+def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tuple[list[Scan], tuple[Repair, ...]]:
     """Read scans, in the order of their files' names.
 
     Parameters
@@ -222,9 +217,14 @@ def _to_model(
         make = flat_kernels_from_points if flat else kernels_from_points
         model = make(cloud.points - origin, colors, opacity=opacity, size=config.size)
     numbers = {
-        "points": read, "voxel": voxel, "strays_dropped": strays, "gaussians": len(model),
-        "colors_from": source, "origin": origin.tolist(), "seconds_by_stage": clock.seconds,
-    }  # fmt: skip
+        "points": read,
+        "voxel": voxel,
+        "strays_dropped": strays,
+        "gaussians": len(model),
+        "colors_from": source,
+        "origin": origin.tolist(),
+        "seconds_by_stage": clock.seconds,
+    }
     return CloudModel(model, cloud, origin, {**report, **numbers})
 
 
@@ -233,9 +233,7 @@ def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[Po
     size = spacing if config.voxel is None else config.voxel
     thin = thin_voxels(cloud, size) if size > 0.0 else cloud
     while config.voxel is None and len(thin) > config.most:
-        size = (
-            size or typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
-        )
+        size = size or typical_spacing(cloud.points) or 1e-6 * float(np.ptp(cloud.points, axis=0).max() or 1.0)
         size *= max(1.05, float(np.sqrt(len(thin) / config.most)))  # surfaces: twice the size, a quarter left
         thin = thin_voxels(cloud, size)
     return thin, size

@@ -43,7 +43,9 @@ def half_precision(model: GaussianModel) -> GaussianModel:
 
     quats = rounded(model.quats).astype(np.float64)
     return GaussianModel(
-        rounded(model.means), rounded(model.log_scales),
+        rounded(model.means),
+        rounded(model.log_scales),
         (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        rounded(model.opacity_logits), rounded(model.sh),
-    )  # fmt: skip
+        rounded(model.opacity_logits),
+        rounded(model.sh),
+    )

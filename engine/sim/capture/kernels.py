@@ -52,9 +52,7 @@ def kernels_from_points(
     given = np.asarray(colors)
     shades = given / 255.0 if given.dtype == np.uint8 else given.astype(np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or shades.shape != points.shape:
-        raise InputError(
-            f"points have shape {points.shape} and colors {shades.shape}, expected (N, 3) for both"
-        )
+        raise InputError(f"points have shape {points.shape} and colors {shades.shape}, expected (N, 3) for both")
     if len(points) <= _NEIGHBOURS:
         raise InputError(f"kernels need at least {_NEIGHBOURS + 1} points, got {len(points)}")
     for what, array in (("points", points), ("colors", shades)):
@@ -62,9 +60,7 @@ def kernels_from_points(
         if len(bad):
             raise InputError(f"{what}: row {bad[0]} is not finite: {array[bad[0]].tolist()}")
     if shades.min() < 0.0 or shades.max() > 1.0:
-        raise InputError(
-            f"colors lie between {shades.min():g} and {shades.max():g}, expected 0 to 1 or uint8"
-        )
+        raise InputError(f"colors lie between {shades.min():g} and {shades.max():g}, expected 0 to 1 or uint8")
     if not 0.0 < opacity < 1.0:
         raise InputError(f"opacity is {opacity}, expected to lie in (0, 1)")
     if not (np.isfinite(size) and size > 0.0):

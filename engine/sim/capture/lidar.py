@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
-from engine.formats.trajectory import Trajectory
+from engine.formats.cameras.trajectory import Trajectory
+from engine.formats.points.cloud import PointCloud
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.raster import prepare_view, sh_colors
 from engine.sim.capture.placing import Scan
@@ -54,9 +54,7 @@ class Lidar:
 
     def __post_init__(self) -> None:
         if not (2 <= self.rings <= 1024 and 8 <= self.columns <= 8192):
-            raise InputError(
-                f"a LiDAR has 2 to 1024 rings and 8 to 8192 columns, got {self.rings}, {self.columns}"
-            )
+            raise InputError(f"a LiDAR has 2 to 1024 rings and 8 to 8192 columns, got {self.rings}, {self.columns}")
         if not -60.0 <= self.lowest < self.highest <= 60.0:
             raise InputError(f"elevations {self.lowest} to {self.highest} must rise within +-60 degrees")
         if not (0.0 < self.nearest < self.farthest and self.noise >= 0.0):
@@ -72,9 +70,7 @@ class Lidar:
         return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
 
 
-def scan_model(
-    model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lidar(), *, seed: int = 0
-) -> list[Scan]:
+def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lidar(), *, seed: int = 0) -> list[Scan]:
     """Scan a model from every pose of a trajectory, each scan taken at once.
 
     A beam goes through the nearest pixel of a picture three times as fine as the beams are, so that its range and
@@ -116,9 +112,7 @@ def scan_model(
     return scans
 
 
-def _face(
-    model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, face: int
-) -> tuple[Float64, Float64]:
+def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, face: int) -> tuple[Float64, Float64]:
     """Points (scanner's frame) and colours of the beams within 45 degrees of a quarter's middle."""
     middle = 0.5 * np.pi * face
     c, s = np.cos(middle), np.sin(middle)
@@ -138,9 +132,7 @@ def _face(
     image, alpha, depth, thickness = _draw(model, Camera(viewmat, K, width, height))
     pixel = np.floor(slope * focal + K[:2, 2]).astype(int)
     column, row = np.clip(pixel[:, 0], 0, width - 1), np.clip(pixel[:, 1], 0, height - 1)
-    ray = np.stack(
-        [(column + 0.5 - K[0, 2]) / focal, (row + 0.5 - K[1, 2]) / focal, np.ones(len(row))], axis=1
-    )
+    ray = np.stack([(column + 0.5 - K[0, 2]) / focal, (row + 0.5 - K[1, 2]) / focal, np.ones(len(row))], axis=1)
     points = ray * depth[row, column][:, None].astype(np.float64)
     ranges = np.linalg.norm(points, axis=1)
     back = (alpha[row, column] >= SOLID) & (ranges >= lidar.nearest) & (ranges <= lidar.farthest)

@@ -59,9 +59,7 @@ def rank_by_weight(model: GaussianModel, cameras: Sequence[Camera]) -> Float64:
     return total
 
 
-def reduce_to(
-    model: GaussianModel, ranking: Float64, count: int, *, merge: bool = True
-) -> tuple[GaussianModel, Int32]:
+def reduce_to(model: GaussianModel, ranking: Float64, count: int, *, merge: bool = True) -> tuple[GaussianModel, Int32]:
     """The model in so many Gaussians.
 
     Parameters
@@ -141,11 +139,7 @@ def levels_of_detail(
 
 
 def level_of_quality(
-    model: GaussianModel,
-    psnr_db: float,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    merge: bool = True,
+    model: GaussianModel, psnr_db: float, *, cameras: Sequence[Camera] | None = None, merge: bool = True
 ) -> LevelOfDetail:
     """The smallest level whose worst view is still that near to the full model (by bisection).
 
@@ -233,9 +227,7 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     vectors[np.linalg.det(vectors) < 0.0, :, 2] *= -1.0
     opacity = total[touched] / np.sqrt(values[:, 0] * values[:, 1])
     opacity = np.clip(opacity, 1e-4, MOST_OPAQUE)
-    arrays = {
-        name: getattr(result, name).copy() for name in ("means", "log_scales", "quats", "opacity_logits")
-    }
+    arrays = {name: getattr(result, name).copy() for name in ("means", "log_scales", "quats", "opacity_logits")}
     arrays["means"][touched] = home[touched] + center[touched]
     arrays["log_scales"][touched] = 0.5 * np.log(values)
     arrays["quats"][touched] = rotation_to_quaternion(vectors)

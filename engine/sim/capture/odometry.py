@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from engine.errors import InputError
-from engine.formats.trajectory import Trajectory
+from engine.formats.cameras.trajectory import Trajectory
 from engine.model import Bool, Float64
 from engine.sim.capture.extras import load_extra
 from engine.sim.capture.placing import Scan
@@ -20,10 +20,7 @@ Its voxels are then a metre, a hundredth of the range, as it says itself."""
 
 
 def odometry(
-    scans: Sequence[Scan],
-    *,
-    farthest: float | None = None,
-    advance: Callable[[float], None] | None = None,
+    scans: Sequence[Scan], *, farthest: float | None = None, advance: Callable[[float], None] | None = None
 ) -> Trajectory:
     """Where the scanner was at each scan, by KISS-ICP (Vizzo et al. 2023).
 

@@ -125,8 +125,9 @@ def _compare_windows(across, weights, slopes, sums):
             by_square = -_HALF * by_cross * structure
             slopes[row, 0, j] = (
                 structure / lower * (two * my + one - (two * mx + one) * luminance)
-                - by_cross * my - two * by_square * mx
-            )  # fmt: skip
+                - by_cross * my
+                - two * by_square * mx
+            )
             slopes[row, 1, j] = by_square
             slopes[row, 2, j] = by_cross
         sums[row, 0] = total

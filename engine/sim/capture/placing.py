@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
-from engine.formats.trajectory import Trajectory
+from engine.formats.cameras.trajectory import Trajectory
+from engine.formats.points.cloud import PointCloud
 from engine.model import Float64
 
 __all__ = ["Scan", "join_clouds", "place_scan", "place_scans", "poses_at"]
@@ -105,9 +105,7 @@ def place_scans(
     """
     if trajectory.times is None:
         if len(scans) != len(trajectory):
-            message = (
-                f"{len(scans)} scans for {len(trajectory)} poses without times (KITTI): each needs its own"
-            )
+            message = f"{len(scans)} scans for {len(trajectory)} poses without times (KITTI): each needs its own"
             raise InputError(message)
         matrices = trajectory.matrices
         placed = [

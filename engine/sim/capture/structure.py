@@ -84,9 +84,7 @@ def reconstruct(
         raise InputError(f"{root}: is no folder of photos")
     names = sorted(p.name for p in root.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
     if len(names) < _FEWEST:
-        raise InputError(
-            f"{root}: holds {len(names)} photos ({', '.join(PICTURES)}), at least {_FEWEST} needed"
-        )
+        raise InputError(f"{root}: holds {len(names)} photos ({', '.join(PICTURES)}), at least {_FEWEST} needed")
     pycolmap = load_extra("pycolmap", "pycolmap", "structure from motion")
     clock = Clock(progress)
     database, sparse = work / "database.db", work / "sparse"
@@ -104,9 +102,14 @@ def reconstruct(
         mode = pycolmap.CameraMode.SINGLE if one_camera else pycolmap.CameraMode.PER_IMAGE
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
         pycolmap.extract_features(
-            database, root, image_names=names, camera_mode=mode, reader_options=reader,
-            extraction_options=extraction, device=cpu,
-        )  # fmt: skip
+            database,
+            root,
+            image_names=names,
+            camera_mode=mode,
+            reader_options=reader,
+            extraction_options=extraction,
+            device=cpu,
+        )
     with clock.stage("matches"):
         matching = pycolmap.FeatureMatchingOptions()
         matching.num_threads, matching.use_gpu = threads, False
@@ -115,17 +118,13 @@ def reconstruct(
         else:
             pairing = pycolmap.SequentialPairingOptions()
             pairing.overlap = _FOLLOWERS
-            pycolmap.match_sequential(
-                database, matching_options=matching, pairing_options=pairing, device=cpu
-            )
+            pycolmap.match_sequential(database, matching_options=matching, pairing_options=pairing, device=cpu)
     with clock.stage("mapping"):
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads, options.random_seed = threads, seed
         parts = pycolmap.incremental_mapping(database, root, sparse, options)
     if not parts:
-        raise InputError(
-            f"{root}: the {len(names)} photos do not hang together: no two of them could be placed"
-        )
+        raise InputError(f"{root}: the {len(names)} photos do not hang together: no two of them could be placed")
     best = max(parts.values(), key=lambda part: (part.num_reg_images(), part.num_points3D()))
     folder = sparse / "0"
     folder.mkdir(exist_ok=True)

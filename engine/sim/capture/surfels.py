@@ -65,9 +65,7 @@ def flat_kernels_from_points(
 
     from engine.numerics.similarity import rotation_to_quaternion
 
-    round_ones = kernels_from_points(
-        points, colors, opacity=opacity, size=size
-    )  # and all that is checked there
+    round_ones = kernels_from_points(points, colors, opacity=opacity, size=size)  # and all that is checked there
     if neighbours < 3:
         raise InputError(f"neighbours is {neighbours}, expected at least 3")
     points = np.asarray(points, dtype=np.float64)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
+from engine.formats.points.cloud import PointCloud
 from engine.model import Bool, Float64, Int64
 
 __all__ = ["drop_strays", "thin_voxels", "typical_spacing"]

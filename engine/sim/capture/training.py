@@ -14,15 +14,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
-from engine.raster import (
-    Gradients,
-    View,
-    backward,
-    draw,
-    prepare_view,
-    sh_colors,
-    sh_colors_backward,
-)  # fmt: skip
+from engine.raster import Gradients, View, backward, draw, prepare_view, sh_colors, sh_colors_backward
 from engine.sim.capture.densification import RESET_OPACITY, CenterGradients, DensifyConfig, densify
 from engine.sim.capture.parameters import Parameters
 from engine.sim.capture.photo_loss import photo_loss
@@ -81,9 +73,14 @@ class TrainConfig:
         if self.sh_degree is not None and self.sh_degree not in (0, 1, 2, 3):
             raise InputError(f"sh_degree is {self.sh_degree}, expected 0 to 3")
         rates = (
-            self.position_rate, self.position_rate_end, self.scale_rate, self.rotation_rate,
-            self.opacity_rate, self.color_rate, self.sh_every,
-        )  # fmt: skip
+            self.position_rate,
+            self.position_rate_end,
+            self.scale_rate,
+            self.rotation_rate,
+            self.opacity_rate,
+            self.color_rate,
+            self.sh_every,
+        )
         if not all(np.isfinite(rate) and rate > 0.0 for rate in rates):
             raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)}")
         if isinstance(self.background, str) and self.background != "random":
@@ -132,9 +129,7 @@ class Trainer:
             raise InputError("the model to train is empty")
         for k, (camera, image) in enumerate(zip(cameras, images, strict=True)):
             if image.shape != (camera.height, camera.width, 3):
-                raise InputError(
-                    f"picture {k} has shape {image.shape}, its camera {(camera.height, camera.width, 3)}"
-                )
+                raise InputError(f"picture {k} has shape {image.shape}, its camera {(camera.height, camera.width, 3)}")
         self.config = config or TrainConfig()
         self.cameras = list(cameras)
         self.images = [np.ascontiguousarray(image, dtype=np.float32) for image in images]
@@ -179,9 +174,7 @@ class Trainer:
         image, _ = self._frozen[k].render(colors, np.asarray(behind, dtype=np.float32))
         loss, cotangent = photo_loss(image, self.images[k], self.config.ssim_weight)
         toward = self._frozen[k].backward_colors(cotangent)
-        sh_colors_backward(
-            toward, arrays["sh"], arrays["means"], position, colors=colors, out=self._gradients.sh
-        )
+        sh_colors_backward(toward, arrays["sh"], arrays["means"], position, colors=colors, out=self._gradients.sh)
         self.parameters.step(self._gradients, {"sh": self.config.color_rate}, self.done)
         self._grow_degree()
         return loss
@@ -191,9 +184,12 @@ class Trainer:
         part = (self.done - 1) / max(c.steps - 1, 1)
         position = c.position_rate * (c.position_rate_end / c.position_rate) ** min(part, 1.0)
         return {
-            "means": position * self.extent, "log_scales": c.scale_rate, "quats": c.rotation_rate,
-            "opacity_logits": c.opacity_rate, "sh": c.color_rate,
-        }  # fmt: skip
+            "means": position * self.extent,
+            "log_scales": c.scale_rate,
+            "quats": c.rotation_rate,
+            "opacity_logits": c.opacity_rate,
+            "sh": c.color_rate,
+        }
 
     @property
     def _densifying(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import CameraError, InputError
-from engine.formats.cameras_colmap import PosedPhoto
+from engine.formats.cameras.colmap import PosedPhoto
 from engine.model import Camera, Float32, Float64
 
 __all__ = ["read_photo", "undistort"]
@@ -55,9 +55,7 @@ def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray
     return pixels
 
 
-def undistort(
-    pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None = None
-) -> tuple[Camera, Float32]:
+def undistort(pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None = None) -> tuple[Camera, Float32]:
     """A photo as a pinhole camera at its place would have taken it.
 
     The focal length grows just as far as is needed to leave no empty border.

@@ -17,10 +17,10 @@ import numpy.typing as npt
 from engine.model import Bool, Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.matching import DC_CLIP
 from engine.sim.edits.edit_regions import EditedRegion, describe, group
 from engine.sim.edits.pieces import Pieces, register_pieces
 from engine.watermark.layout import MARK_SCALE
-from engine.watermark.matching import DC_CLIP
 from engine.watermark.model_evidence import remove_affine_color
 from engine.watermark.spreading import signed_amplitudes
 
@@ -85,9 +85,7 @@ class EditMap:
         return bool(self.pieces.placements)
 
 
-def map_edits(
-    suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0
-) -> EditMap:
+def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0) -> EditMap:
     """Find what was edited in a suspect since the asset was marked.
 
     Parameters
@@ -135,11 +133,15 @@ def map_edits(
             matched = patch[pieces.matches[patch] >= 0]
             regions.append(
                 describe(
-                    kind.name.lower(), patch, means[patch], opened.reference.sh[pieces.matches[matched], 0],
-                    colors[matched], mark[pieces.matches[matched]],
+                    kind.name.lower(),
+                    patch,
+                    means[patch],
+                    opened.reference.sh[pieces.matches[matched], 0],
+                    colors[matched],
+                    mark[pieces.matches[matched]],
                     _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None,
                 )
-            )  # fmt: skip
+            )
     # Removed Gaussians are reported where they would be in the suspect.
     back = pieces.placements[0].inverse().apply(opened.reference.means)
     for patch in group(back, np.flatnonzero(removed), LEAST_REGION):
@@ -214,9 +216,15 @@ def _noise(beyond: Float64) -> Float64:
 
 
 def _completed(
-    coherent: Bool, near: Int64, means: Float64, old: Float64, now: Float64, mark: Float64, beyond: Float64,
+    coherent: Bool,
+    near: Int64,
+    means: Float64,
+    old: Float64,
+    now: Float64,
+    mark: Float64,
+    beyond: Float64,
     mark_left: float,
-) -> Bool:  # fmt: skip
+) -> Bool:
     """(n,) the coherent Gaussians and those next to them that the same change of colour explains.
 
     A Gaussian that had about the colour it was painted in is displaced little or another way than the rest.

@@ -60,9 +60,7 @@ class EditedRegion:
             turn = np.degrees(np.arccos(np.clip((np.trace(self.motion.R) - 1.0) / 2.0, -1.0, 1.0)))
             text += f" by scale {self.motion.scale:.3g} and {turn:.3g} degrees"
         if self.kind == "recolored" and self.recoloring is not None:
-            gain, tint = (
-                ", ".join(f"{v:.2f}" for v in x) for x in (self.recoloring.gain, self.recoloring.tint)
-            )
+            gain, tint = (", ".join(f"{v:.2f}" for v in x) for x in (self.recoloring.gain, self.recoloring.tint))
             text += f": gain ({gain}), tint ({tint})"
         if np.isfinite(self.mark_left):
             text += f"; mark left {self.mark_left:.2f} +- {self.mark_error:.2f}"

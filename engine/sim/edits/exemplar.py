@@ -141,8 +141,7 @@ def smooth(values: Float64, known: Bool, sigma: float) -> Float64:
 
     weight = gaussian_filter(known.astype(np.float64), sigma)
     total = np.stack(
-        [gaussian_filter(np.where(known, values[..., c], 0.0), sigma) for c in range(values.shape[-1])],
-        axis=-1,
+        [gaussian_filter(np.where(known, values[..., c], 0.0), sigma) for c in range(values.shape[-1])], axis=-1
     )
     return np.asarray(np.where(weight[..., None] > 1e-6, total / np.maximum(weight, 1e-6)[..., None], 0.0))
 
@@ -171,9 +170,7 @@ def _box_sum(mask: Bool, half: int) -> Int64:
     """(H, W) number of true cells in the square of side 2 half + 1 about each cell; none beyond the edge."""
     side = 2 * half + 1
     total = np.pad(np.pad(mask.astype(np.int64), half).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    return np.asarray(
-        total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
-    )
+    return np.asarray(total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side])
 
 
 def _shifted(mask: Bool, down: int, right: int) -> Bool:

@@ -83,9 +83,7 @@ def ring_around(model: GaussianModel, selection: Bool, width: float, least: int)
     return np.asarray(rest[distance <= reach], dtype=np.int64)
 
 
-def fit_surface(
-    ring: GaussianModel, hole: GaussianModel, size: float, rng: np.random.Generator
-) -> HoleSurface | None:
+def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.random.Generator) -> HoleSurface | None:
     """The dominant surface through a ring, facing the side on which the hole's Gaussians were.
 
     The dominant plane by RANSAC, weighted by visible area; then a quadric by Tukey's biweight with a band that

@@ -138,9 +138,7 @@ def _fill(
 class _Frame:
     """The surface around a hole laid flat: cells of a grid over u and v, and the Gaussians that make it."""
 
-    def __init__(
-        self, left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig
-    ) -> None:
+    def __init__(self, left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig) -> None:
         self.surface = surface
         gap = surface.local(hole.means)
         low, high = np.quantile(gap[:, :2], [0.01, 0.99], axis=0)
@@ -151,9 +149,7 @@ class _Frame:
         rows = np.flatnonzero(inside & (np.abs(local[:, 2]) < surface.band))
         # Cells finer than the Gaussians hold no texture of their own, and patches of them too few Gaussians.
         usual = float(np.median(np.sort(left.scales[rows], axis=1)[:, 1])) if len(rows) else 0.0
-        self.cells = int(
-            np.clip(2.0 * reach / max(0.5 * usual, 2.0 * reach / config.cells), 16, config.cells)
-        )
+        self.cells = int(np.clip(2.0 * reach / max(0.5 * usual, 2.0 * reach / config.cells), 16, config.cells))
         self.cell = 2.0 * reach / self.cells
         self.model, self.local = left.take(rows), local[rows]
         self.support = self.place(self.model)
@@ -161,9 +157,7 @@ class _Frame:
         width = self.cell * self.cells
         eye = np.array([*self.middle, DISTANCE * width / 2])
         focal = DISTANCE / 2 * self.cells
-        self.camera: Camera = look_at(
-            eye, [*self.middle, 0.0], [0.0, 1.0, 0.0], focal, self.cells, self.cells
-        )
+        self.camera: Camera = look_at(eye, [*self.middle, 0.0], [0.0, 1.0, 0.0], focal, self.cells, self.cells)
 
     def place(self, model: GaussianModel) -> GaussianModel:
         """A model in the flat world: u, v and height as coordinates, base colour only."""

@@ -52,14 +52,10 @@ def mask_shares(
     for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
         pixels = np.asarray(mask)
         if pixels.shape != (camera.height, camera.width):
-            raise InputError(
-                f"mask {number} has shape {pixels.shape}, its camera ({camera.height}, {camera.width})"
-            )
+            raise InputError(f"mask {number} has shape {pixels.shape}, its camera ({camera.height}, {camera.width})")
         pixels = pixels.astype(np.float32)
         if not (pixels.min() >= 0 and pixels.max() <= 1):
-            raise InputError(
-                f"mask {number} has values from {pixels.min()} to {pixels.max()}, expected 0 to 1"
-            )
+            raise InputError(f"mask {number} has values from {pixels.min()} to {pixels.max()}, expected 0 to 1")
         view = prepare_view(model, camera)
         inside += view.weighted(pixels)[0]
         total += view.weights()[0]

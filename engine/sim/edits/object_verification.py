@@ -12,12 +12,12 @@ from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.index import ReferenceIndex
+from engine.registration.registering import Registration, register
 from engine.sim.edits.objects import FlatScene
 from engine.sim.edits.pieces import LEAST_PIECE, RIGID
 from engine.watermark.claim import Claim
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
-from engine.watermark.registration import Registration, register
-from engine.watermark.registration_index import ReferenceIndex
 
 __all__ = ["ObjectFinding", "verify_objects"]
 
@@ -121,9 +121,7 @@ def verify_objects(
     return findings
 
 
-def _claim(
-    part: GaussianModel, opened: OpenedRecord, found: Registration, tries: int, config: VerifyConfig
-) -> Claim:
+def _claim(part: GaussianModel, opened: OpenedRecord, found: Registration, tries: int, config: VerifyConfig) -> Claim:
     evidence = gather_model_evidence(
         opened.layout, opened.reference.sh[:, 0], part.sh[:, 0], found.matches, found.match_quality
     )
@@ -138,9 +136,17 @@ def _finding(
         return ObjectFinding(name, instance, claim, rows, 0.0, 0.0, None, None, None, ())
     low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
     return ObjectFinding(
-        name, instance, claim, rows, len(rows) / len(model), found.derived_fraction,
-        found.similarity.inverse(), low, high, (),
-    )  # fmt: skip
+        name,
+        instance,
+        claim,
+        rows,
+        len(rows) / len(model),
+        found.derived_fraction,
+        found.similarity.inverse(),
+        low,
+        high,
+        (),
+    )
 
 
 def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:

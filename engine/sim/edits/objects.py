@@ -116,15 +116,11 @@ class Scene:
         new = []
         for name, model, placement in objects:
             if not name or name in taken:
-                raise InputError(
-                    f"the scene already holds an object {name!r}" if name else "an object needs a name"
-                )
+                raise InputError(f"the scene already holds an object {name!r}" if name else "an object needs a name")
             if not len(model):
                 raise InputError(f"object {name!r} is empty")
             taken.add(name)
-            low, high = model_box(
-                transform_model(_geometry(model), placement.scale, placement.R, placement.t)
-            )
+            low, high = model_box(transform_model(_geometry(model), placement.scale, placement.R, placement.t))
             new.append(PlacedObject(name, model, placement, low, high))
         numbers = np.arange(self.following, self.following + len(new))
         entries.update(zip(numbers.tolist(), new, strict=True))

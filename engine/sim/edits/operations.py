@@ -26,11 +26,7 @@ def move(model: GaussianModel, selection: Bool, shift: npt.ArrayLike) -> Edited:
 
 
 def rotate(
-    model: GaussianModel,
-    selection: Bool,
-    axis: npt.ArrayLike,
-    degrees: float,
-    about: npt.ArrayLike | None = None,
+    model: GaussianModel, selection: Bool, axis: npt.ArrayLike, degrees: float, about: npt.ArrayLike | None = None
 ) -> Edited:
     """Turn the selected Gaussians.
 
@@ -74,9 +70,7 @@ def place(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edit
     return _edit("place", "change", model, selection, similarity)
 
 
-def recolor(
-    model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0, tint: npt.ArrayLike = 0.0
-) -> Edited:
+def recolor(model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0, tint: npt.ArrayLike = 0.0) -> Edited:
     """Multiply and shift the colours of the selected Gaussians, alike from every direction of view.
 
     Parameters
@@ -103,9 +97,7 @@ def recolor(
     return _edit("recolor", "change", model, selection, recoloring=change)
 
 
-def recolor_towards(
-    model: GaussianModel, selection: Bool, color: npt.ArrayLike, strength: float = 1.0
-) -> Edited:
+def recolor_towards(model: GaussianModel, selection: Bool, color: npt.ArrayLike, strength: float = 1.0) -> Edited:
     """Paint the selected Gaussians: colour = (1 - strength) * colour + strength * target.
 
     Parameters
@@ -155,15 +147,18 @@ def _edit(
 ) -> Edited:
     rows = check_selection(model, selection)
     edit = Edit(
-        name, action, len(model), rows, model.take(rows), similarity or Similarity.identity(),
+        name,
+        action,
+        len(model),
+        rows,
+        model.take(rows),
+        similarity or Similarity.identity(),
         recoloring or Recoloring.none(),
-    )  # fmt: skip
+    )
     return Edited(edit.apply(model), edit)
 
 
-def _about(
-    model: GaussianModel, selection: Bool, factor: float, R: Float64, about: npt.ArrayLike | None
-) -> Similarity:
+def _about(model: GaussianModel, selection: Bool, factor: float, R: Float64, about: npt.ArrayLike | None) -> Similarity:
     """The similarity of that factor and rotation that leaves a point where it is."""
     if about is None:
         means = model.means[check_selection(model, selection)].astype(np.float64)

@@ -11,10 +11,10 @@ from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.sealing import OpenedRecord
+from engine.registration.index import ReferenceIndex
+from engine.registration.registering import Registration, RegistrationConfig, register
 from engine.watermark.claim import Claim
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
-from engine.watermark.registration import Registration, RegistrationConfig, register
-from engine.watermark.registration_index import ReferenceIndex
 
 __all__ = ["Pieces", "register_pieces", "verify_pieces"]
 
@@ -95,11 +95,7 @@ def register_pieces(
 
 
 def verify_pieces(
-    suspect: GaussianModel,
-    opened: OpenedRecord,
-    config: VerifyConfig | None = None,
-    *,
-    pieces: Pieces | None = None,
+    suspect: GaussianModel, opened: OpenedRecord, config: VerifyConfig | None = None, *, pieces: Pieces | None = None
 ) -> Claim:
     """Does this model carry the record's mark, parts of it having been moved? One claim from all pieces.
 
@@ -128,9 +124,7 @@ def verify_pieces(
     seen = np.zeros(len(opened.reference), np.bool_)
     seen[pieces.matches[pieces.matches >= 0]] = True
     whole = replace(
-        pieces.registration,
-        derived_fraction=float(seen.mean()),
-        suspect_fraction=float((pieces.matches >= 0).mean()),
+        pieces.registration, derived_fraction=float(seen.mean()), suspect_fraction=float((pieces.matches >= 0).mean())
     )
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     return judge(evidence, opened, "model", 1, config, whole, notes)

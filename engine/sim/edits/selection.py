@@ -25,9 +25,7 @@ def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
     """(n,) ascending indices of the selected Gaussians; InputError unless (N,) bool with n >= 1."""
     mask = np.asarray(selection)
     if mask.dtype != np.bool_ or mask.shape != (len(model),):
-        raise InputError(
-            f"a selection must be bool of shape ({len(model)},), got {mask.dtype} of shape {mask.shape}"
-        )
+        raise InputError(f"a selection must be bool of shape ({len(model)},), got {mask.dtype} of shape {mask.shape}")
     rows = np.flatnonzero(mask)
     if not len(rows):
         raise InputError(f"the selection holds none of the {len(model)} Gaussians")
@@ -113,7 +111,9 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     # A floater at ten radii must not get a segment of its own: beyond two, distance grows as its logarithm.
     distance = np.linalg.norm(position, axis=1, keepdims=True)
-    position = position * np.where(distance > 2.0, (2.0 + np.log(np.maximum(distance, 2.0) / 2.0)) / np.maximum(distance, 2.0), 1.0)  # fmt: skip  # noqa: E501
+    position = position * np.where(
+        distance > 2.0, (2.0 + np.log(np.maximum(distance, 2.0) / 2.0)) / np.maximum(distance, 2.0), 1.0
+    )
     features = np.concatenate([position, color_weight * color], axis=1)
     rng = np.random.default_rng(seed)
     sample = features

@@ -110,9 +110,7 @@ def edited_record(opened: OpenedRecord, track: EditTrack) -> OpenedRecord:
     """
     count = len(opened.reference)
     if track.edits and track.edits[0].count != count:
-        raise InputError(
-            f"the track starts from {track.edits[0].count} Gaussians, the record's reference has {count}"
-        )
+        raise InputError(f"the track starts from {track.edits[0].count} Gaussians, the record's reference has {count}")
     origin = track.origin(count)
     origin = origin[origin >= 0]
     layout = replace(opened.layout, labels=tuple(label[origin] for label in opened.layout.labels))

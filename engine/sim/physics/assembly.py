@@ -108,14 +108,10 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
             [first + np.flatnonzero(b.lattice.surface) for first, b in zip(firsts, bodies, strict=False)]
         ),
         reach=2.0 * CONTACT * max(b.lattice.cell for b in bodies),
-        edges=np.concatenate(
-            [b.lattice.edges + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]
-        ),
+        edges=np.concatenate([b.lattice.edges + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]),
         edge_compliance=np.concatenate(edge_compliance),
         edge_damping=np.concatenate(edge_damping),
-        tets=np.concatenate(
-            [b.lattice.tets + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]
-        ),
+        tets=np.concatenate([b.lattice.tets + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]),
         volumes=spread([b.lattice.tet_volume for b in bodies], tets),
         tet_compliance=spread([b.material.volume_compliance * b.lattice.tet_volume for b in bodies], tets),
         cluster_members=np.concatenate(members) if members else np.zeros(0, dtype=np.int64),

@@ -148,9 +148,7 @@ def make_body(
     corners = np.bincount(lattice.tets.ravel(), minlength=len(lattice.points))
     masses: Float64 = share * corners.astype(np.float64)
     velocities: Float64 = np.where(fixed[:, None], 0.0, start)
-    return Body(
-        model, lattice, binding, material or Material(), masses, fixed, lattice.points.copy(), velocities
-    )
+    return Body(model, lattice, binding, material or Material(), masses, fixed, lattice.points.copy(), velocities)
 
 
 def pose(body: Body) -> GaussianModel:

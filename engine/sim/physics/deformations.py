@@ -16,17 +16,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 
-__all__ = [
-    "Axes",
-    "barrel_points",
-    "bend",
-    "bend_points",
-    "longest_axis",
-    "squash",
-    "stretch",
-    "twist",
-    "twist_points",
-]
+__all__ = ["Axes", "barrel_points", "bend", "bend_points", "longest_axis", "squash", "stretch", "twist", "twist_points"]
 
 REACH = 2.0
 """Gaussians within this many robust radii of the centre say how long the body is."""
@@ -58,9 +48,7 @@ class Axes:
     length: float
 
 
-def longest_axis(
-    model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None
-) -> Axes:
+def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
     """The body's frame: along its longest extent, or as given.
 
     Parameters
@@ -106,11 +94,7 @@ def longest_axis(
 
 
 def bend(
-    model: GaussianModel,
-    degrees: float,
-    *,
-    axis: npt.ArrayLike | None = None,
-    toward: npt.ArrayLike | None = None,
+    model: GaussianModel, degrees: float, *, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None
 ) -> GaussianModel:
     """Bend the body to an arc; its ends then stand at `degrees` to each other.
 

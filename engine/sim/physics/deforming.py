@@ -20,10 +20,7 @@ BATCH = 16_384
 
 
 def deform_model(
-    model: GaussianModel,
-    means: npt.NDArray[Any],
-    gradients: npt.NDArray[Any],
-    element: npt.NDArray[Any] | None = None,
+    model: GaussianModel, means: npt.NDArray[Any], gradients: npt.NDArray[Any], element: npt.NDArray[Any] | None = None
 ) -> GaussianModel:
     """The model with its Gaussians moved, strained and turned.
 

@@ -120,9 +120,7 @@ def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Bindi
     return lattice, _bind(model.means.astype(np.float64), voxels, origin, cell)
 
 
-def _occupied_voxels(
-    model: GaussianModel, origin: Float64, cell: float, width: float, center: Float64
-) -> Int64:
+def _occupied_voxels(model: GaussianModel, origin: Float64, cell: float, width: float, center: Float64) -> Int64:
     """(V, 3) voxels of matter, sorted; at least one."""
     shown = model.take(model.opacities >= VISIBLE * model.opacities.max())
     means = shown.means.astype(np.float64)

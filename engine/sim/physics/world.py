@@ -135,9 +135,7 @@ class World:
 def ground(height: float, up: npt.ArrayLike = (0.0, 1.0, 0.0), friction: float = 0.5) -> Plane:
     """Level ground at a height along `up`."""
     direction = _vector(up, "up")
-    return Plane(
-        height * direction / max(float(np.linalg.norm(direction)), 1e-300), direction, friction=friction
-    )
+    return Plane(height * direction / max(float(np.linalg.norm(direction)), 1e-300), direction, friction=friction)
 
 
 def step(world: World, dt: float = STEP) -> World:
@@ -215,13 +213,23 @@ class _Obstacles:
     def keep_out(self, x: Float64, x_prev: Float64, w: Float64, now: float, h: float) -> None:
         """Move points out of all obstacles as they are `now` seconds after the world's time."""
         contacts.collide_spheres(
-            x, x_prev, w, self.sphere_centers + now * self.sphere_velocities, self.sphere_radii,
-            h * self.sphere_velocities, self.sphere_frictions,
-        )  # fmt: skip
+            x,
+            x_prev,
+            w,
+            self.sphere_centers + now * self.sphere_velocities,
+            self.sphere_radii,
+            h * self.sphere_velocities,
+            self.sphere_frictions,
+        )
         contacts.collide_planes(
-            x, x_prev, w, self.plane_normals, self.plane_points + now * self.plane_velocities,
-            h * self.plane_velocities, self.plane_frictions,
-        )  # fmt: skip
+            x,
+            x_prev,
+            w,
+            self.plane_normals,
+            self.plane_points + now * self.plane_velocities,
+            h * self.plane_velocities,
+            self.plane_frictions,
+        )
 
 
 def _substep(
@@ -246,14 +254,7 @@ def _substep(
     constraints.project_volumes(x, w, parts.tets, parts.volumes, parts.tet_compliance, h, backward)
     if len(parts.cluster_rates):
         constraints.match_shapes(
-            x,
-            w,
-            parts.masses,
-            parts.rest,
-            parts.cluster_members,
-            parts.cluster_starts,
-            parts.cluster_rates,
-            h,
+            x, w, parts.masses, parts.rest, parts.cluster_members, parts.cluster_starts, parts.cluster_rates, h
         )
     constraints.restore_spins(x, x_prev, parts.masses, parts.firsts, parts.free, spins, lost)
     if world.collide:  # 4

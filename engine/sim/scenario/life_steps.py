@@ -103,10 +103,14 @@ def read_press(table: Table) -> Simulate:
 
 def _simulate(table: Table, height: float, press: float, seconds: float) -> Simulate:
     return Simulate(
-        height, press, table.number("seconds", seconds, 0.02, 60.0), table.integer("frames", 24, 0, 1000),
-        table.number("compliance", 2e-5, 0.0, 1.0), table.integer("resolution", 16, 2, 96),
+        height,
+        press,
+        table.number("seconds", seconds, 0.02, 60.0),
+        table.integer("frames", 24, 0, 1000),
+        table.number("compliance", 2e-5, 0.0, 1.0),
+        table.integer("resolution", 16, 2, 96),
         table.text("on", ""),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -134,9 +138,11 @@ def read_add(table: Table) -> AddObject:
     """`do = "add", model, name, at, size`."""
     model = table.file("model")
     return AddObject(
-        table.text("name", model.name.split(".")[0]), model, np.array(table.vector("at", (0.0, 0.0, 0.0))),
+        table.text("name", model.name.split(".")[0]),
+        model,
+        np.array(table.vector("at", (0.0, 0.0, 0.0))),
         table.number("size", 1.0, 1e-6, 1e6),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -160,12 +166,8 @@ def read_remove(table: Table) -> RemoveObject:
 
 
 KINDS = {
-    "drop": StepKind(
-        read_drop, "it falls as soft matter: height, seconds, frames, compliance, resolution, on"
-    ),
-    "press": StepKind(
-        read_press, "a lid presses it to a share of its height: share, seconds, frames, compliance, on"
-    ),
+    "drop": StepKind(read_drop, "it falls as soft matter: height, seconds, frames, compliance, resolution, on"),
+    "press": StepKind(read_press, "a lid presses it to a share of its height: share, seconds, frames, compliance, on"),
     "add": StepKind(read_add, "an unmarked model joins: model, name, at, size"),
     "remove": StepKind(read_remove, "an object is taken out: name"),
 }

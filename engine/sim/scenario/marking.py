@@ -41,9 +41,7 @@ def load_world(scenario: Scenario, progress: Progress) -> tuple[World, tuple[str
             def told(stage: str, fraction: float, part: Part = part) -> None:
                 progress(f"marking {part.name}: {stage}", fraction)
 
-            delivered, opened = mark(
-                model, world.key, digest, part.bits, part.profile, copy=part.name, progress=told
-            )
+            delivered, opened = mark(model, world.key, digest, part.bits, part.profile, copy=part.name, progress=told)
             world = replace(world, records={**world.records, part.name: opened})
         world = replace(
             world,
@@ -66,9 +64,8 @@ def mark(
 ) -> tuple[GaussianModel, OpenedRecord]:
     """The marked model and its record, which has made the round trip through its bytes."""
     made = embed(
-        model, key, original_sha256=digest, bits=bits, config=profile(profile_name), copy=copy,
-        progress=progress,
-    )  # fmt: skip
+        model, key, original_sha256=digest, bits=bits, config=profile(profile_name), copy=copy, progress=progress
+    )
     return made.model, open_record(made.record.to_bytes(key), key)
 
 
@@ -83,23 +80,20 @@ def _bring(part: Part, seed: int, progress: Progress, notes: list[str]) -> tuple
         progress(f"{part.name}: {stage}", fraction)
 
     capture = train_from_colmap(
-        photos.colmap, photos.images, size=photos.size, hold_out=photos.hold_out,
-        config=TrainConfig(steps=photos.steps, seed=seed), progress=told,
-    )  # fmt: skip
+        photos.colmap,
+        photos.images,
+        size=photos.size,
+        hold_out=photos.hold_out,
+        config=TrainConfig(steps=photos.steps, seed=seed),
+        progress=told,
+    )
     report = capture.report
     notes.append(
         f"{part.name}: {report['gaussians']} Gaussians trained on {report['photos']} photos in"
         f" {report['steps']} steps, {report['steps_per_second']:.1f} a second; "
-        + ", ".join(
-            f"{k} {v:.2f}" for k, v in report.items() if k.startswith("psnr") and isinstance(v, float)
-        )
+        + ", ".join(f"{k} {v:.2f}" for k, v in report.items() if k.startswith("psnr") and isinstance(v, float))
     )
-    arrays = (
-        capture.model.means,
-        capture.model.log_scales,
-        capture.model.quats,
-        capture.model.opacity_logits,
-    )
+    arrays = (capture.model.means, capture.model.log_scales, capture.model.quats, capture.model.opacity_logits)
     digest = hashlib.sha256(b"".join(a.tobytes() for a in (*arrays, capture.model.sh))).hexdigest()
     return capture.model, digest
 

@@ -62,9 +62,7 @@ class Run:
 
 
 def run_scenario(
-    scenario: Scenario,
-    progress: Progress | None = None,
-    tell: Callable[[StepResult], None] | None = None,
+    scenario: Scenario, progress: Progress | None = None, tell: Callable[[StepResult], None] | None = None
 ) -> Run:
     """Play a scenario.
 

@@ -127,9 +127,12 @@ def read_scenario(path: str | Path) -> Scenario:
 def _part(table: Table) -> Part:
     if "photos" in table:
         source: Path | Photos = Photos(
-            table.file("colmap"), table.file("photos"), table.integer("size", 400, 64, 4096),
-            table.integer("steps", 2000, 1, 1_000_000), table.integer("hold_out", 8, 0, 1000),
-        )  # fmt: skip
+            table.file("colmap"),
+            table.file("photos"),
+            table.integer("size", 400, 64, 4096),
+            table.integer("steps", 2000, 1, 1_000_000),
+            table.integer("hold_out", 8, 0, 1000),
+        )
         name = "capture"
     else:
         source = table.file("model")

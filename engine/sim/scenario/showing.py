@@ -63,9 +63,7 @@ class Show:
             for model in models:
                 moments.append(
                     np.clip(
-                        render(model, viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)),
-                        0.0,
-                        1.0,
+                        render(model, viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)), 0.0, 1.0
                     )
                 )
                 self._azimuth += TURN / len(models)

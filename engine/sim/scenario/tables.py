@@ -57,9 +57,7 @@ class Table:
         for name in self.values:
             if name not in self._asked:
                 near = difflib.get_close_matches(name, self._asked, 1)
-                hint = (
-                    f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(self._asked))}"
-                )
+                hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(self._asked))}"
                 raise InputError(f"{self.place}: {name!r} is not known here{hint}")
 
     def text(self, name: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
@@ -80,9 +78,7 @@ class Table:
             raise InputError(f"{self.place}: {name} must lie in {low}..{high}, got {value}")
         return value
 
-    def number(
-        self, name: str, default: float | None, low: float = -math.inf, high: float = math.inf
-    ) -> float:
+    def number(self, name: str, default: float | None, low: float = -math.inf, high: float = math.inf) -> float:
         """A finite number in low..high."""
         return self._number(name, self._take(name, default, (int, float), "a number"), low, high)
 

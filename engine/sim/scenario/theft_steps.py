@@ -45,9 +45,7 @@ def read_attack(table: Table) -> AttackModel:
     name = table.text("name")
     attack = model_attack(name)
     reading = table.text("reading", "-", ("-", *(r.label for r in attack.readings)))
-    return AttackModel(
-        name, table.strength("strength"), None if reading == "-" else reading, table.text("on", "")
-    )
+    return AttackModel(name, table.strength("strength"), None if reading == "-" else reading, table.text("on", ""))
 
 
 @dataclass(frozen=True)
@@ -84,9 +82,12 @@ def read_pictures(table: Table) -> TakePictures:
     if not (64 <= width <= 4096 and 64 <= height <= 4096):
         raise InputError(f"{table.place}: size must lie in 64..4096 pixels a side, got {width}x{height}")
     return TakePictures(
-        table.integer("views", 1, 1, 64), (width, height), attacks, table.flag("known_cameras", False),
+        table.integer("views", 1, 1, 64),
+        (width, height),
+        attacks,
+        table.flag("known_cameras", False),
         table.text("on", ""),
-    )  # fmt: skip
+    )
 
 
 KINDS = {

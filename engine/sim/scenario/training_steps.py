@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.numerics.similarity import transform_model
 from engine.pipeline.rigs import make_rig
+from engine.registration.registering import register
 from engine.sim.adversaries.collusion import RULES, collude
 from engine.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
 from engine.sim.capture.training import TrainConfig
@@ -19,7 +20,6 @@ from engine.sim.scenario.steps import StepKind
 from engine.sim.scenario.tables import Table
 from engine.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
 from engine.sim.scenario.world import Advance, Outcome, World
-from engine.watermark.registration import register
 
 __all__ = ["KINDS"]
 
@@ -44,9 +44,7 @@ class FineTune:
         if found.found:  # back to where the pictures show it
             model = transform_model(model, found.scale, found.R, found.t)
         cameras, images = pictures_of(self.setting, clean, model, opened.cameras, size=self.size, seed=seed)
-        tuned = fine_tune(
-            model, cameras, images, self.epochs, trained=self.trained, seed=seed, advance=advance
-        )
+        tuned = fine_tune(model, cameras, images, self.epochs, trained=self.trained, seed=seed, advance=advance)
         cost = model_cost(model, tuned, views=COST_VIEWS, size=COST_SIZE)
         if found.found:
             back = found.R.T / found.scale
@@ -59,9 +57,12 @@ def read_fine_tune(table: Table) -> FineTune:
     setting = table.text("setting", "clean+key", tuple(SETTINGS))
     trained = table.text("trained", "all", ("all", "colors"))
     return FineTune(
-        SETTINGS[setting], table.integer("epochs", 100, 1, 100_000), trained,  # type: ignore[arg-type]
-        table.integer("size", 400, 32, 2048), table.text("on", ""),
-    )  # fmt: skip
+        SETTINGS[setting],
+        table.integer("epochs", 100, 1, 100_000),
+        trained,  # type: ignore[arg-type]
+        table.integer("size", 400, 32, 2048),
+        table.text("on", ""),
+    )
 
 
 @dataclass(frozen=True)
@@ -90,10 +91,12 @@ class Retrain:
 def read_retrain(table: Table) -> Retrain:
     """`do = "retrain", views, steps, points, size, on`."""
     return Retrain(
-        table.integer("views", 100, 1, 10_000), table.integer("steps", 3000, 1, 1_000_000),
-        table.integer("points", 50_000, 100, 10_000_000), table.integer("size", 400, 32, 2048),
+        table.integer("views", 100, 1, 10_000),
+        table.integer("steps", 3000, 1, 1_000_000),
+        table.integer("points", 50_000, 100, 10_000_000),
+        table.integer("size", 400, 32, 2048),
         table.text("on", ""),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -111,9 +114,13 @@ class Collude:
         records, models = {}, []
         for number in range(1, self.copies + 1):
             made, opened = mark(
-                world.unmarked[name], world.key, first.header.original_digest, len(first.message),
-                world.profiles[name], copy=f"{name} copy {number}",
-            )  # fmt: skip
+                world.unmarked[name],
+                world.key,
+                first.header.original_digest,
+                len(first.message),
+                world.profiles[name],
+                copy=f"{name} copy {number}",
+            )
             records[f"{name} copy {number}"] = opened
             models.append(made)
             advance(number / self.copies)
@@ -126,15 +133,11 @@ class Collude:
 
 def read_collude(table: Table) -> Collude:
     """`do = "collude", copies, rule, on`."""
-    return Collude(
-        table.integer("copies", 3, 2, 10), table.text("rule", "mean", tuple(RULES)), table.text("on", "")
-    )
+    return Collude(table.integer("copies", 3, 2, 10), table.text("rule", "mean", tuple(RULES)), table.text("on", ""))
 
 
 KINDS = {
-    "fine_tune": StepKind(
-        read_fine_tune, "training goes on: setting, epochs, trained = all | colors, size, on"
-    ),
+    "fine_tune": StepKind(read_fine_tune, "training goes on: setting, epochs, trained = all | colors, size, on"),
     "retrain": StepKind(read_retrain, "a fresh model from renders: views, steps, points, size, on"),
     "collude": StepKind(read_collude, "several copies become one: copies, rule, on"),
 }

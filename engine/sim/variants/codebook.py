@@ -84,9 +84,13 @@ class CodebookModel:
         dc, rest = self._group("dc"), self._group("sh")
         sh = np.concatenate([dc, rest], axis=1).reshape(len(self), -1, 3)
         model, _ = clean(
-            self._group("xyz"), self._group("scale"), self._group("rot"), self.plain["opacity"][:, 0], sh,
+            self._group("xyz"),
+            self._group("scale"),
+            self._group("rot"),
+            self.plain["opacity"][:, 0],
+            sh,
             file="codebook model",
-        )  # fmt: skip
+        )
         return model
 
     def with_codes(self, name: str, codes: Float32) -> CodebookModel:
@@ -101,9 +105,7 @@ class CodebookModel:
         return self.plain.get(name, np.zeros((len(self), 0), dtype=np.float32))
 
 
-def make_codebook(
-    model: GaussianModel, codes: Mapping[str, int] | None = None, *, seed: int = 0
-) -> CodebookModel:
+def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, *, seed: int = 0) -> CodebookModel:
     """Quantise a trained model by k-means, group by group.
 
     The published system learns its codebooks while the model trains; here a finished model is quantised, which
@@ -125,9 +127,12 @@ def make_codebook(
             raise InputError(f"cannot quantise {name!r} to {count} codes; there are {', '.join(GROUPS)}")
     flat = model.sh.reshape(len(model), -1)
     groups = {
-        "xyz": model.means, "dc": flat[:, :3], "sh": flat[:, 3:], "scale": model.log_scales,
+        "xyz": model.means,
+        "dc": flat[:, :3],
+        "sh": flat[:, 3:],
+        "scale": model.log_scales,
         "rot": model.quats * np.where(model.quats[:, :1] < 0, np.float32(-1), np.float32(1)),
-    }  # fmt: skip
+    }
     plain = {"opacity": model.opacity_logits[:, None]}
     centers, indices = {}, {}
     for name, values in groups.items():
@@ -182,10 +187,18 @@ def embed_codebook(
         raise InputError("this model's colours are not quantised: mark it as a plain model")
     model, labels = compressed.decode(), compressed.indices["dc"]
     result = embed(
-        model, key, original_sha256=original_sha256, message=message, bits=bits, config=config,
-        cameras=cameras, copy=copy, registered_at=registered_at, progress=progress,
+        model,
+        key,
+        original_sha256=original_sha256,
+        message=message,
+        bits=bits,
+        config=config,
+        cameras=cameras,
+        copy=copy,
+        registered_at=registered_at,
+        progress=progress,
         variant=Variant(labels=labels),
-    )  # fmt: skip
+    )
     used, member = np.unique(labels, return_index=True)  # all members of a code are displaced alike
     codes = compressed.centers["dc"].copy()
     codes[used] = result.model.sh[member, 0]

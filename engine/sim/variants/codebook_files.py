@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, InputError
-from engine.formats.ply_body import read_tables
-from engine.formats.ply_header import parse_header
+from engine.formats.ply.body import read_tables
+from engine.formats.ply.header import parse_header
 from engine.formats.repairs import MAGNITUDE_LIMIT
 from engine.formats.writing import write_whole
 from engine.model import Float32, Int32
@@ -164,9 +164,7 @@ def _read_centers(data: bytes, params: list[str], file: str) -> dict[str, Float3
             raise FormatError(f"centres of shape {tuple(tensor.shape)}", file=file, element=name)
         values: Float32 = tensor.detach().to(torch.float32).contiguous().numpy().copy()
         if name == "sh" and values.shape[1] not in (9, 24, 45):
-            raise FormatError(
-                f"{values.shape[1]} values an entry, expected 9, 24 or 45", file=file, element=name
-            )
+            raise FormatError(f"{values.shape[1]} values an entry, expected 9, 24 or 45", file=file, element=name)
         bad = ~(np.abs(values) <= MAGNITUDE_LIMIT).all(axis=1)
         if bad.any():
             raise FormatError("a value is no number", file=file, element=name, row=int(np.argmax(bad)))
@@ -183,9 +181,7 @@ def _read_plain(data: bytes, params: list[str], file: str) -> dict[str, Float32]
     wanted = {group: names for group, names in _PROPERTIES.items() if group not in params}
     if "sh" not in params and rest:
         if rest not in (9, 24, 45):
-            raise FormatError(
-                f"{rest} properties f_rest_*, expected 9, 24 or 45", file=file, element="vertex"
-            )
+            raise FormatError(f"{rest} properties f_rest_*, expected 9, 24 or 45", file=file, element="vertex")
         channel = rest // 3  # the file is channel-major
         wanted["sh"] = tuple(f"f_rest_{c * channel + k}" for k in range(channel) for c in range(3))
     for names in wanted.values():

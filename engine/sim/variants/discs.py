@@ -188,9 +188,7 @@ def measure_discs(
     discs = read_model(file).model
     jitter = np.random.default_rng(seed).random((views, 4))
     cameras = make_rig(original, views, size, size, jitter=jitter)
-    truth, before = (
-        [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras] for model in (original, discs)
-    )
+    truth, before = ([np.clip(render(model, camera), 0.0, 1.0) for camera in cameras] for model in (original, discs))
     config = replace(config, psnr_db=fidelity_for(truth, before, config.psnr_db))
     result = embed(discs, key, original_sha256=hashlib.sha256(file).hexdigest(), bits=bits, config=config)
     opened = open_record(result.record.to_bytes(key), key)
@@ -201,9 +199,7 @@ def measure_discs(
     return measure_variant("2DGS (made from 3DGS)", truth, before, after, readings)
 
 
-def _model_readings(
-    marked: GaussianModel, opened: OpenedRecord, seed: int
-) -> dict[str, Callable[[], Verification]]:
+def _model_readings(marked: GaussianModel, opened: OpenedRecord, seed: int) -> dict[str, Callable[[], Verification]]:
     def read(route: str, attack: str = "", strength: float | str = 0.0) -> Callable[[], Verification]:
         def run() -> Verification:
             suspect = model_attack(attack).apply(marked, strength, rng=seed) if attack else marked
@@ -227,9 +223,7 @@ def _picture_readings(
     thin = RasterSettings(kernel="gaussian")
     cases = {
         "one picture": read(lambda: picture),
-        "one picture, drawn as thin Gaussians": read(
-            lambda: np.clip(render(marked, camera, settings=thin), 0.0, 1.0)
-        ),
+        "one picture, drawn as thin Gaussians": read(lambda: np.clip(render(marked, camera, settings=thin), 0.0, 1.0)),
     }
     for case, name, strength in DISC_PICTURE_ATTACKS:
         cases[f"one picture, {case}"] = read(attacked(name, strength))

@@ -20,7 +20,7 @@ import numpy as np
 from engine.compress.hvq import HvqConfig
 from engine.errors import InputError
 from engine.formats import encode_model, read_model
-from engine.formats.ply import write_ply
+from engine.formats.ply.gaussians import write_ply
 from engine.formats.writing import write_model, write_whole
 from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.embedding import Embedding, embed
@@ -105,11 +105,7 @@ class Marking:
 
 
 def marking(
-    key: OwnerKey,
-    records: str | os.PathLike[str],
-    *,
-    bits: int = 32,
-    config: EmbedConfig | None = None,
+    key: OwnerKey, records: str | os.PathLike[str], *, bits: int = 32, config: EmbedConfig | None = None
 ) -> Marking:
     """A mark at the end of generation: nothing leaves the generator without one.
 
@@ -201,17 +197,17 @@ def generate_from_views(
     center = np.linalg.solve(across.sum(axis=0), np.einsum("vij,vj->i", across, eyes))
     reach = np.linalg.norm(eyes - center, axis=1) * [0.5 * c.width / c.K[0, 0] for c in cameras]
     ball = rng.standard_normal((points, 3))
-    ball *= (
-        BALL_RADIUS
-        * reach.mean()
-        * rng.random((points, 1)) ** (1 / 3)
-        / np.linalg.norm(ball, axis=1)[:, None]
-    )
+    ball *= BALL_RADIUS * reach.mean() * rng.random((points, 1)) ** (1 / 3) / np.linalg.norm(ball, axis=1)[:, None]
     start = kernels_from_points(center + ball, rng.random((points, 3)))
     config = TrainConfig(  # DreamGaussian's rates: 20 times INRIA's for the centres, since steps are few
-        steps=steps, position_rate=1e-3, position_rate_end=2e-5, color_rate=0.01, sh_degree=0, seed=seed,
+        steps=steps,
+        position_rate=1e-3,
+        position_rate_end=2e-5,
+        color_rate=0.01,
+        sh_degree=0,
+        seed=seed,
         densify=DensifyConfig(first=0.1, last=0.7, every=50, reset=1.0),
-    )  # fmt: skip
+    )
     return train(start, cameras, images, config, advance)
 
 

@@ -93,7 +93,6 @@ def verify_hybrid(
         if name not in records:
             raise InputError(f"{name!r} moves, but there is no record of that name")
     at_their_time = {
-        name: move_record(opened, *moving[name]) if name in moving else opened
-        for name, opened in records.items()
+        name: move_record(opened, *moving[name]) if name in moving else opened for name, opened in records.items()
     }
     return verify_objects(suspect, at_their_time, config, instances=instances)

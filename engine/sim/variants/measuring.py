@@ -33,23 +33,27 @@ from engine.sim.variants.spacetime_ply import read_spacetime_ply, write_spacetim
 from engine.sim.variants.table4 import VariantRow, fidelity_for, measure_variant
 from engine.watermark.keys import OwnerKey
 
-__all__ = [
-    "MODEL_CASES",
-    "PICTURE_CASES",
-    "measure_codebook",
-    "measure_generated",
-    "measure_spacetime",
-]
+__all__ = ["MODEL_CASES", "PICTURE_CASES", "measure_codebook", "measure_generated", "measure_spacetime"]
 
 MODEL_CASES: tuple[tuple[str, float | str], ...] = (
-    ("clone", 0.5), ("prune_random", 0.2), ("crop", 0.1), ("noise_all", 0.1), ("similarity", 2.0),
-    ("quantize", 8), ("convert", "splat"), ("convert", "sog"),
-)  # fmt: skip
+    ("clone", 0.5),
+    ("prune_random", 0.2),
+    ("crop", 0.1),
+    ("noise_all", 0.1),
+    ("similarity", 2.0),
+    ("quantize", 8),
+    ("convert", "splat"),
+    ("convert", "sog"),
+)
 """Attacks on the marked variant as plain Gaussians, and their strengths."""
 
 PICTURE_CASES: tuple[tuple[str, float], ...] = (
-    ("jpeg", 10.0), ("noise_image", 0.1), ("rotate_image", 30.0), ("crop_image", 0.4), ("scale_image", 0.75),
-)  # fmt: skip
+    ("jpeg", 10.0),
+    ("noise_image", 0.1),
+    ("rotate_image", 30.0),
+    ("crop_image", 0.4),
+    ("scale_image", 0.75),
+)
 """Attacks on one picture of the marked variant, its camera known, and their strengths."""
 
 SEARCHED_MOMENTS = 5
@@ -223,9 +227,7 @@ def _row(
 ) -> VariantRow:
     after = [_shot(marked, camera) for camera in cameras]
     readings: dict[str, Callable[[], Verification]] = {"none": lambda: verify_model(marked, opened)}
-    readings["none, renders at the pose key"] = lambda: verify_model(
-        marked, opened, VerifyConfig(route="render")
-    )
+    readings["none, renders at the pose key"] = lambda: verify_model(marked, opened, VerifyConfig(route="render"))
     for k, camera in enumerate(cameras):
         readings[f"picture {k + 1}"] = lambda k=k, camera=camera: verify_images(  # type: ignore[misc]
             [after[k]], opened, None, [camera]
@@ -241,9 +243,7 @@ def _attacked(
         return lambda: verify_model(model_attack(name).apply(marked, strength, rng=seed), opened)
 
     def of_picture(name: str, strength: float) -> Callable[[], Verification]:
-        return lambda: verify_images(
-            [image_attack(name).apply(picture, strength, rng=seed)], opened, None, [camera]
-        )
+        return lambda: verify_images([image_attack(name).apply(picture, strength, rng=seed)], opened, None, [camera])
 
     cases = {f"{prefix}{name} {strength}": of_model(name, strength) for name, strength in MODEL_CASES}
     return cases | {f"{prefix}picture, {name} {s:g}": of_picture(name, s) for name, s in PICTURE_CASES}

@@ -15,20 +15,14 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.verification import Verification, verify_images, verify_model
+from engine.registration.registering import RegistrationConfig, register
 from engine.sim.variants.moving import Moving, move_record, visible
-from engine.watermark.registration import RegistrationConfig, register
 
 __all__ = ["find_time", "verify_moment", "verify_moving_images"]
 
 
 def find_time(
-    suspect: GaussianModel,
-    opened: OpenedRecord,
-    original: Moving,
-    *,
-    count: int = 9,
-    rounds: int = 3,
-    seed: int = 0,
+    suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, count: int = 9, rounds: int = 3, seed: int = 0
 ) -> float | None:
     """The moment at which the original looks most like a model exported from it.
 

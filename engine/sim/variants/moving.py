@@ -20,6 +20,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
+from engine.pictures.landmarks import make_landmarks
 from engine.pipeline.embedding import LANDMARK_SIZE, Embedding, embed
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Progress
@@ -27,17 +28,10 @@ from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.variant import Variant
 from engine.watermark.keys import OwnerKey
-from engine.watermark.landmarks import make_landmarks
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs
 
-__all__ = [
-    "Moving",
-    "embed_moving",
-    "key_times",
-    "move_record",
-    "visible",
-]
+__all__ = ["Moving", "embed_moving", "key_times", "move_record", "visible"]
 
 COMMITMENT = "moving"
 """Name under which a record's plan holds the digest of the moving original."""
@@ -133,9 +127,18 @@ def embed_moving(
         commitments={COMMITMENT: digest},
     )
     result = embed(
-        canonical, key, original_sha256=original_sha256 or digest, message=message, bits=bits, config=config,
-        cameras=cameras, copy=copy, registered_at=registered_at, progress=progress, variant=variant,
-    )  # fmt: skip
+        canonical,
+        key,
+        original_sha256=original_sha256 or digest,
+        message=message,
+        bits=bits,
+        config=config,
+        cameras=cameras,
+        copy=copy,
+        registered_at=registered_at,
+        progress=progress,
+        variant=variant,
+    )
     return moving.displaced(result.model.sh[:, 0] - canonical.sh[:, 0]), result
 
 
@@ -147,9 +150,7 @@ def visible(model: GaussianModel) -> GaussianModel:
     return model.take(rows)
 
 
-def move_record(
-    opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0
-) -> OpenedRecord:
+def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0) -> OpenedRecord:
     """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
 
     Parameters
@@ -183,8 +184,10 @@ def move_record(
         raise InputError(f"only {len(rows)} Gaussians are visible at time {time:g}")
     layout = Layout(
         tuple(np.ascontiguousarray(labels[rows]) for labels in opened.layout.labels),
-        opened.layout.codes, opened.layout.directions, opened.layout.amplitudes,
-    )  # fmt: skip
+        opened.layout.codes,
+        opened.layout.directions,
+        opened.layout.amplitudes,
+    )
     reference = posed.take(rows)
     landmarks = None
     if landmark_views:

@@ -66,9 +66,16 @@ class SpacetimeModel:
     def __post_init__(self) -> None:
         n = len(self.means)
         shapes = {
-            "means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "colors": (n, 3),
-            "trbf_center": (n,), "trbf_scale": (n,), "motion": (n, 9), "omega": (n, 4),
-        }  # fmt: skip
+            "means": (n, 3),
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "opacity_logits": (n,),
+            "colors": (n, 3),
+            "trbf_center": (n,),
+            "trbf_scale": (n,),
+            "motion": (n, 9),
+            "omega": (n, 4),
+        }
         for name, shape in shapes.items():
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             if array.shape != shape:

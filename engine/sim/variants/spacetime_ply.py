@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.ply_body import read_tables
-from engine.formats.ply_header import Element, parse_header
+from engine.formats.ply.body import read_tables
+from engine.formats.ply.header import Element, parse_header
 from engine.formats.repairs import MAGNITUDE_LIMIT, Repair, clean
 from engine.model import Float32
 from engine.sim.variants.spacetime import SpacetimeModel
@@ -98,9 +98,7 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
     if bad.all():
         raise FormatError("no Gaussian is usable: each has a value that is no number", file=file, row=0)
     if bad.any():
-        text = (
-            f"{int(bad.sum())} Gaussians (first in row {int(np.argmax(bad))}): left out, a value is no number"
-        )
+        text = f"{int(bad.sum())} Gaussians (first in row {int(np.argmax(bad))}): left out, a value is no number"
         repairs.append(Repair("rows_dropped", int(bad.sum()), text))
         arrays = {name: values[~bad] for name, values in arrays.items()}
     wide = np.abs(arrays["trbf_scale"]) > TRBF_SCALE_LIMIT
@@ -110,9 +108,8 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
         arrays["trbf_scale"] = np.clip(arrays["trbf_scale"], -TRBF_SCALE_LIMIT, TRBF_SCALE_LIMIT)
     unturned = np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (len(arrays["means"]), 1))
     model, mended = clean(
-        arrays["means"], arrays["log_scales"], unturned, arrays["opacity_logits"],
-        arrays["colors"][:, None], file=file,
-    )  # fmt: skip
+        arrays["means"], arrays["log_scales"], unturned, arrays["opacity_logits"], arrays["colors"][:, None], file=file
+    )
     arrays |= {"log_scales": model.log_scales, "opacity_logits": model.opacity_logits}
     return SpacetimeModel(**arrays), (*repairs, *mended)
 
@@ -146,9 +143,7 @@ def write_spacetime_ply(model: SpacetimeModel) -> Iterator[bytes]:
 def _check(vertex: Element, file: str) -> list[Repair]:
     """Refuse what is no lite model; report what it holds besides."""
     if "f_t_0" in vertex.names or "f_dc_3" in vertex.names:
-        message = (
-            "is a full Spacetime model: a network that is not in the file turns its features into colours"
-        )
+        message = "is a full Spacetime model: a network that is not in the file turns its features into colours"
         raise UnsupportedFormatError(message, file=file, element="vertex")
     needed = [name for attribute, group in PROPERTIES.items() if attribute for name in group]
     for name in needed:

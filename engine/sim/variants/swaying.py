@@ -80,9 +80,7 @@ class SwayingScene:
         )
 
 
-def set_in_motion(
-    model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0
-) -> SwayingScene:
+def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0) -> SwayingScene:
     """Let a still scene sway about its foot, with parts of it coming and going.
 
     Parameters
@@ -143,11 +141,16 @@ def fit_spacetime(scene: SwayingScene) -> SpacetimeModel:
         turns = turns * np.where((turns * turns[:1]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
         quats[rows], omega[rows] = _fit(d, weights, 1, turns.reshape(FRAMES, -1)).reshape(2, len(rows), 4)
     float32 = {
-        "means": means, "log_scales": scene.still.log_scales, "quats": quats,
+        "means": means,
+        "log_scales": scene.still.log_scales,
+        "quats": quats,
         "opacity_logits": np.clip(scene.still.opacity_logits, -LOGIT_LIMIT, LOGIT_LIMIT),
-        "colors": 0.5 + SH_C0 * scene.still.sh[:, 0], "trbf_center": center, "trbf_scale": width,
-        "motion": motion, "omega": omega,
-    }  # fmt: skip
+        "colors": 0.5 + SH_C0 * scene.still.sh[:, 0],
+        "trbf_center": center,
+        "trbf_scale": width,
+        "motion": motion,
+        "omega": omega,
+    }
     return SpacetimeModel(**{name: _float32(values) for name, values in float32.items()})
 
 

@@ -92,9 +92,7 @@ class VariantRow:
         return {**asdict(self), "psnr_drop": self.psnr_drop}
 
 
-def fidelity_for(
-    truth: Sequence[Float32], before: Sequence[Float32], least: float, drop: float = DROP_DB
-) -> float:
+def fidelity_for(truth: Sequence[Float32], before: Sequence[Float32], least: float, drop: float = DROP_DB) -> float:
     """PSNR a mark needs so that it costs no more than `drop` dB against the truth, mean over the views.
 
     The better a variant is, the finer its mark must be: errors add up in power where they do not know of each
@@ -180,6 +178,4 @@ def measure_variant(
 
 def _read(case: str, verification: Verification) -> Reading:
     claim = verification.claim
-    return Reading(
-        case, claim.route, claim.bit_accuracy, claim.z, claim.log10_false_claim, claim.verdict.value
-    )
+    return Reading(case, claim.route, claim.bit_accuracy, claim.z, claim.log10_false_claim, claim.verdict.value)

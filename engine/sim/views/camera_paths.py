@@ -16,9 +16,7 @@ MARGIN = 1.25
 """Distance at which the robust sphere just fits the frame, times this: a tenth of the model lies beyond it."""
 
 
-def orbit(
-    model: GaussianModel, count: int, width: int, height: int, *, extent: Extent | None = None
-) -> list[Camera]:
+def orbit(model: GaussianModel, count: int, width: int, height: int, *, extent: Extent | None = None) -> list[Camera]:
     """Once around an object, or once round on the spot in the middle of a room; a film of it loops.
 
     Parameters

@@ -49,9 +49,7 @@ def avif(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
     return _still(image, "AVIF", quality, subsampling="4:2:0", speed=6, max_threads=1)
 
 
-def h264(
-    image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None
-) -> Float32:
+def h264(image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None) -> Float32:
     """One frame of an H.264 film at constant rate factor `strength`, by the ffmpeg command.
 
     Parameters
@@ -77,18 +75,14 @@ def h264(
     return _film(image, neighbors, options)
 
 
-def h265(
-    image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None
-) -> Float32:
+def h265(image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None) -> Float32:
     """One frame of an H.265 film at constant rate factor `strength` (28 is x265's default); else as `h264`."""
     crf = f"{_rate_factor(strength):g}"
     options = ("-c:v", "libx265", "-preset", "medium", "-crf", crf, "-x265-params", "log-level=none:pools=1")
     return _film(image, neighbors, options)
 
 
-def mpeg4(
-    image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None
-) -> Float32:
+def mpeg4(image: Float32, strength: float, rng: np.random.Generator, *, neighbors: Film | None = None) -> Float32:
     """One frame of an MPEG-4 film after `strength` generations, by OpenCV's own writer at its own bit rate.
 
     For machines without the ffmpeg command: OpenCV's wheels bring an encoder along.

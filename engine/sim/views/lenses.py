@@ -29,9 +29,7 @@ class _Lens(Protocol):
     def undistort(self, points: Float64) -> Float64: ...
 
 
-def lens_radial(
-    image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL
-) -> Float32:
+def lens_radial(image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL) -> Float32:
     """Plain radial distortion with k1 = `strength`: a barrel below zero, a pincushion above.
 
     Parameters
@@ -62,9 +60,7 @@ def lens_brown(image: Float32, strength: float, rng: np.random.Generator, *, foc
     return _through(image, BrownLens(s * c.k1, s * c.k2, s * c.k3, s * c.p1, s * c.p2), focal)
 
 
-def lens_fisheye(
-    image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL
-) -> Float32:
+def lens_fisheye(image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL) -> Float32:
     """A fisheye: `strength` 0 is the pinhole, 1/2 stereographic, 1 equidistant."""
     return _through(image, FisheyeLens(float(strength)), focal)
 

@@ -73,9 +73,15 @@ def write_movie(
 
     first, *rest = (Image.fromarray(frame) for frame in levels)
     first.save(
-        path, "WEBP", save_all=True, append_images=rest, duration=max(1, round(1000.0 / fps)), loop=0,
-        quality=_WEBP_QUALITY, method=4,
-    )  # fmt: skip
+        path,
+        "WEBP",
+        save_all=True,
+        append_images=rest,
+        duration=max(1, round(1000.0 / fps)),
+        loop=0,
+        quality=_WEBP_QUALITY,
+        method=4,
+    )
 
 
 def caption(frame: npt.NDArray[Any], lines: Sequence[str], accent: tuple[int, int, int] = ACCENT) -> Uint8:
@@ -117,9 +123,7 @@ def caption(frame: npt.NDArray[Any], lines: Sequence[str], accent: tuple[int, in
     pen.rectangle((0, top, max(2, size // 4), height), fill=accent)
     left, y = margin + size // 2, top + margin
     for number, (line, font, step) in enumerate(zip(lines, fonts, steps, strict=True)):
-        pen.text(
-            (left, y), _cut(line, font, width - left - margin), font=font, fill=_FAINT if number else _INK
-        )
+        pen.text((left, y), _cut(line, font, width - left - margin), font=font, fill=_FAINT if number else _INK)
         y += step
     return np.array(picture, dtype=np.uint8)
 

@@ -13,20 +13,13 @@ from engine.sim.views.checks import check_image, finished
 
 __all__ = ["KERNELS", "resize_area", "resize_bilinear", "resize_lanczos", "resize_nearest", "there_and_back"]
 
-KERNELS = {
-    "nearest": "INTER_NEAREST_EXACT",
-    "bilinear": "INTER_LINEAR",
-    "area": "INTER_AREA",
-    "lanczos": "LANCZOS",
-}
+KERNELS = {"nearest": "INTER_NEAREST_EXACT", "bilinear": "INTER_LINEAR", "area": "INTER_AREA", "lanczos": "LANCZOS"}
 """OpenCV's kernels, which do not widen when shrinking; Lanczos is Pillow's, which does."""
 
 MOST_PIXELS = 1 << 28
 
 
-def there_and_back(
-    image: Float32, strength: float, rng: np.random.Generator, *, kernel: str = "bilinear"
-) -> Float32:
+def there_and_back(image: Float32, strength: float, rng: np.random.Generator, *, kernel: str = "bilinear") -> Float32:
     """Both sides times `strength` and back again.
 
     Parameters

@@ -26,9 +26,7 @@ def ffmpeg_command() -> str:
     """Path of the ffmpeg command; InputError where there is none."""
     found = shutil.which("ffmpeg")
     if found is None:
-        raise InputError(
-            "this needs the ffmpeg command, and ffmpeg is not here: install it, or do without video"
-        )
+        raise InputError("this needs the ffmpeg command, and ffmpeg is not here: install it, or do without video")
     return found
 
 
@@ -60,16 +58,44 @@ def encode_video(frames: Sequence[Uint8], fps: float, options: Sequence[str]) ->
         out = Path(folder) / "film.mp4"
         _run(
             [
-                "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width + pad[1]}x{height + pad[0]}",
-                "-r", f"{fps:g}", "-i", "pipe:0",
+                "-f",
+                "rawvideo",
+                "-pix_fmt",
+                "rgb24",
+                "-s",
+                f"{width + pad[1]}x{height + pad[0]}",
+                "-r",
+                f"{fps:g}",
+                "-i",
+                "pipe:0",
                 # The matrix of the bytes is named in the file: players do not have to guess it from the size.
-                "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709",
-                "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
-                *options, "-pix_fmt", "yuv420p", "-threads", "1", "-fflags", "+bitexact",
-                "-flags:v", "+bitexact", "-movflags", "+faststart", "-f", "mp4", str(out),
+                "-vf",
+                "scale=out_color_matrix=bt709:out_range=tv",
+                "-colorspace",
+                "bt709",
+                "-color_primaries",
+                "bt709",
+                "-color_trc",
+                "bt709",
+                "-color_range",
+                "tv",
+                *options,
+                "-pix_fmt",
+                "yuv420p",
+                "-threads",
+                "1",
+                "-fflags",
+                "+bitexact",
+                "-flags:v",
+                "+bitexact",
+                "-movflags",
+                "+faststart",
+                "-f",
+                "mp4",
+                str(out),
             ],
             raw,
-        )  # fmt: skip
+        )
         return out.read_bytes()
 
 
@@ -97,11 +123,20 @@ def decode_video(data: bytes, height: int, width: int) -> list[Uint8]:
         source.write_bytes(data)
         raw = _run(
             [
-                "-i", str(source), "-vf", "scale=in_color_matrix=bt709:in_range=tv", "-threads", "1",
-                "-f", "rawvideo", "-pix_fmt", "rgb24", "pipe:1",
+                "-i",
+                str(source),
+                "-vf",
+                "scale=in_color_matrix=bt709:in_range=tv",
+                "-threads",
+                "1",
+                "-f",
+                "rawvideo",
+                "-pix_fmt",
+                "rgb24",
+                "pipe:1",
             ],
             b"",
-        )  # fmt: skip
+        )
     frames = np.frombuffer(raw, dtype=np.uint8).reshape(-1, rows, columns, 3)
     return [np.ascontiguousarray(frame[:height, :width]) for frame in frames]
 

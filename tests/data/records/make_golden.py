@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from engine.model import GaussianModel
+from engine.records.record import Record
+from engine.records.reference import encode_reference
 from engine.watermark.keys import OwnerKey
-from engine.watermark.record import Record
-from engine.watermark.reference_codec import encode_reference
 
 KEY = OwnerKey(bytes(range(32)))
 PATH = Path(__file__).with_name("golden_v1.m3dr")

@@ -65,9 +65,14 @@ def test_the_machine_has_peaks() -> None:
 
 def test_roofline_arithmetic() -> None:
     raster = {
-        "blend_ms": 10.0, "fragments_per_second": 1e8, "pairs": 1_000, "width": 100, "height": 100,
-        "gaussians": 5, "threads": 2,
-    }  # fmt: skip
+        "blend_ms": 10.0,
+        "fragments_per_second": 1e8,
+        "pairs": 1_000,
+        "width": 100,
+        "height": 100,
+        "gaussians": 5,
+        "threads": 2,
+    }
     told = _roofline(raster, bandwidth=1e9, flops=1e12)
     moved = 48 * 1_000 + 16 * 10_000
     assert told["flops_per_byte"] == pytest.approx(32 * 1e6 / moved)

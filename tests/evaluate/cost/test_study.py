@@ -29,13 +29,7 @@ def test_a_quick_run_measures_every_axis(scene: str, tmp_path: Path) -> None:
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")
     said = write_report(STUDY, rows, options, tmp_path)
     drawn = {Path(name).stem for name in said["figures"]}
-    assert drawn == {
-        "growth-gaussians-thin",
-        "growth-views-thin",
-        "growth-pixels-thin",
-        "roofline",
-        "formats",
-    }
+    assert drawn == {"growth-gaussians-thin", "growth-views-thin", "growth-pixels-thin", "roofline", "formats"}
     exponents = said["summary"]["exponents"]["thin.ply"]
     assert set(exponents) == {"gaussians", "views", "pixels"}
     sized = [row for row in rows if row.get("axis") == "gaussians"]
@@ -46,8 +40,17 @@ def test_a_quick_run_measures_every_axis(scene: str, tmp_path: Path) -> None:
 
 def test_a_process_of_its_own_knows_its_own_memory(scene: str) -> None:
     row = measure_size(
-        scene, "gaussians", 1_500, 0, gaussians=1_500, views=2, view_size=64, landmarks=0, repeats=1,
-        raster_size=(64, 48), picture_size=64,
-    )[0]  # fmt: skip
+        scene,
+        "gaussians",
+        1_500,
+        0,
+        gaussians=1_500,
+        views=2,
+        view_size=64,
+        landmarks=0,
+        repeats=1,
+        raster_size=(64, 48),
+        picture_size=64,
+    )[0]
     assert row["gaussians"] == 1_500
     assert 50 < row["memory_before_mb"] <= row["peak_memory_mb"] <= row["peak_memory_all_mb"]

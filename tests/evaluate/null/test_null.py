@@ -55,9 +55,7 @@ def test_wrong_keys_on_one_chip_and_on_many() -> None:
     counted = count_wrong_keys(np.array([3.0]), np.ones(1), 20_000, wrong_key_seed("one"))
     assert counted["z_largest"] == pytest.approx(1.0)
     assert counted["z_std"] == pytest.approx(1.0, abs=0.01)
-    many = count_wrong_keys(
-        np.random.default_rng(0).normal(size=500), np.ones(500), 20_000, wrong_key_seed(0)
-    )
+    many = count_wrong_keys(np.random.default_rng(0).normal(size=500), np.ones(500), 20_000, wrong_key_seed(0))
     assert many["z_mean"] == pytest.approx(0.0, abs=0.03)
     assert not exceeding(add_up([counted, many], "both"))
 

@@ -51,22 +51,28 @@ def row(point: Point, seconds: float, z: float, *, bits: int = 32, db: float = 4
     attacks: dict[str, Any] = {trial.label: dict(told) for trial in ATTACKS}
     attacks["picture, JPEG 10"] |= {"z": z, "matching": bits}
     return {
-        "point": point.arguments(), "stages": {"look": seconds, "landmarks": 0.0 if point != BASE else 4.0},
+        "point": point.arguments(),
+        "stages": {"look": seconds, "landmarks": 0.0 if point != BASE else 4.0},
         "cpu_seconds": [seconds + (7.0 if point == BASE else 0.0), seconds, seconds],
-        "shares_landmarks": point.shares_landmarks, "attacks": attacks, "psnr_held_out": [50.0, db],
+        "shares_landmarks": point.shares_landmarks,
+        "attacks": attacks,
+        "psnr_held_out": [50.0, db],
         "landmark_views": config_of(point).landmark_views,
-    }  # fmt: skip
+    }
 
 
 def test_sums_and_the_cheapest_that_will_do() -> None:
     lean = Point("lean", "views", changes=(("views", 2),))
     thin, blind = (Point("l", "l", changes=(("landmark_views", views),)) for views in (16, 0))
     rows = [
-        row(BASE, 2.0, 20.0), row(lean, 1.0, 20.0, db=41.0),
+        row(BASE, 2.0, 20.0),
+        row(lean, 1.0, 20.0, db=41.0),
         row(Point("a", "cells", changes=(("cells", 1024),)), 1.5, 15.0),
-        row(Point("b", "cells", changes=(("cells", 2048),)), 0.5, 7.0), row(blind, 0.1, 30.0),
-        row(thin, 0.2, 30.0), {"refused": "no"},
-    ]  # fmt: skip
+        row(Point("b", "cells", changes=(("cells", 2048),)), 0.5, 7.0),
+        row(blind, 0.1, 30.0),
+        row(thin, 0.2, 30.0),
+        {"refused": "no"},
+    ]
     found = results(rows)
     assert [result.embed_seconds for result in found] == [6.0, 5.0, 5.5, 4.5, 0.1, 0.2]
     assert [result.cpu_seconds for result in found] == [9.0, 8.0, 8.5, 7.5, 0.1, 0.2]
@@ -87,10 +93,13 @@ def test_peers_are_at_their_worst_picture() -> None:
         return Published(method, "v", 2026, what, value, "", conditions, blind, "GPU", "s")
 
     some = [
-        said("A", "embedding time", 60.0, ""), said("A", "bit accuracy", 99.0, "32 bits, no attack"),
-        said("A", "bit accuracy", 91.0, "32 bits, JPEG 10"), said("A", "bit accuracy", 93.0, "32 bits, noise 0.1"),
-        said("A", "bit accuracy", 50.0, "32 bits, clone 50 %"), said("B", "PSNR", 40.0, "", blind=False),
-    ]  # fmt: skip
+        said("A", "embedding time", 60.0, ""),
+        said("A", "bit accuracy", 99.0, "32 bits, no attack"),
+        said("A", "bit accuracy", 91.0, "32 bits, JPEG 10"),
+        said("A", "bit accuracy", 93.0, "32 bits, noise 0.1"),
+        said("A", "bit accuracy", 50.0, "32 bits, clone 50 %"),
+        said("B", "PSNR", 40.0, "", blind=False),
+    ]
     assert peers(some, "bits") == [("A", 60.0, 91.0, True)]
     assert peers(some, "PSNR") == []
     assert len(peers(read_published(), "bits")) >= 5

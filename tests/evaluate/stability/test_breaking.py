@@ -56,9 +56,6 @@ def test_every_attack_and_reading_is_swept() -> None:
     assert len(set(names)) == len(names)
     attacks = {**MODEL_ATTACKS, **IMAGE_ATTACKS}
     wanted = {
-        (name, reading.label)
-        for name, attack in attacks.items()
-        for reading in attack.readings
-        if name != "transplant"
+        (name, reading.label) for name, attack in attacks.items() for reading in attack.readings if name != "transplant"
     }
     assert {(sweep.attack, sweep.reading) for sweep in sweeps} == wanted

@@ -46,9 +46,7 @@ def test_quick_run(tmp_path: Path) -> None:
     assert swept["prune_random"].claimed.all()
     assert swept["prune_random"].bits_baselines["spread"][-1] < 0.9
     assert swept["jpeg"].z[0, 0] > 10 > swept["jpeg"].z[0, -1]
-    assert {"figures/map-model.png", "figures/map-image.svg", "figures/cost-image.png"} <= set(
-        said["figures"]
-    )
+    assert {"figures/map-model.png", "figures/map-image.svg", "figures/cost-image.png"} <= set(said["figures"])
     page = (tmp_path / "report.html").read_text()
     assert "empty" in page
     assert json.loads((tmp_path / "results.json").read_text())["quick"] is True
@@ -56,10 +54,23 @@ def test_quick_run(tmp_path: Path) -> None:
 
 def row(name: str, step: int, trial: int, z: float, psnr: float) -> Row:
     return {
-        "cell": f"0-{name}", "what": "sweep", "scene": "s", "attack": name, "kind": "model", "reading": "literal",
-        "strength": 0.1 * (step + 1), "step": step, "trial": trial, "bits": 1.0 if z > 5 else 0.5,
-        "bits_paper": 0.9, "z": z, "z_threshold": 6.4, "claimed": z > 6.4, "psnr": psnr, "coverage": 1.0,
-    }  # fmt: skip
+        "cell": f"0-{name}",
+        "what": "sweep",
+        "scene": "s",
+        "attack": name,
+        "kind": "model",
+        "reading": "literal",
+        "strength": 0.1 * (step + 1),
+        "step": step,
+        "trial": trial,
+        "bits": 1.0 if z > 5 else 0.5,
+        "bits_paper": 0.9,
+        "z": z,
+        "z_threshold": 6.4,
+        "claimed": z > 6.4,
+        "psnr": psnr,
+        "coverage": 1.0,
+    }
 
 
 def test_cheap_losses_stand_first() -> None:
@@ -67,9 +78,7 @@ def test_cheap_losses_stand_first() -> None:
     for name, last, look in (("holds", 50.0, 40.0), ("ruins", 0.0, 12.0), ("cheap", 0.0, 35.0)):
         for trial in range(2):
             rows += [row(name, 0, trial, 60.0, 60.0), row(name, 1, trial, last, look)]
-    rows.append(
-        {"cell": "0-absent", "what": "sweep", "kind": "model", "attack": "absent", "refused": "no ffmpeg"}
-    )
+    rows.append({"cell": "0-absent", "what": "sweep", "kind": "model", "attack": "absent", "refused": "no ffmpeg"})
     swept = failing_first(sum_up(rows))
     assert [one.name for one in swept] == ["cheap", "ruins", "holds"]
     assert [one.is_cheap for one in swept] == [True, False, False]

@@ -31,9 +31,7 @@ from tests.evaluate.tables.test_study import PLANT
 
 
 def test_settings_change_what_they_name_and_nothing_else() -> None:
-    config = configure(
-        {"views": 3}, {"plan": {"texture_exponent": 0.0}, "quantize": {"residual_codes": [8, 4]}}
-    )
+    config = configure({"views": 3}, {"plan": {"texture_exponent": 0.0}, "quantize": {"residual_codes": [8, 4]}})
     plain = profile("fast", landmark_views=0)
     assert config.views == 3
     assert config.plan.texture_exponent == 0.0
@@ -91,9 +89,7 @@ def test_carriers_without_svd_are_the_axes() -> None:
     shown = 0.5 + SH_C0 * stages[0].codebook[:, :3]
     np.testing.assert_allclose(np.sort(shown, axis=1), np.tile([0.0, 0.0, 1.0], (64, 1)), atol=1e-6)
     directions = make_carriers(stages[0].codebook, np.random.default_rng(0).random(64)).directions
-    np.testing.assert_allclose(
-        np.sort(np.abs(directions), axis=1), np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-5
-    )
+    np.testing.assert_allclose(np.sort(np.abs(directions), axis=1), np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-5)
 
 
 def test_steps_that_do_not_exist_are_refused() -> None:
@@ -111,9 +107,7 @@ def test_the_papers_numbers_by_table_and_row() -> None:
     assert len(printed("table1")) == 18
     attacks = {row["system"]: row for row in printed("table2")}
     assert (attacks["GuardSplat"]["jpeg"], attacks["Mark3DGS"]["prune"]) == (87.29, 90.27)
-    assert {row["system"]: row["training_seconds"] for row in printed("table3")}[
-        "HiDDeN+3DGS"
-    ] == 148 * 60 + 16
+    assert {row["system"]: row["training_seconds"] for row in printed("table3")}["HiDDeN+3DGS"] == 148 * 60 + 16
     assert {row["setting"]: row["500"] for row in printed("table5")}["clean+key"] == 53.71
     assert printed("table6")[0]["psnr"] is None
 
@@ -142,13 +136,18 @@ def _rows(setting: str, factor: float, views: int = 8) -> list[dict[str, object]
     rng = np.random.default_rng(0)
     return [
         {
-            "scene": "a", "setting": setting, "seed": seed, "kind": "picture", "view": view, "attack": attack,
+            "scene": "a",
+            "setting": setting,
+            "seed": seed,
+            "kind": "picture",
+            "view": view,
+            "attack": attack,
             "z": factor * float(rng.uniform(10, 40)),
         }
         for seed in (0, 1)
         for view in range(views)
         for attack in ("none", "JPEG 10", "noise 0.1")
-    ]  # fmt: skip
+    ]
 
 
 def test_effects_are_paired_by_place() -> None:
@@ -173,12 +172,14 @@ def test_a_constant_loss_is_found_whatever_the_views_differ_by() -> None:
     line = next(line for line in LINES if line.setting.name == "texture-0")
     rows += [
         {
-            "scene": "a", "setting": name, "seed": 0, "kind": "marked", "z": 100.0, "gaussians_in": 10,
+            "scene": "a",
+            "setting": name,
+            "seed": 0,
+            "kind": "marked",
+            "z": 100.0,
+            "gaussians_in": 10,
             "gaussians_out": left,
         }
         for name, left in (("default", 10), ("texture-0", 5))
-    ]  # fmt: skip
-    assert (
-        verdict(line, rows)
-        == "picture -10 %; picture, JPEG 10 -10 %; picture, noise 0.1 -10 %; Gaussians -50 %"
-    )
+    ]
+    assert verdict(line, rows) == "picture -10 %; picture, JPEG 10 -10 %; picture, noise 0.1 -10 %; Gaussians -50 %"

@@ -44,10 +44,13 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """One data folder for the session; small limits, so that they can be met."""
     made = Service.open(
         Settings(
-            data_dir=tmp_path_factory.mktemp("data"), max_upload_bytes=32 << 20, max_form_bytes=8 << 20,
-            max_body_bytes=64 << 10, inspect_seconds=30.0,
+            data_dir=tmp_path_factory.mktemp("data"),
+            max_upload_bytes=32 << 20,
+            max_form_bytes=8 << 20,
+            max_body_bytes=64 << 10,
+            inspect_seconds=30.0,
         )
-    )  # fmt: skip
+    )
     ensure_key(made.db, made.master)
     yield made
     made.close()
@@ -55,9 +58,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 def _api(service: Service, tenant: str, scopes: list[str]) -> Api:
     token = issue(service.db, service.master, tenant, scopes)
-    client = TestClient(
-        make_app(service), headers={"Authorization": f"Bearer {token}"}, raise_server_exceptions=False
-    )
+    client = TestClient(make_app(service), headers={"Authorization": f"Bearer {token}"}, raise_server_exceptions=False)
     return Api(client, service)
 
 

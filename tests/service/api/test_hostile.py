@@ -31,9 +31,7 @@ CASES = {
     "a count of a trillion": HEADER + b"element vertex 1000000000000\n" + XYZ + b"end_header\n",
     "a count that lies": HEADER + b"element vertex 100000\n" + XYZ + b"end_header\n" + bytes(12),
     "a negative count": HEADER + b"element vertex -1\n" + XYZ + b"end_header\n",
-    "10,000 properties": HEADER
-    + b"element vertex 1\n"
-    + b"".join(b"property float p%d\n" % i for i in range(10_000)),
+    "10,000 properties": HEADER + b"element vertex 1\n" + b"".join(b"property float p%d\n" % i for i in range(10_000)),
     "a header without end": HEADER + b"comment " + b"x" * (4 << 20),
     "list properties": HEADER + b"element vertex 1\nproperty list uchar int x\nend_header\n" + bytes(64),
     "gzip bomb": SPZ_BOMB,
@@ -59,16 +57,12 @@ CASES = {
 def test_refused_in_time(api: Api, name: str) -> None:
     data = CASES[name]
     began = time.perf_counter()
-    slot = api.client.post("/v1/uploads", json={"name": "../../../etc/passwd\0", "size": len(data)}).json()[
-        "id"
-    ]
+    slot = api.client.post("/v1/uploads", json={"name": "../../../etc/passwd\0", "size": len(data)}).json()["id"]
     answer = api.client.put(f"/v1/uploads/{slot}", content=data)
     seconds = time.perf_counter() - began
     assert 400 <= answer.status_code < 500, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     assert str(api.service.settings.data_dir) not in answer.text
-    assert seconds < 5.0 or os.getloadavg()[0] > 2 * (os.cpu_count() or 1), (
-        "late, on a machine with nothing else to do"
-    )
+    assert seconds < 5.0 or os.getloadavg()[0] > 2 * (os.cpu_count() or 1), "late, on a machine with nothing else to do"
     assert api.client.get("/healthz").status_code == 200
     assert api.client.get(f"/v1/uploads/{slot}").status_code == 404

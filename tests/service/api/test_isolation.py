@@ -27,23 +27,21 @@ def _rows(service: Service, tenant: str, job: str) -> tuple[str, str]:
         if connection.execute(assets.select().where(assets.c.id == asset_id)).first() is None:
             connection.execute(
                 assets.insert().values(
-                    **{
-                        **text,
-                        **digests,
-                        "id": asset_id,
-                        "tenant": tenant,
-                        "job": job,
-                        "gaussians": 1,
-                        "report": "{}",
-                    }
+                    **{**text, **digests, "id": asset_id, "tenant": tenant, "job": job, "gaussians": 1, "report": "{}"}
                 )
             )
             connection.execute(
                 claims.insert().values(
-                    id=claim_id, tenant=tenant, job=job, asset=asset_id, document="{}", jws="a.b.c", pictures="{}",
+                    id=claim_id,
+                    tenant=tenant,
+                    job=job,
+                    asset=asset_id,
+                    document="{}",
+                    jws="a.b.c",
+                    pictures="{}",
                     created_at=now(),
                 )
-            )  # fmt: skip
+            )
     return asset_id, claim_id
 
 
@@ -96,10 +94,7 @@ def test_every_body_with_anothers_ids(stranger: Api, ids: dict[str, str]) -> Non
         {"upload_id": own, "key_id": key, "cameras_upload_id": ids["upload_id"]},
     ):
         assert stranger.client.post("/v1/embed", json=body).status_code == 404
-    for body in (
-        {"upload_id": ids["upload_id"]},
-        {"upload_id": own, "asset_id": ids["asset_id"]},
-    ):
+    for body in ({"upload_id": ids["upload_id"]}, {"upload_id": own, "asset_id": ids["asset_id"]}):
         assert stranger.client.post("/v1/verify", json=body).status_code == 404
     pictures = {"image_upload_ids": [ids["upload_id"]]}
     assert stranger.client.post("/v1/verify", json=pictures).status_code == 404
@@ -111,10 +106,7 @@ def test_lists_hold_ones_own(api: Api, stranger: Api, ids: dict[str, str]) -> No
         assert not any(value in foreign for value in ids.values())
         after = stranger.client.get(path, params={"after": ids["job_id"]}).json()
         assert after["items"] == []
-    assert (
-        ids["asset_id"] in api.client.get("/v1/assets").text
-        or api.client.get("/v1/assets").json()["items"] == []
-    )
+    assert ids["asset_id"] in api.client.get("/v1/assets").text or api.client.get("/v1/assets").json()["items"] == []
 
 
 def test_every_route_without_and_with_a_wrong_key(api: Api, ids: dict[str, str]) -> None:
@@ -134,8 +126,13 @@ def test_scopes(reader: Api) -> None:
     client = reader.client
     assert client.get("/v1/assets").status_code == 200
     for method, path in (
-        ("POST", "/v1/keys"), ("DELETE", "/v1/keys/x"), ("POST", "/v1/uploads"), ("PUT", "/v1/uploads/x"),
-        ("POST", "/v1/embed"), ("POST", "/v1/verify"), ("DELETE", "/v1/jobs/x"),
-    ):  # fmt: skip
+        ("POST", "/v1/keys"),
+        ("DELETE", "/v1/keys/x"),
+        ("POST", "/v1/uploads"),
+        ("PUT", "/v1/uploads/x"),
+        ("POST", "/v1/embed"),
+        ("POST", "/v1/verify"),
+        ("DELETE", "/v1/jobs/x"),
+    ):
         body = {"json": {}} if method == "POST" else {}
         assert client.request(method, path, **body).status_code == 403, path  # type: ignore[arg-type]

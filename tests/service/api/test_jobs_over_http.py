@@ -56,10 +56,7 @@ def test_a_retry_while_the_first_is_being_answered(api: Api, monkeypatch: pytest
 
     monkeypatch.setattr(api.service.jobs, "submit", submit)
     assert api.client.post("/v1/embed", json=body, headers=headers).status_code == 500
-    assert (answers[0].status_code, answers[0].json()["type"]) == (
-        409,
-        "urn:mark3dgs:problem:request-in-flight",
-    )
+    assert (answers[0].status_code, answers[0].json()["type"]) == (409, "urn:mark3dgs:problem:request-in-flight")
 
 
 def test_waiting_and_etags(api: Api) -> None:
@@ -133,9 +130,7 @@ def test_pages(api: Api) -> None:
 
 def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     small = Settings(**{**api.service.settings.model_dump(), "embeds_per_hour": 2, "master_key": None})
-    monkeypatch.setattr(
-        api.client.app.state, "service", type(api.service)(**{**vars(api.service), "settings": small})
-    )  # type: ignore[attr-defined]
+    monkeypatch.setattr(api.client.app.state, "service", type(api.service)(**{**vars(api.service), "settings": small}))  # type: ignore[attr-defined]
     body = embed_body(api)
     codes = [api.client.post("/v1/embed", json=body).status_code for _ in range(3)]
     refused = api.client.post("/v1/embed", json=body)
@@ -160,9 +155,7 @@ def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
         ("/v1/keys", {"key": "00" * 32}, 422, "repeated"),
     ],
 )
-def test_refusals_name_the_value(
-    api: Api, path: str, body: dict[str, object], status: int, part: str
-) -> None:
+def test_refusals_name_the_value(api: Api, path: str, body: dict[str, object], status: int, part: str) -> None:
     answer = api.client.post(path, json=body)
     assert answer.status_code == status, answer.text
     problem = answer.json()
@@ -174,9 +167,7 @@ def test_bodies_that_are_no_json(api: Api) -> None:
     for path in ("/v1/embed", "/v1/keys"):
         answer = api.client.post(path, content=b"{", headers={"Content-Type": "application/json"})
         assert answer.status_code == 400, answer.text
-    assert (
-        api.client.post("/v1/embed", content=b"x", headers={"Content-Type": "text/plain"}).status_code == 415
-    )
+    assert api.client.post("/v1/embed", content=b"x", headers={"Content-Type": "text/plain"}).status_code == 415
     broken = api.client.post("/v1/embed", content=b"x", headers={"Content-Type": "multipart/form-data"})
     assert broken.status_code == 400
 

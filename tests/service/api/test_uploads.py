@@ -32,9 +32,7 @@ def test_in_three_parts(api: Api) -> None:
     cuts = [0, 1_000_000, 2_500_000, len(data)]
     for low, high in itertools.pairwise(cuts):
         assert api.client.get(f"/v1/uploads/{slot}").json()["offset"] == low
-        answer = api.client.put(
-            f"/v1/uploads/{slot}", content=data[low:high], headers={"Upload-Offset": str(low)}
-        )
+        answer = api.client.put(f"/v1/uploads/{slot}", content=data[low:high], headers={"Upload-Offset": str(low)})
         assert answer.status_code == 200
     assert answer.json()["sha256"] == hashlib.sha256(data).hexdigest()
     assert answer.json()["state"] == "complete"
@@ -98,6 +96,4 @@ def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
     embed = {"upload_id": slot, "key_id": api.key()}
     assert api.client.post("/v1/embed", json=embed).json()["type"].endswith("unreadable-model")
     slot = api.client.post("/v1/uploads", json={}).json()["id"]
-    assert (
-        api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")
-    )
+    assert api.client.put(f"/v1/uploads/{slot}", content=b"[{}]").json()["type"].endswith("unreadable-cameras")

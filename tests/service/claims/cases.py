@@ -25,10 +25,18 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
     signal = np.full(CHIPS, 1e-3 if kind == "inconclusive" else 1.0)
     pictures = kind == "inconclusive"
     claim = decide(
-        y, np.ones(CHIPS), signal, bit_of, chips, message, tries=3, route="image" if pictures else "model",
-        copy="Studio Nord", derived_fraction=None if pictures else 0.75,
+        y,
+        np.ones(CHIPS),
+        signal,
+        bit_of,
+        chips,
+        message,
+        tries=3,
+        route="image" if pictures else "model",
+        copy="Studio Nord",
+        derived_fraction=None if pictures else 0.75,
         notes=("picture 1: no view of this asset was recognised",) if pictures else (),
-    )  # fmt: skip
+    )
     assert claim.verdict == kind
     return {
         "subject": {"format": "pictures", "gaussians": None, "pictures": 2}
@@ -42,7 +50,7 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
             {"code": "record_intact", "ok": True, "text": "The record is whole and unaltered."},
             {"code": "mark", "ok": {"marked": True, "not_marked": False}.get(kind), "text": "About the mark."},
         ],
-    } | changes  # fmt: skip
+    } | changes
 
 
 def nothing() -> dict[str, Any]:

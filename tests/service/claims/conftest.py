@@ -39,14 +39,17 @@ class Registry:
             connection.execute(assets.insert().values(asset_row(**changes)))
             commit_asset(connection, asset_row(**changes))
 
-    def issue(
-        self, found: dict[str, Any] | None = None, job: str = "job_1", tenant: str = "acme"
-    ) -> IssuedClaim:
+    def issue(self, found: dict[str, Any] | None = None, job: str = "job_1", tenant: str = "acme") -> IssuedClaim:
         with self.db.write() as connection:
             return issue_claim(
-                connection, self.master, tenant=tenant, job=job, reply=found or reply(), sha256=["12" * 32],
+                connection,
+                self.master,
+                tenant=tenant,
+                job=job,
+                reply=found or reply(),
+                sha256=["12" * 32],
                 pictures={name: hashlib.sha256(data).hexdigest() for name, data in PICTURES.items()},
-            )  # fmt: skip
+            )
 
     def sign(self, payload: bytes) -> str:
         with self.db.read() as connection:

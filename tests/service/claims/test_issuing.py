@@ -65,9 +65,7 @@ def test_two_workers_with_one_job_issue_one_claim(registry: Registry) -> None:
 
 def test_the_first_registration_of_the_original_is_named(registry: Registry) -> None:
     registry.register(id="as_0", job="other", registered_at="2025-01-01T00:00:00.000000+00:00")
-    registry.register(
-        id="as_x", job="foreign", tenant="other", registered_at="2024-01-01T00:00:00.000000+00:00"
-    )
+    registry.register(id="as_x", job="foreign", tenant="other", registered_at="2024-01-01T00:00:00.000000+00:00")
     claim = registry.issue()
     assert claim.document["original"]["registered_at"].startswith("2025-01-01")
 

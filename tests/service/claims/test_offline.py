@@ -62,9 +62,7 @@ def test_a_claim_about_nothing_holds(registry: Registry) -> None:
         assert "registration" not in [check.code for check in found.checks]
 
 
-def test_claims_of_a_retired_key_hold_and_those_of_a_stranger_do_not(
-    registry: Registry, tmp_path: Path
-) -> None:
+def test_claims_of_a_retired_key_hold_and_those_of_a_stranger_do_not(registry: Registry, tmp_path: Path) -> None:
     data = carriers(registry)["jws"]
     signing.rotate(registry.db, registry.master)
     assert verify_report(data, registry.jwks).valid
@@ -127,10 +125,24 @@ def test_a_document_beside_another_signature_fails(registry: Registry) -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"hello", b"\xff\xfe", b"{", b"{}", b"[" * 100_000, b"{" * 100_000, b'{"a":' * 50_000, b"<html>", b"<",
-     b"a.b.c",     b'{"document": {}, "jws": 5}', b'{"document": {"x": NaN}, "jws": "a.b.c"}',
-     b'{"document": {}, "jws": "a.b.c", "timestamp": "?"}', b"<pre id=jws>a</pre><pre id=jws>b</pre>"],
-)  # fmt: skip
+    [
+        b"",
+        b"hello",
+        b"\xff\xfe",
+        b"{",
+        b"{}",
+        b"[" * 100_000,
+        b"{" * 100_000,
+        b'{"a":' * 50_000,
+        b"<html>",
+        b"<",
+        b"a.b.c",
+        b'{"document": {}, "jws": 5}',
+        b'{"document": {"x": NaN}, "jws": "a.b.c"}',
+        b'{"document": {}, "jws": "a.b.c", "timestamp": "?"}',
+        b"<pre id=jws>a</pre><pre id=jws>b</pre>",
+    ],
+)
 def test_rubbish_is_refused_in_words(registry: Registry, data: bytes) -> None:
     found = verify_report(data, registry.jwks)
     assert failed(found) in (["readable"], ["signature"])
@@ -199,14 +211,9 @@ def test_a_signature_does_not_make_a_contradiction_hold(
     assert not found.valid
 
 
-@pytest.mark.parametrize(
-    "payload", [b"", b"5", b"[]", b"null", b"{", b"{}", b'{"schema_version": 1}', b"\xff"]
-)
+@pytest.mark.parametrize("payload", [b"", b"5", b"[]", b"null", b"{", b"{}", b'{"schema_version": 1}', b"\xff"])
 def test_a_signed_something_is_no_claim(registry: Registry, payload: bytes) -> None:
-    assert failed(verify_report(registry.sign(payload).encode(), registry.jwks)) in (
-        ["schema"],
-        ["signature"],
-    )
+    assert failed(verify_report(registry.sign(payload).encode(), registry.jwks)) in (["schema"], ["signature"])
 
 
 def test_a_later_version_is_not_called_a_forgery(registry: Registry) -> None:
@@ -250,9 +257,7 @@ def test_the_command_answers_with_its_exit_code(
     assert (told["valid"], told["document"], told["checks"][0]["code"]) == (False, None, "signature")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{}", '{"keys": []}', '{"keys": [5]}', '{"keys": 5}', "[]", "[" * 100_000]
-)
+@pytest.mark.parametrize("text", ["", "{}", '{"keys": []}', '{"keys": [5]}', '{"keys": 5}', "[]", "[" * 100_000])
 def test_what_is_no_key_set_is_wrong_usage(registry: Registry, tmp_path: Path, text: str) -> None:
     keys, claim = tmp_path / "jwks.json", tmp_path / "claim"
     keys.write_text(text)

@@ -93,8 +93,12 @@ def test_bounds_are_never_overstated(log10: float, words: str, as_odds: str) -> 
 def test_numbers_in_words() -> None:
     assert (rate(1e-9), rate(2.5e-7)) == ("10⁻⁹", "2.5 · 10⁻⁷")
     assert [percent(share) for share in (1.0, 0.9999, 0.3333, 0.5, 0.0)] == [
-        "100 %", "more than 99.9 %", "33.3 %", "50 %", "0 %",
-    ]  # fmt: skip
+        "100 %",
+        "more than 99.9 %",
+        "33.3 %",
+        "50 %",
+        "0 %",
+    ]
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no Chromium on this machine")

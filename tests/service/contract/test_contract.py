@@ -29,18 +29,12 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 def filled(served: Served) -> dict[str, str]:
     """Ids of an asset and of a claim on it."""
-    with httpx.Client(
-        base_url=served.address, headers={**served.headers, "Prefer": "wait=60"}, timeout=120
-    ) as client:
+    with httpx.Client(base_url=served.address, headers={**served.headers, "Prefer": "wait=60"}, timeout=120) as client:
         key = client.post("/v1/keys", json={}).json()["id"]
         form = {"key_id": key, "profile": "fast"}
-        asset = client.post("/v1/embed", data=form, files={"model": PLANT.read_bytes()}).json()["result"][
-            "asset_id"
-        ]
+        asset = client.post("/v1/embed", data=form, files={"model": PLANT.read_bytes()}).json()["result"]["asset_id"]
         body = {"asset_id": asset}
-        claim = client.post("/v1/verify", data=body, files={"model": PLANT.read_bytes()}).json()["result"][
-            "claim_id"
-        ]
+        claim = client.post("/v1/verify", data=body, files={"model": PLANT.read_bytes()}).json()["result"]["claim_id"]
     return {"asset_id": asset, "claim_id": claim}
 
 
@@ -50,11 +44,24 @@ def test_all_checks(served: Served, tmp_path: Path) -> None:
     known = "\n".join(f'"path.{name}" = "{value}"' for name, value in ids.items())
     config.write_text(f"[parameters]\n{known}\n\n" + (HERE / "schemathesis.toml").read_text())
     command = [
-        str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(config), "run",
-        f"{served.address}/openapi.json", "-H", f"Authorization: Bearer {served.api_key}", "--checks", "all",
-        "--max-examples", EXAMPLES, "--exclude-path", "/v1/jobs/{job_id}/events", "--request-timeout", "30",
-        "--seed", "1",
-    ]  # fmt: skip
+        str(Path(sys.executable).with_name("schemathesis")),
+        "--config-file",
+        str(config),
+        "run",
+        f"{served.address}/openapi.json",
+        "-H",
+        f"Authorization: Bearer {served.api_key}",
+        "--checks",
+        "all",
+        "--max-examples",
+        EXAMPLES,
+        "--exclude-path",
+        "/v1/jobs/{job_id}/events",
+        "--request-timeout",
+        "30",
+        "--seed",
+        "1",
+    ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout[-6000:] + served.log()[-3000:]
     assert "Tested: 25" in done.stdout

@@ -41,15 +41,9 @@ def test_on_postgres_with_an_outage_in_mid_job(postgres: Postgres, tmp_path: Pat
     served = serving.start(tmp_path, DATABASE_URL=postgres.new_database("mark"), WORKER_SILENCE_SECONDS="5")
     try:
         with admin(served) as client:
-            job = client.post(
-                "/v1/embed", data={"profile": "fast"}, files={"model": PLANT.read_bytes()}
-            ).json()
+            job = client.post("/v1/embed", data={"profile": "fast"}, files={"model": PLANT.read_bytes()}).json()
             until = time.monotonic() + 60
-            while client.get(f"/v1/jobs/{job['id']}").json()["stage"] not in (
-                "look",
-                "quantize",
-                "landmarks",
-            ):
+            while client.get(f"/v1/jobs/{job['id']}").json()["stage"] not in ("look", "quantize", "landmarks"):
                 assert time.monotonic() < until
                 time.sleep(0.05)
             postgres.stop()
@@ -72,9 +66,13 @@ def test_a_full_disk(tmp_path: Path) -> None:
     """On a file system of 24 MB: the upload that does not fit is refused, the next smaller one is not."""
     data = tmp_path / "data"
     data.mkdir()
-    mounted = os.geteuid() == 0 and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(data)], capture_output=True, check=False
-    ).returncode == 0  # fmt: skip
+    mounted = (
+        os.geteuid() == 0
+        and subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(data)], capture_output=True, check=False
+        ).returncode
+        == 0
+    )
     if not mounted:
         pytest.skip("a small file system cannot be mounted by this user")
     try:
@@ -85,10 +83,7 @@ def test_a_full_disk(tmp_path: Path) -> None:
                 assert (sized.status_code, sized.json()["type"]) == (507, "urn:mark3dgs:problem:storage-full")
                 slot = client.post("/v1/uploads", json={}).json()["id"]
                 answer = client.put(f"/v1/uploads/{slot}", content=bytes(40 << 20))
-                assert (answer.status_code, answer.json()["type"]) == (
-                    507,
-                    "urn:mark3dgs:problem:storage-full",
-                )
+                assert (answer.status_code, answer.json()["type"]) == (507, "urn:mark3dgs:problem:storage-full")
                 assert list((data / "scratch").rglob("*")) == []
                 slot = client.post("/v1/uploads", json={}).json()["id"]
                 assert client.put(f"/v1/uploads/{slot}", content=SMALL.read_bytes()).status_code == 200
@@ -138,9 +133,13 @@ def test_a_second_service_on_the_port_says_so(tmp_path: Path) -> None:
         port = served.address.rsplit(":", 1)[1]
         done = subprocess.run(
             [sys.executable, "-m", "service.cli", "serve", "--port", port, "--workers", "0"],
-            cwd=ROOT, env={**os.environ, "MARK3DGS_DATA_DIR": str(tmp_path / "other")}, capture_output=True, text=True,
-            timeout=60, check=False,
-        )  # fmt: skip
+            cwd=ROOT,
+            env={**os.environ, "MARK3DGS_DATA_DIR": str(tmp_path / "other")},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
         assert done.returncode == 2
         assert port in done.stderr
         assert "Traceback" not in done.stderr

@@ -44,9 +44,7 @@ class Client(httpx.Client):
 
     def embed(self, data: bytes, **form: str) -> dict[str, Any]:
         """An embed job, ended."""
-        return self.wait(
-            self.post("/v1/embed", data={"profile": "fast", **form}, files={"model": data}).json()
-        )
+        return self.wait(self.post("/v1/embed", data={"profile": "fast", **form}, files={"model": data}).json())
 
     def verify(self, data: bytes, field: str = "model", **form: str) -> dict[str, Any]:
         """A verify job, ended."""
@@ -56,9 +54,7 @@ class Client(httpx.Client):
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests here; the budget of near duplicates is small, and one test spends it."""
-    made = serving.start(
-        tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="12", WORKER_SILENCE_SECONDS="4"
-    )
+    made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="12", WORKER_SILENCE_SECONDS="4")
     yield made
     made.stop()
 
@@ -136,9 +132,7 @@ def test_a_copy_is_claimed_and_the_claim_checked_offline(
         assert done.returncode == 0, done.stdout + done.stderr
     forged = (tmp_path / "claim.json").read_text().replace(marked["message"], "ffffffff")
     (tmp_path / "forged.json").write_text(forged)
-    done = mark3dgs(
-        served, "verify-report", str(tmp_path / "forged.json"), "--jwks", str(tmp_path / "jwks.json")
-    )
+    done = mark3dgs(served, "verify-report", str(tmp_path / "forged.json"), "--jwks", str(tmp_path / "jwks.json"))
     assert done.returncode == 3, done.stdout
 
 
@@ -150,18 +144,22 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     for name, part in (("scene.record", "record"), ("marked.spz", "model")):
         (tmp_path / name).write_bytes(alice.get(f"/v1/assets/{job['result']['asset_id']}/{part}").content)
     done = mark3dgs(
-        served, "verify", str(tmp_path / "marked.spz"), "--record", str(tmp_path / "scene.record"), "--key",
-        str(tmp_path / "owner.key"), "--json",
-    )  # fmt: skip
+        served,
+        "verify",
+        str(tmp_path / "marked.spz"),
+        "--record",
+        str(tmp_path / "scene.record"),
+        "--key",
+        str(tmp_path / "owner.key"),
+        "--json",
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_what_is_not_marked_is_not_claimed(alice: Client, marked: dict[str, Any]) -> None:
     """A negative answer is an answer: 200, and a signed claim. The original derives from the asset, unmarked."""
     form = {"asset_id": marked["asset_id"]}
-    answer = alice.post(
-        "/v1/verify", data=form, files={"model": PLANT.read_bytes()}, headers={"Prefer": "wait=60"}
-    )
+    answer = alice.post("/v1/verify", data=form, files={"model": PLANT.read_bytes()}, headers={"Prefer": "wait=60"})
     assert answer.status_code == 200
     assert answer.json()["result"]["verdict"] == "not_marked"
     document = alice.get(f"/v1/claims/{answer.json()['result']['claim_id']}").json()["document"]
@@ -243,10 +241,7 @@ def test_a_model_too_small_for_its_message(alice: Client) -> None:
     small = (ROOT / "tests" / "data" / "train_1000.ply").read_bytes()
     key = alice.get("/v1/keys").json()["items"][0]["id"]
     answer = alice.post(
-        "/v1/embed",
-        data={"key_id": key, "bits": "256"},
-        files={"model": small},
-        headers={"Prefer": "wait=60"},
+        "/v1/embed", data={"key_id": key, "bits": "256"}, files={"model": small}, headers={"Prefer": "wait=60"}
     )
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:capacity")
     assert answer.json()["wanted"] == 256

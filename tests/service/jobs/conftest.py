@@ -73,8 +73,12 @@ class Workshop:
         with self.log.open("ab") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", "tests.service.jobs.toy_worker", name],
-                cwd=REPOSITORY, env=os.environ | own, stdin=subprocess.PIPE, stdout=log, stderr=log,
-            )  # fmt: skip
+                cwd=REPOSITORY,
+                env=os.environ | own,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+            )
         self.processes.append(process)
         return process
 
@@ -103,9 +107,7 @@ class Workshop:
         deadline = time.monotonic() + seconds
         while not true():
             if time.monotonic() > deadline:
-                pytest.fail(
-                    f"did not come true within {seconds} s; the workers said:\n{self.log.read_text()}"
-                )
+                pytest.fail(f"did not come true within {seconds} s; the workers said:\n{self.log.read_text()}")
             time.sleep(0.02)
 
     def close(self) -> None:

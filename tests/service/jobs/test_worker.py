@@ -41,9 +41,7 @@ def test_jobs_of_every_kind_end_as_they_must(workshop: Workshop) -> None:
     workshop.submit("bug", "bug")
     workshop.submit("unkept", "unkept")
     workshop.submit("store", "outage")
-    workshop.task(
-        "fails", "fail", error="CapacityError", arguments={"args": ["no"], "wanted": 9, "capacity": 3}
-    )
+    workshop.task("fails", "fail", error="CapacityError", arguments={"args": ["no"], "wanted": 9, "capacity": 3})
     worker = workshop.start("local-1")
 
     steps = workshop.ended("steps")
@@ -79,9 +77,7 @@ def test_jobs_of_every_kind_end_as_they_must(workshop: Workshop) -> None:
     assert list(scratch.iterdir()) == [], "every step's folder is removed"
 
     said = workshop.log.read_text()
-    assert not [word for word in ("Initializing", "Conductor", "http", "Queue") if word in said], (
-        "DBOS is quiet"
-    )
+    assert not [word for word in ("Initializing", "Conductor", "http", "Queue") if word in said], "DBOS is quiet"
     started = time.monotonic()
     worker.stdin.close()  # type: ignore[union-attr]
     assert worker.wait(5) == 0
@@ -186,14 +182,7 @@ def test_a_job_that_ends_its_workers_is_given_up(workshop: Workshop) -> None:
 def test_a_job_that_was_never_enqueued_is_found(workshop: Workshop) -> None:
     """As if the API had died between the row and the queue."""
     workshop.gate.touch()
-    job = Job(
-        "a",
-        "tenant",
-        "key",
-        "three",
-        State.QUEUED,
-        {"marks": str(workshop.marks), "gate": str(workshop.gate)},
-    )
+    job = Job("a", "tenant", "key", "three", State.QUEUED, {"marks": str(workshop.marks), "gate": str(workshop.gate)})
     workshop.jobs.rows.add(job)
     workshop.start("one")
     assert workshop.ended("a").state == State.SUCCEEDED
@@ -244,9 +233,7 @@ def test_the_engines_file_is_in_wal_mode(workshop: Workshop) -> None:
 
 
 def test_a_database_outage_is_waited_out(request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    request.getfixturevalue(
-        "postgres"
-    )  # skips where there is none; this test has a server of its own to stop
+    request.getfixturevalue("postgres")  # skips where there is none; this test has a server of its own to stop
     server = Postgres()
     request.addfinalizer(server.close)
     settings = new_settings("sqlite", request, tmp_path / "data")

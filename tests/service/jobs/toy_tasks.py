@@ -82,9 +82,7 @@ def fail(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
     raise getattr(__builtins__, name, RuntimeError)(*kwargs.pop("args", []))
 
 
-TASKS = {
-    f.__name__: f for f in (allocate, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)
-}
+TASKS = {f.__name__: f for f in (allocate, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)}
 
 if __name__ == "__main__":
     serve(lambda: TASKS, lambda: None)

@@ -18,12 +18,7 @@ def test_a_token_names_its_caller(db: Database, master: MasterKey) -> None:
     caller = api_keys.check(db, master, token)
     assert (caller.tenant, caller.scopes) == ("acme", {"verify", "read"})
     (known,) = api_keys.list_keys(db, "acme")
-    assert (known.id, known.label, known.scopes, known.revoked_at) == (
-        caller.key_id,
-        "laptop",
-        ("verify", "read"),
-        "",
-    )
+    assert (known.id, known.label, known.scopes, known.revoked_at) == (caller.key_id, "laptop", ("verify", "read"), "")
     assert api_keys.list_keys(db, "other") == []
     assert len(token) == len("mk_") + 16 + 1 + 64
 
@@ -42,16 +37,7 @@ def test_refusals_cannot_be_told_apart(db: Database, master: MasterKey) -> None:
     api_keys.revoke(db, "acme", gone.split("_")[1])
     api_keys.revoke(db, "acme", gone.split("_")[1])  # twice is once
     end = "0" if token[-1] != "0" else "1"
-    wrong = [
-        gone,
-        token[:-1] + end,
-        f"mk_{'0' * 16}_{'0' * 64}",
-        "",
-        "mk_",
-        token + "0",
-        token.upper(),
-        f" {token}",
-    ]
+    wrong = [gone, token[:-1] + end, f"mk_{'0' * 16}_{'0' * 64}", "", "mk_", token + "0", token.upper(), f" {token}"]
     said = set()
     for bad in wrong:
         with pytest.raises(Problem) as caught:

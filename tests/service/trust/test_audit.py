@@ -84,12 +84,7 @@ def test_what_has_no_canonical_form_is_not_logged(db: Database, payload: dict[st
 
 def test_processes_that_append_at_once_make_one_chain(db: Database) -> None:
     running = [appender(db, f"p{k}", 40) for k in range(3)]
-    lines = [
-        line
-        for process in running
-        for line in process.communicate(timeout=120)[0].decode().split("\n")
-        if line
-    ]
+    lines = [line for process in running for line in process.communicate(timeout=120)[0].decode().split("\n") if line]
     assert [process.returncode for process in running] == [0] * 3
     assert sorted(int(line.split()[0]) for line in lines) == list(range(120))
     report = verify_log(db)

@@ -39,14 +39,7 @@ def filled(db: Database, master: MasterKey) -> Database:
         document: dict[str, Any] = {"claim_id": "c", "asset": "a", "z": 1.0}
         document["audit"] = commit_claim(connection, "acme", document, registration_of(connection, "a"))
         payload = canonical(document)
-        row = {
-            "id": "c",
-            "tenant": "acme",
-            "job": "j",
-            "asset": "a",
-            "document": payload.decode(),
-            "pictures": "{}",
-        }
+        row = {"id": "c", "tenant": "acme", "job": "j", "asset": "a", "document": payload.decode(), "pictures": "{}"}
         row |= {"jws": signing.sign(connection, master, payload), "created_at": "now"}
         connection.execute(claims.insert().values(row))
     return db
@@ -108,18 +101,8 @@ ALTERATIONS: list[tuple[str, Alter, int | None, str]] = [
     ("forged entry", forge_entry, 4, "entry"),
     ("lost entry", delete(log, log.c.index == 7), 7, "gap"),
     ("lost first entry", delete(log, log.c.index == 0), 0, "gap"),
-    (
-        "leaf",
-        update(audit_nodes, node(0, 8), hash="11" * 32),
-        8,
-        "entry",
-    ),
-    (
-        "node",
-        update(audit_nodes, node(2, 1), hash="11" * 32),
-        7,
-        "tree",
-    ),
+    ("leaf", update(audit_nodes, node(0, 8), hash="11" * 32), 8, "entry"),
+    ("node", update(audit_nodes, node(2, 1), hash="11" * 32), 7, "tree"),
     ("lost node", delete(audit_nodes, node(1, 2)), 4, "tree"),
     ("lost top", delete(audit_nodes, audit_nodes.c.level == 3), 0, "tree"),
     ("asset", update(assets, assets.c.id == "b", message="other"), 9, "asset"),
@@ -133,9 +116,7 @@ ALTERATIONS: list[tuple[str, Alter, int | None, str]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("alter", "index", "code"), [a[1:] for a in ALTERATIONS], ids=[a[0] for a in ALTERATIONS]
-)
+@pytest.mark.parametrize(("alter", "index", "code"), [a[1:] for a in ALTERATIONS], ids=[a[0] for a in ALTERATIONS])
 @pytest.mark.parametrize("settings", ["sqlite"], indirect=True)
 def test_alterations_are_found(filled: Database, alter: Alter, index: int | None, code: str) -> None:
     with filled.write() as connection:

@@ -79,9 +79,7 @@ def test_a_file_that_others_may_read_is_refused(settings: Settings, db: Database
 
 
 @pytest.mark.parametrize("text", ["", "ab" * 31, "ab" * 33, "zz" * 32, "\xff" * 64])
-def test_a_file_that_holds_no_key_is_refused_without_repeating_it(
-    settings: Settings, db: Database, text: str
-) -> None:
+def test_a_file_that_holds_no_key_is_refused_without_repeating_it(settings: Settings, db: Database, text: str) -> None:
     path = settings.data_dir / "master.key"
     path.write_text(text)
     path.chmod(0o600)

@@ -22,9 +22,7 @@ class Store:
         for index, leaf in enumerate(leaves):
             for level, position in merkle.completed_by(index):
                 self.hashes[level, position] = (
-                    merkle.node_hash(
-                        self.hashes[level - 1, 2 * position], self.hashes[level - 1, 2 * position + 1]
-                    )
+                    merkle.node_hash(self.hashes[level - 1, 2 * position], self.hashes[level - 1, 2 * position + 1])
                     if level
                     else merkle.leaf_hash(leaf)
                 )
@@ -51,12 +49,7 @@ def test_proofs_are_the_twins_and_hold(leaves: list[bytes], data: st.DataObject)
     assert merkle.check_inclusion(leaf, index, size, proof, root)
 
 
-@given(
-    st.integers(-2, 80),
-    st.integers(-2, 80),
-    st.lists(st.binary(min_size=32, max_size=32), max_size=8),
-    LEAVES,
-)
+@given(st.integers(-2, 80), st.integers(-2, 80), st.lists(st.binary(min_size=32, max_size=32), max_size=8), LEAVES)
 def test_any_proof_is_judged_as_the_twin_judges_it(
     index: int, size: int, proof: list[bytes], leaves: list[bytes]
 ) -> None:
@@ -102,10 +95,8 @@ def test_known_answer() -> None:
     """Roots published with RFC 6962's reference implementation (Certificate Transparency)."""
     leaves = [
         bytes.fromhex(text)
-        for text in (
-            "", "00", "10", "2021", "3031", "40414243", "5051525354555657", "606162636465666768696a6b6c6d6e6f",
-        )
-    ]  # fmt: skip
+        for text in ("", "00", "10", "2021", "3031", "40414243", "5051525354555657", "606162636465666768696a6b6c6d6e6f")
+    ]
     store = Store(leaves)
     assert merkle.root(0, store).hex() == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
     assert merkle.root(1, store).hex() == "6e340b9cffb37a989ca544e6bb780a2c78901d3fb33738768511a30617afa01d"

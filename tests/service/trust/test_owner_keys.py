@@ -23,9 +23,7 @@ def test_a_stored_key_opens_and_never_shows(db: Database, master: MasterKey) -> 
     assert keys.list_keys(db, "acme") == [info]
     assert (info.fingerprint, info.label) == (KEY.fingerprint, "studio")
     with db.read() as connection:
-        everything = [
-            value for t in (owner_keys, audit) for row in connection.execute(t.select()) for value in row
-        ]
+        everything = [value for t in (owner_keys, audit) for row in connection.execute(t.select()) for value in row]
     assert not [value for value in everything if isinstance(value, bytes) and KEY.secret[:8] in value]
     assert not [value for value in everything if isinstance(value, str) and KEY.secret[:8].hex() in value]
 
@@ -33,10 +31,7 @@ def test_a_stored_key_opens_and_never_shows(db: Database, master: MasterKey) -> 
 def test_other_tenants_find_nothing(db: Database, master: MasterKey) -> None:
     info = keys.store(db, master, "acme", KEY)
     assert keys.list_keys(db, "other") == []
-    for act in (
-        lambda: keys.open_key(db, master, "other", info.id),
-        lambda: keys.delete(db, "other", info.id),
-    ):
+    for act in (lambda: keys.open_key(db, master, "other", info.id), lambda: keys.delete(db, "other", info.id)):
         with pytest.raises(Problem) as caught:
             act()
         assert caught.value.kind == "not-found"
@@ -46,9 +41,7 @@ def test_other_tenants_find_nothing(db: Database, master: MasterKey) -> None:
 def test_a_sealed_key_moved_to_another_row_does_not_open(db: Database, master: MasterKey) -> None:
     mine, theirs = keys.store(db, master, "me", KEY), keys.store(db, master, "them", OwnerKey.generate())
     with db.write() as connection:
-        sealed = connection.execute(
-            sa.select(owner_keys.c.sealed).where(owner_keys.c.id == theirs.id)
-        ).scalar_one()
+        sealed = connection.execute(sa.select(owner_keys.c.sealed).where(owner_keys.c.id == theirs.id)).scalar_one()
         connection.execute(owner_keys.update().where(owner_keys.c.id == mine.id).values(sealed=sealed))
     with pytest.raises(Problem, match="altered, or moved"):
         keys.open_key(db, master, "me", mine.id)
@@ -85,18 +78,7 @@ def test_keys_are_read_from_digits_and_from_key_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "ab",
-        "ab" * 31,
-        "abc" * 25,
-        "00" * 32,
-        "é" * 64,
-        "ab" * 4096,
-        "mark3dgs-owner-key 1 0 1",
-        "PRIVATE",
-    ],
+    "text", ["", "ab", "ab" * 31, "abc" * 25, "00" * 32, "é" * 64, "ab" * 4096, "mark3dgs-owner-key 1 0 1", "PRIVATE"]
 )
 def test_what_is_no_key_is_refused_without_repeating_it(text: str) -> None:
     with pytest.raises(Problem) as caught:

@@ -55,14 +55,27 @@ class Authority:
         (folder / "config").write_text(CONFIG)
         (folder / "serial").write_text("01")
         new_key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-config", "config"]
-        self.run(
-            "req", "-x509", "-days", "2", "-extensions", "ca", "-keyout", "ca.key", "-out", "ca.pem", *new_key
-        )
+        self.run("req", "-x509", "-days", "2", "-extensions", "ca", "-keyout", "ca.key", "-out", "ca.pem", *new_key)
         self.run("req", "-keyout", "tsa.key", "-out", "tsa.csr", "-subj", "/CN=Test stamps", *new_key)
         self.run(
-            "x509", "-req", "-in", "tsa.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2",
-            "-extfile", "config", "-extensions", "tsa", "-out", "tsa.pem",
-        )  # fmt: skip
+            "x509",
+            "-req",
+            "-in",
+            "tsa.csr",
+            "-CA",
+            "ca.pem",
+            "-CAkey",
+            "ca.key",
+            "-CAcreateserial",
+            "-days",
+            "2",
+            "-extfile",
+            "config",
+            "-extensions",
+            "tsa",
+            "-out",
+            "tsa.pem",
+        )
 
     @property
     def roots(self) -> list[x509.Certificate]:
@@ -70,18 +83,7 @@ class Authority:
 
     def reply(self, query: bytes) -> bytes:
         (self.folder / "query").write_bytes(query)
-        self.run(
-            "ts",
-            "-reply",
-            "-config",
-            "config",
-            "-section",
-            "tsa_config",
-            "-queryfile",
-            "query",
-            "-out",
-            "reply",
-        )
+        self.run("ts", "-reply", "-config", "config", "-section", "tsa_config", "-queryfile", "query", "-out", "reply")
         return (self.folder / "reply").read_bytes()
 
     def run(self, *arguments: str) -> None:
@@ -141,10 +143,7 @@ def test_openssl_takes_the_stamp_too(authority: Authority, token: bytes) -> None
 
 
 def test_a_stamp_of_something_else_is_refused(authority: Authority, token: bytes) -> None:
-    for check in (
-        lambda: stamped_at(token, JWS + "x"),
-        lambda: check_stamp(token, JWS + "x", authority.roots),
-    ):
+    for check in (lambda: stamped_at(token, JWS + "x"), lambda: check_stamp(token, JWS + "x", authority.roots)):
         with pytest.raises(TimestampFault, match="of something else"):
             check()
 
@@ -200,9 +199,7 @@ def test_a_silent_or_slow_service_is_given_up(monkeypatch: pytest.MonkeyPatch) -
     assert "timed out" in stamped.failure
 
 
-@pytest.mark.parametrize(
-    "url", ["file:///etc/hostname", "ftp://127.0.0.1/", "http://127.0.0.1:1/", "http://", "x"]
-)
+@pytest.mark.parametrize("url", ["file:///etc/hostname", "ftp://127.0.0.1/", "http://127.0.0.1:1/", "http://", "x"])
 def test_addresses_that_do_not_answer(url: str) -> None:
     stamped = stamp(url, JWS)
     assert stamped.token is None

@@ -42,9 +42,7 @@ def embed(page: Page, file: Path, label: str, copy: str = "") -> None:
 def check(page: Page, *files: Path) -> str:
     """Check a suspect; the verdict."""
     page.get_by_role("link", name="Check", exact=True).click()
-    page.locator(
-        "#check-form:visible, #check-result:visible"
-    ).first.wait_for()  # the page turns after the click
+    page.locator("#check-form:visible, #check-result:visible").first.wait_for()  # the page turns after the click
     if page.get_by_role("button", name="Check another").is_visible():
         page.get_by_role("button", name="Check another").click()
     page.get_by_label("Suspect model or screenshots").set_input_files(files)

@@ -52,24 +52,22 @@ def test_a_file_that_is_no_model_is_refused_in_words(page: Page, tmp_path: Path)
 
 def test_two_models_at_once_are_not_a_suspect(page: Page) -> None:
     page.get_by_role("link", name="Check", exact=True).click()
-    page.get_by_label("Suspect model or screenshots").set_input_files(
-        [PLANT, PLANT.parent / "train_1000.ply"]
-    )
+    page.get_by_label("Suspect model or screenshots").set_input_files([PLANT, PLANT.parent / "train_1000.ply"])
     page.get_by_role("button", name="Check the suspect").click()
     assert "One suspect at a time" in page.get_by_role("alert").inner_text()
 
 
-def test_a_broken_upload_goes_on_where_it_stopped_and_a_job_can_be_cancelled(
-    page: Page, served: Served
-) -> None:
+def test_a_broken_upload_goes_on_where_it_stopped_and_a_job_can_be_cancelled(page: Page, served: Served) -> None:
     half = 1_000_000
     offsets: list[int] = []
 
     def half_of_it(route: Route) -> None:
         part = urllib.request.Request(
-            route.request.url, PLANT.read_bytes()[:half], method="PUT",
+            route.request.url,
+            PLANT.read_bytes()[:half],
+            method="PUT",
             headers={"Authorization": route.request.headers["authorization"], "Upload-Offset": "0"},
-        )  # fmt: skip
+        )
         urllib.request.urlopen(part, timeout=30).close()
         route.abort("connectionreset")  # the browser never hears that half arrived
 

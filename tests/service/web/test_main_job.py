@@ -51,9 +51,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
 
     # 3. files
     page.locator(".preview img").wait_for()
-    assert (
-        page.locator(".preview img").evaluate("image => image.decode().then(() => image.naturalWidth)") > 300
-    )
+    assert page.locator(".preview img").evaluate("image => image.decode().then(() => image.naturalWidth)") > 300
     marked, record = tmp_path / "marked.ply", tmp_path / "plant.record"
     page.get_by_label("Format of the marked model").select_option("ply")
     for button, path in (("Download the marked model", marked), ("Download the record", record)):

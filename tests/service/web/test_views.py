@@ -25,9 +25,11 @@ def ask(served: Served, path: str, method: str = "GET", body: Any = None, **head
     data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
     kind = {"Content-Type": "application/json"} if not isinstance(body, bytes) else {}
     request = urllib.request.Request(
-        served.address + path, data, method=method,
+        served.address + path,
+        data,
+        method=method,
         headers={"Authorization": f"Bearer {served.api_key}", **kind, **headers},
-    )  # fmt: skip
+    )
     with urllib.request.urlopen(request, timeout=120) as response:
         return json.load(response)
 
@@ -79,9 +81,7 @@ def opened(browser: Browser, served: Served, address: str, view: str, **how: Any
 @pytest.mark.parametrize("view", VIEWS)
 def test_view(view: str, browser: Browser, served: Served, stocked: dict[str, str]) -> None:
     for name, theme, size in (("desktop-dark", "dark", DESKTOP), ("phone-light", "light", PHONE)):
-        page = opened(
-            browser, served, stocked[view], view, viewport=size, color_scheme=theme, reduced_motion="reduce"
-        )
+        page = opened(browser, served, stocked[view], view, viewport=size, color_scheme=theme, reduced_motion="reduce")
         shoot(page, f"{view}-{name}")
         wide = page.evaluate(
             """[document.documentElement.scrollWidth, window.innerWidth,

@@ -43,10 +43,20 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
     """The shipped scene, marked with the fast profile."""
     folder = tmp_path_factory.mktemp("marked")
     request = {
-        "model": str(SCENE), "key": KEY, "message": "c0ffee42", "bits": None, "profile": "fast", "psnr": None,
-        "budget": None, "output": None, "format": "ply", "copy": "acme", "cameras": None, "spz_frame": "auto",
+        "model": str(SCENE),
+        "key": KEY,
+        "message": "c0ffee42",
+        "bits": None,
+        "profile": "fast",
+        "psnr": None,
+        "budget": None,
+        "output": None,
+        "format": "ply",
+        "copy": "acme",
+        "cameras": None,
+        "spz_frame": "auto",
         "registered_at": "2026-01-02T03:04:05+00:00",
-    }  # fmt: skip
+    }
     return Marked(folder, TASKS["embed"](request, folder, silent))
 
 
@@ -56,9 +66,15 @@ def verify(marked: Marked, tmp_path: Path) -> Ask:
 
     def ask(**request: Any) -> dict[str, Any]:
         usual = {
-            "model": None, "images": [], "cameras": None, "spz_frame": "auto", "false_claim_rate": 1e-9,
-            "route": "auto", "candidates": [marked.candidate()], "stop_at_first": True,
-        }  # fmt: skip
+            "model": None,
+            "images": [],
+            "cameras": None,
+            "spz_frame": "auto",
+            "false_claim_rate": 1e-9,
+            "route": "auto",
+            "candidates": [marked.candidate()],
+            "stop_at_first": True,
+        }
         return TASKS["verify"](usual | request, tmp_path, silent)
 
     return ask

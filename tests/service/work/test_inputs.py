@@ -15,9 +15,15 @@ from service.work import inputs
 from service.work.inputs import load_cameras, load_model, load_pictures
 
 CAMERA = {
-    "id": 0, "img_name": "0", "width": 64, "height": 48, "position": [0, 0, 0],
-    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 60.0, "fy": 60.0,
-}  # fmt: skip
+    "id": 0,
+    "img_name": "0",
+    "width": 64,
+    "height": 48,
+    "position": [0, 0, 0],
+    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "fx": 60.0,
+    "fy": 60.0,
+}
 
 
 def png_header(width: int, height: int) -> bytes:

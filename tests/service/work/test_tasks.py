@@ -13,11 +13,11 @@ from PIL import Image
 from engine.errors import CapacityError, FormatError, InputError
 from engine.formats import read_model
 from engine.pipeline.sealing import open_record
+from engine.registration.sketch import make_sketch
 from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
-from engine.watermark.sketch import make_sketch
 from service.work.embedding import embed_mark
 from service.work.inputs import load_candidates
 from service.work.pictures import choose_view
@@ -26,10 +26,20 @@ from service.work.tasks import TASKS
 from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, silent
 
 EMBED: dict[str, Any] = {
-    "model": str(FOREIGN), "key": KEY, "message": None, "bits": 16, "profile": "fast", "psnr": 30.0,
-    "budget": None, "output": None, "format": None, "copy": "", "cameras": None, "spz_frame": "auto",
+    "model": str(FOREIGN),
+    "key": KEY,
+    "message": None,
+    "bits": 16,
+    "profile": "fast",
+    "psnr": 30.0,
+    "budget": None,
+    "output": None,
+    "format": None,
+    "copy": "",
+    "cameras": None,
+    "spz_frame": "auto",
     "registered_at": "",
-}  # fmt: skip
+}
 
 
 def test_importing_the_tasks_is_cheap_and_preloading_needs_no_torch() -> None:
@@ -91,15 +101,18 @@ def test_the_view_shows_the_whole_model_and_needs_no_key(marked: Marked) -> None
 @pytest.mark.parametrize(
     ("changes", "error"),
     [
-        ({"bits": 256, "psnr": 60.0}, CapacityError), ({"bits": 17}, InputError), ({"message": "zz"}, InputError),
-        ({"profile": "best"}, InputError), ({"psnr": 5.0}, InputError), ({"budget": 200.0}, InputError),
-        ({"output": "tiny"}, InputError), ({"model": __file__}, FormatError),
+        ({"bits": 256, "psnr": 60.0}, CapacityError),
+        ({"bits": 17}, InputError),
+        ({"message": "zz"}, InputError),
+        ({"profile": "best"}, InputError),
+        ({"psnr": 5.0}, InputError),
+        ({"budget": 200.0}, InputError),
+        ({"output": "tiny"}, InputError),
+        ({"model": __file__}, FormatError),
     ],
     ids=str,
-)  # fmt: skip
-def test_embed_refuses_and_leaves_nothing(
-    tmp_path: Path, changes: dict[str, Any], error: type[Exception]
-) -> None:
+)
+def test_embed_refuses_and_leaves_nothing(tmp_path: Path, changes: dict[str, Any], error: type[Exception]) -> None:
     with pytest.raises(error):
         embed_mark(EMBED | changes, tmp_path, silent)
     assert list(tmp_path.iterdir()) == []
@@ -137,16 +150,19 @@ def test_a_registered_mark_is_found_and_only_that(marked: Marked) -> None:
     assert find_marks(stolen, candidates, 2, silent)["screened"] == 2
     original, foreign = (read_model(path).model for path in (SCENE, FOREIGN))
     assert find_marks(original, candidates, 8, silent)["carries"] == []
-    assert find_marks(foreign, candidates, 8, silent)["screened"] == 0, (
-        "a foreign model costs no registration"
-    )
+    assert find_marks(foreign, candidates, 8, silent)["screened"] == 0, "a foreign model costs no registration"
 
 
 def test_a_model_with_anothers_mark_is_not_marked_again(marked: Marked, tmp_path: Path) -> None:
     request = {
-        "model": str(marked.path("model")), "key": "55" * 16 + "66" * 16, "bits": 16, "profile": "fast",
-        "candidates": [marked.candidate("theirs")], "limit": 8, "disputes": ["theirs"],
-    }  # fmt: skip
+        "model": str(marked.path("model")),
+        "key": "55" * 16 + "66" * 16,
+        "bits": 16,
+        "profile": "fast",
+        "candidates": [marked.candidate("theirs")],
+        "limit": 8,
+        "disputes": ["theirs"],
+    }
     reply = TASKS["embed"](request, tmp_path, silent)
     assert [each["asset"] for each in reply["screening"]["carries"]] == ["theirs"]
     assert set(reply) == {"screening"}

@@ -13,11 +13,11 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import verify_model
 from engine.raster import render
+from engine.registration.sketch import make_sketch
 from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
-from engine.watermark.sketch import make_sketch
 from service.problems import Problem
 from service.work.evidence_pictures import CELL_CODES, cell_scores
 from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, checks
@@ -111,9 +111,7 @@ def test_stopping_at_the_first_is_a_choice(verify: Ask, marked: Marked) -> None:
     late = verify(model=model, candidates=candidates, route="model", stop_at_first=False)
     assert [each["asset"] for each in soon["tried"]] == ["one"]
     assert [each["asset"] for each in late["tried"]] == ["one", "two"]
-    assert (
-        soon["claim"]["tries"] == late["claim"]["tries"] == 2
-    )  # the bar was set before either was looked at
+    assert soon["claim"]["tries"] == late["claim"]["tries"] == 2  # the bar was set before either was looked at
 
 
 def test_without_candidates_there_is_nothing_to_say(verify: Ask) -> None:

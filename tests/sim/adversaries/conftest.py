@@ -36,9 +36,6 @@ def plant() -> GaussianModel:
 def scene(plant: GaussianModel) -> Marked:
     key = bench_key(3)
     config = profile("fast", landmark_views=0, views=3, view_size=200)
-    made = [
-        embed(plant, key, original_sha256="33" * 32, bits=16, config=config, copy=f"buyer {i}")
-        for i in range(3)
-    ]
+    made = [embed(plant, key, original_sha256="33" * 32, bits=16, config=config, copy=f"buyer {i}") for i in range(3)]
     opened = open_record(made[0].record.to_bytes(key), key)
     return Marked("plant", plant, made[0].model, opened, tuple(m.model for m in made[1:]))

@@ -57,9 +57,7 @@ def test_position_noise_is_in_radii(model: GaussianModel) -> None:
     ("name", "strength", "field", "std"),
     [("translate", 1.0, "means", 1.0), ("noise_means", 0.5, "means", 0.5), ("noise_colors", 8.0, "sh", 8.0)],
 )
-def test_gaussian_marker_scatters(
-    name: str, strength: float, field: str, std: float, model: GaussianModel
-) -> None:
+def test_gaussian_marker_scatters(name: str, strength: float, field: str, std: float, model: GaussianModel) -> None:
     out = run(name, model, strength, "as_code")
     change = getattr(out, field) - getattr(model, field)
     change = change[:, 0] if field == "sh" else change

@@ -22,10 +22,7 @@ def partition(labels: np.ndarray) -> set[frozenset[int]]:
 @pytest.mark.parametrize("seed", range(6))
 def test_the_fast_clusters_are_those_of_all_pairs(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    blobs = [
-        rng.normal(rng.uniform(-4, 4, 2), rng.uniform(0.1, 0.6), (int(rng.integers(15, 40)), 2))
-        for _ in range(4)
-    ]
+    blobs = [rng.normal(rng.uniform(-4, 4, 2), rng.uniform(0.1, 0.6), (int(rng.integers(15, 40)), 2)) for _ in range(4)]
     points = np.concatenate([*blobs, rng.uniform(-6, 6, (20, 2))])
     fast = cluster_by_density(points, 4, 8, graph=len(points) - 1)
     assert partition(fast) == partition(by_the_book(points, 4, 8))
@@ -35,16 +32,12 @@ def test_the_fast_clusters_are_those_of_all_pairs(seed: int) -> None:
 def test_neighbours_alone_find_well_parted_blobs() -> None:
     rng = np.random.default_rng(1)
     centers = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], float)
-    points = np.concatenate(
-        [c + rng.standard_normal((300, 3)) for c in centers] + [rng.uniform(-40, 40, (30, 3))]
-    )
+    points = np.concatenate([c + rng.standard_normal((300, 3)) for c in centers] + [rng.uniform(-40, 40, (30, 3))])
     labels = cluster_by_density(points, 4, 40)
     truth = np.repeat(np.arange(3), 300)
     for k in range(3):
         assert np.unique(labels[:900][truth == k], return_counts=True)[1].max() > 200
-    cores = [
-        labels[:900][(truth == k) & (np.linalg.norm(points[:900] - centers[k], axis=1) < 1)] for k in range(3)
-    ]
+    cores = [labels[:900][(truth == k) & (np.linalg.norm(points[:900] - centers[k], axis=1) < 1)] for k in range(3)]
     main = [np.bincount(c[c >= 0]).argmax() for c in cores]
     assert len(set(main)) == 3
     assert (labels[900:] < 0).mean() > 0.7

@@ -19,17 +19,15 @@ from engine.pipeline.profiles import profile
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import verify_model
+from engine.registration.registering import register
 from engine.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain, retraining_steps
 from engine.sim.capture.training import TrainConfig
-from engine.watermark.registration import register
-from tests.watermark.registration_cases import MOVES
+from tests.registration.registration_cases import MOVES
 
 PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
 CONFIG = RetrainConfig(
     points=12_000,
-    train=TrainConfig(
-        steps=240, sh_degree=0, densify=None, opacity_rate=0.02, color_rate=0.01, scale_rate=0.01
-    ),
+    train=TrainConfig(steps=240, sh_degree=0, densify=None, opacity_rate=0.02, color_rate=0.01, scale_rate=0.01),
 )
 
 
@@ -88,9 +86,7 @@ def test_training_pays_and_is_reproducible(scene: MarkedScene, cameras: list[Cam
 
 def test_random_points_know_nothing_of_the_surface(scene: MarkedScene, cameras: list[Camera]) -> None:
     short = replace(CONFIG, train=replace(CONFIG.train, steps=1))
-    on, off = (
-        retrain(scene.marked, cameras[:3], replace(short, start=start)) for start in ("depth", "random")
-    )
+    on, off = (retrain(scene.marked, cameras[:3], replace(short, start=start)) for start in ("depth", "random"))
     losses = [quality_lost(model, scene.marked, cameras[3:5])["psnr_to_stolen"] for model in (on, off)]
     assert losses[0] > losses[1] + 1
 

@@ -30,8 +30,7 @@ def test_nothing_costs_nothing_and_moving_costs_nothing(model: GaussianModel) ->
 
 def test_cost_rises_with_strength_and_sees_holes(model: GaussianModel) -> None:
     looks = [
-        model_cost(model, model_attack("noise_dc").apply(model, s, rng=1), views=2, size=96).psnr
-        for s in (0.01, 0.1)
+        model_cost(model, model_attack("noise_dc").apply(model, s, rng=1), views=2, size=96).psnr for s in (0.01, 0.1)
     ]
     assert looks[0] > looks[1] + 15
     piece = model_attack("crop").apply(model, 0.4, rng=1)
@@ -86,19 +85,17 @@ def test_rows_say_what_held_what_broke_and_what_it_cost(scene: Marked, model: Ga
     ]
     done: list[float] = []
     rows = run_suite(
-        scene,
-        trials,
-        company=Company(scene.copies, model),
-        config=VerifyConfig(),
-        pictures=1,
-        advance=done.append,
+        scene, trials, company=Company(scene.copies, model), config=VerifyConfig(), pictures=1, advance=done.append
     )
     outcome = {row["attack"]: row["outcome"] for row in rows}
     assert outcome == {
-        "untouched": "held", "nothing left": "ruined", "three copies": "held",
-        "ten copies": "not run: needs 9 further copies, there are 2", "merged": "held",
+        "untouched": "held",
+        "nothing left": "ruined",
+        "three copies": "held",
+        "ten copies": "not run: needs 9 further copies, there are 2",
+        "merged": "held",
         "JPEG 50": "held",
-    }  # fmt: skip
+    }
     by_label = {row["attack"]: row for row in rows}
     assert by_label["untouched"]["psnr"] == math.inf
     assert by_label["merged"]["psnr"] == math.inf  # the foreign scene is no damage

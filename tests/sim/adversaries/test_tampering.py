@@ -11,11 +11,11 @@ from engine.numerics.image_metrics import psnr
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
+from engine.registration.registering import RegistrationConfig, register
 from engine.sim import model_attack
 from engine.sim.adversaries.collusion import RULES, collude
 from engine.sim.adversaries.evolution import Budget, evolve
 from engine.sim.cost import model_cost
-from engine.watermark.registration import RegistrationConfig, register
 from tests.sim.adversaries.conftest import Marked
 
 MODEL = VerifyConfig(route="model")
@@ -69,9 +69,13 @@ def test_rules_of_collusion_do_what_they_say(rule: str, model: GaussianModel) ->
     low, high, middle = stack.min(axis=0), stack.max(axis=0), np.median(stack, axis=0)
     out = collude(model, rule, np.random.default_rng(1), others=others).sh
     expected = {
-        "mean": stack.mean(axis=0), "median": middle, "min": low, "max": high, "minmax": (low + high) / 2,
+        "mean": stack.mean(axis=0),
+        "median": middle,
+        "min": low,
+        "max": high,
+        "minmax": (low + high) / 2,
         "modneg": low + high - middle,
-    }  # fmt: skip
+    }
     if rule in expected:
         np.testing.assert_allclose(out, expected[rule], atol=1e-6)
     elif rule == "randneg":

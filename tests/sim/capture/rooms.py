@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from engine.formats.trajectory import Trajectory
+from engine.formats.cameras.trajectory import Trajectory
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.sim.capture.surfels import flat_kernels_from_points

@@ -21,10 +21,12 @@ def shell(count: int = 400, seed: int = 0) -> GaussianModel:
     sh = np.zeros((count, 4, 3))
     sh[:, 0] = np.sin(3 * normal + [0, 1, 2])
     return GaussianModel(
-        normal.astype(np.float32), np.log(rng.uniform(0.08, 0.2, (count, 3))).astype(np.float32),
+        normal.astype(np.float32),
+        np.log(rng.uniform(0.08, 0.2, (count, 3))).astype(np.float32),
         (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        np.full(count, 2.0, np.float32), sh.astype(np.float32),
-    )  # fmt: skip
+        np.full(count, 2.0, np.float32),
+        sh.astype(np.float32),
+    )
 
 
 def orbit(count: int, width: int = 64, height: int = 48) -> list[Camera]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
+from engine.formats.points.cloud import PointCloud
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.from_points import CloudConfig, points_to_model
 from engine.sim.capture.surfels import flat_kernels_from_points
@@ -22,9 +22,7 @@ def thinned_slowly(cloud: PointCloud, size: float) -> dict[tuple[int, ...], np.n
     held: dict[tuple[int, ...], list[np.ndarray]] = {}
     low = cloud.points.min(axis=0)
     for k in range(len(cloud)):
-        row = np.concatenate(
-            [cloud.points[k], cloud.colors[k], cloud.intensity[k : k + 1], cloud.times[k : k + 1]]
-        )
+        row = np.concatenate([cloud.points[k], cloud.colors[k], cloud.intensity[k : k + 1], cloud.times[k : k + 1]])
         held.setdefault(tuple(((cloud.points[k] - low) // size).astype(int)), []).append(row)
     return {voxel: np.mean(rows, axis=0) for voxel, rows in held.items()}
 
@@ -32,9 +30,7 @@ def thinned_slowly(cloud: PointCloud, size: float) -> dict[tuple[int, ...], np.n
 def test_voxels_against_the_slow_twin() -> None:
     rng = np.random.default_rng(0)
     n = 3000
-    cloud = PointCloud(
-        rng.uniform(-2, 3, (n, 3)) + 1e5, rng.random((n, 3)), rng.random(n) * 100, rng.random(n) + 1e9
-    )
+    cloud = PointCloud(rng.uniform(-2, 3, (n, 3)) + 1e5, rng.random((n, 3)), rng.random(n) * 100, rng.random(n) + 1e9)
     thin = thin_voxels(cloud, 0.7)
     expected = thinned_slowly(cloud, 0.7)
     assert len(thin) == len(expected) < n

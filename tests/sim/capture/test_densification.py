@@ -19,15 +19,13 @@ def prepared(count: int = 6) -> Parameters:
     model = shell(count).with_(log_scales=np.full((count, 3), np.log(0.05), np.float32))
     parameters = Parameters(model)
     for name in NAMES:
-        parameters.moments[name].first[:] = 1.0 + np.arange(count).reshape(-1, *[1] * (
-            parameters.arrays[name].ndim - 1
-        ))  # fmt: skip
+        parameters.moments[name].first[:] = 1.0 + np.arange(count).reshape(
+            -1, *[1] * (parameters.arrays[name].ndim - 1)
+        )
     return parameters
 
 
-def run(
-    parameters: Parameters, pull: list[float], large: bool = True, config: DensifyConfig = CONFIG
-) -> None:
+def run(parameters: Parameters, pull: list[float], large: bool = True, config: DensifyConfig = CONFIG) -> None:
     pulls = np.array(pull, np.float32)
     densify(parameters, pulls, EXTENT, config, np.random.default_rng(0), prune_large=large)
 
@@ -122,8 +120,7 @@ def test_opacity_reset_and_degree() -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"first": 0.6}, {"every": 0}, {"most": 0}, {"reset": 0}, {"gradient": 0}, {"min_opacity": 0.01}],
+    "options", [{"first": 0.6}, {"every": 0}, {"most": 0}, {"reset": 0}, {"gradient": 0}, {"min_opacity": 0.01}]
 )
 def test_refused_settings(options: dict[str, float]) -> None:
     with pytest.raises(InputError):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.formats.reconstruction import read_reconstruction
+from engine.formats.points.reconstruction import read_reconstruction
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.sim.capture.densification import DensifyConfig
@@ -36,9 +36,7 @@ def test_train_on_some_and_compare_with_the_rest(tmp_path: Path) -> None:
     start = kernels_from_points(*_points(tmp_path))
     untrained = psnr(render(start, cameras[3]), capture.photos.images[3])
     assert report["psnr"]["p03.png"] > untrained + 5
-    assert report["psnr_held_out"] == pytest.approx(
-        np.mean([report["psnr"]["p03.png"], report["psnr"]["p09.png"]])
-    )
+    assert report["psnr_held_out"] == pytest.approx(np.mean([report["psnr"]["p03.png"], report["psnr"]["p09.png"]]))
     assert report["psnr_trained"] > report["psnr_held_out"] > 20
     assert {stage for stage, _ in told} == {"photos", "train", "compare"}
     assert told[-1] == ("compare", 1.0)
@@ -55,15 +53,9 @@ def test_held_out_photos_are_not_looked_at(tmp_path: Path) -> None:
     images = write_colmap(tmp_path, TRUTH, orbit(5))
     first = train_from_colmap(tmp_path, images, hold_out=5, config=config).model
     (images / "p02.png").write_bytes((images / "p00.png").read_bytes())
-    assert (
-        train_from_colmap(tmp_path, images, hold_out=5, config=config).model.sh.tobytes()
-        == first.sh.tobytes()
-    )
+    assert train_from_colmap(tmp_path, images, hold_out=5, config=config).model.sh.tobytes() == first.sh.tobytes()
     (images / "p01.png").write_bytes((images / "p00.png").read_bytes())
-    assert (
-        train_from_colmap(tmp_path, images, hold_out=5, config=config).model.sh.tobytes()
-        != first.sh.tobytes()
-    )
+    assert train_from_colmap(tmp_path, images, hold_out=5, config=config).model.sh.tobytes() != first.sh.tobytes()
 
 
 def test_photos_are_undistorted_and_brought_to_size(tmp_path: Path) -> None:
@@ -76,9 +68,7 @@ def test_photos_are_undistorted_and_brought_to_size(tmp_path: Path) -> None:
         assert camera.K[0, 0] > 32.5  # 64 halved, and zoomed past the lens's empty corners
 
 
-@pytest.mark.parametrize(
-    ("hold_out", "message"), [(1, "hold_out is 1"), (-1, "hold_out is -1"), (2, "too few")]
-)
+@pytest.mark.parametrize(("hold_out", "message"), [(1, "hold_out is 1"), (-1, "hold_out is -1"), (2, "too few")])
 def test_refusals(tmp_path: Path, hold_out: int, message: str) -> None:
     images = write_colmap(tmp_path, TRUTH, orbit(2))
     with pytest.raises(InputError, match=message):

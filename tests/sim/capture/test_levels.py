@@ -16,13 +16,7 @@ from engine.pipeline.profiles import profile
 from engine.pipeline.verification import verify_model
 from engine.raster import render
 from engine.sim.capture.half_precision import half_precision
-from engine.sim.capture.lod import (
-    LevelOfDetail,
-    level_of_quality,
-    levels_of_detail,
-    rank_by_weight,
-    reduce_to,
-)
+from engine.sim.capture.lod import LevelOfDetail, level_of_quality, levels_of_detail, rank_by_weight, reduce_to
 from engine.watermark.claim import Verdict
 
 PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
@@ -87,9 +81,7 @@ def test_merging_keeps_the_moments() -> None:
 @cache
 def levels(merge: bool) -> dict[float, LevelOfDetail]:
     shares, cameras = (0.5, 0.25, 0.1), front(plant().marked, 200, 1.3)
-    return dict(
-        zip(shares, levels_of_detail(plant().marked, shares, cameras=cameras, merge=merge), strict=True)
-    )
+    return dict(zip(shares, levels_of_detail(plant().marked, shares, cameras=cameras, merge=merge), strict=True))
 
 
 def test_levels_are_alike_and_merging_helps() -> None:

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
-from engine.formats.point_cloud import PointCloud
-from engine.formats.trajectory import Trajectory, write_trajectory
+from engine.formats.cameras.trajectory import Trajectory, write_trajectory
+from engine.formats.points.cloud import PointCloud
 from engine.model import Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import rotation_to_quaternion
@@ -104,9 +104,9 @@ def test_scans_with_stamps_that_start_anew_are_not_piled_up() -> None:
     path = replace(path, times=path.times - 100.0)
     stamps = np.linspace(0.0, 0.1, 10)
     target = np.array([0.3, -2.0, 1.0])
-    scans = [
-        Scan(PointCloud(seen_from(target, path, time + stamps), times=stamps)) for time in path.times[:-1]
-    ] + [Scan(PointCloud(seen_from(target, path, path.times[-1:]), times=stamps[:1]))]
+    scans = [Scan(PointCloud(seen_from(target, path, time + stamps), times=stamps)) for time in path.times[:-1]] + [
+        Scan(PointCloud(seen_from(target, path, path.times[-1:]), times=stamps[:1]))
+    ]
     clouds, outside = place_scans(scans, path)
     np.testing.assert_allclose(join_clouds(clouds).points, np.tile(target, (41, 1)), atol=1e-9)
     assert outside == 0
@@ -164,9 +164,7 @@ def write(folder: Path, clouds: list[PointCloud], stems: list[str]) -> Path:
     folder.mkdir()
     for cloud, stem in zip(clouds, stems, strict=True):
         shades = np.round(255 * cloud.colors).astype(np.uint8)
-        (folder / f"{stem}.pcd").write_bytes(
-            pcd(cloud.points, shades).replace(b" intensity t\n", b" intensity u\n")
-        )
+        (folder / f"{stem}.pcd").write_bytes(pcd(cloud.points, shades).replace(b" intensity t\n", b" intensity u\n"))
     return folder
 
 
@@ -193,9 +191,10 @@ def test_from_files_to_a_model_that_looks_like_the_scene(kind: str, tmp_path: Pa
 def test_one_file_whose_points_have_times(tmp_path: Path) -> None:
     points, colors = room_points(500)
     path = Trajectory(
-        np.array([[0.0, 0, 0], [1.0, 0, 0]]), rotation_to_quaternion(np.tile(np.eye(3), (2, 1, 1))),
+        np.array([[0.0, 0, 0], [1.0, 0, 0]]),
+        rotation_to_quaternion(np.tile(np.eye(3), (2, 1, 1))),
         np.array([10.0, 11.0]),
-    )  # fmt: skip
+    )
     file = tmp_path / "all.ply"  # times 10, 10.25, 10.5, 11 in turn
     file.write_bytes(ply(points, np.round(255 * colors).astype(np.uint8)))
     made = scans_to_model(file, path, config=CloudConfig(voxel=0.0, clean=False))

@@ -43,9 +43,7 @@ def same(a: GaussianModel, b: GaussianModel) -> bool:
 def test_a_view_it_never_saw() -> None:
     """From points to 22 dB on a photo held out, with densification and an opacity reset on the way."""
     start = points()
-    config = TrainConfig(
-        steps=350, sh_degree=1, densify=DensifyConfig(first=0.1, every=20, reset=0.5, most=1000)
-    )
+    config = TrainConfig(steps=350, sh_degree=1, densify=DensifyConfig(first=0.1, every=20, reset=0.5, most=1000))
     used = [k for k in range(8) if k != 3]
     model = train(start, [CAMERAS[k] for k in used], [PHOTOS[k] for k in used], config)
     assert len(start) < len(model) <= 1000
@@ -72,9 +70,7 @@ def test_colors_alone() -> None:
     grey = TRUTH.with_(sh=np.zeros_like(TRUTH.sh))
     config = TrainConfig(steps=60, trained="colors", sh_degree=None, color_rate=0.05)
     tuned = train(grey, CAMERAS, PHOTOS, config)
-    assert all(
-        (getattr(tuned, name) == getattr(grey, name)).all() for name in NAMES if name not in ("sh", "quats")
-    )
+    assert all((getattr(tuned, name) == getattr(grey, name)).all() for name in NAMES if name not in ("sh", "quats"))
     np.testing.assert_allclose(tuned.quats, grey.quats, atol=1e-6)
     assert quality(tuned, 0) > quality(grey, 0) + 10
 
@@ -102,9 +98,7 @@ def test_rates_fall_from_first_to_last() -> None:
 
 
 def test_the_same_bytes_from_the_same_seed_on_any_thread_count() -> None:
-    config = TrainConfig(
-        steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15)
-    )
+    config = TrainConfig(steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15))
     both = train(points(), CAMERAS, PHOTOS, config)
     threads = numba.get_num_threads()
     try:
@@ -113,9 +107,7 @@ def test_the_same_bytes_from_the_same_seed_on_any_thread_count() -> None:
     finally:
         numba.set_num_threads(threads)
     assert same(both, one)
-    other = TrainConfig(
-        steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15), seed=1
-    )
+    other = TrainConfig(steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15), seed=1)
     assert not same(both, train(points(), CAMERAS, PHOTOS, other))
 
 
@@ -131,9 +123,7 @@ def test_a_pickled_training_goes_on_where_it_was() -> None:
 
 def test_nothing_hides_in_a_random_background() -> None:
     """Faint Gaussians over black photos: on black they may stay faint, on random colours they must cover."""
-    faint = TRUTH.with_(
-        opacity_logits=np.full(len(TRUTH), -3.0, np.float32), sh=np.full_like(TRUTH.sh, -1.772)
-    )
+    faint = TRUTH.with_(opacity_logits=np.full(len(TRUTH), -3.0, np.float32), sh=np.full_like(TRUTH.sh, -1.772))
     black = [np.zeros_like(photo) for photo in PHOTOS]
     opacities = []
     for behind in (0.0, "random"):
@@ -166,8 +156,7 @@ def test_refusals() -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"steps": 0}, {"trained": "sh"}, {"sh_degree": 4}, {"opacity_rate": 0.0}, {"background": "sky"}],
+    "options", [{"steps": 0}, {"trained": "sh"}, {"sh_degree": 4}, {"opacity_rate": 0.0}, {"background": "sky"}]
 )
 def test_refused_settings(options: dict[str, object]) -> None:
     with pytest.raises(InputError):

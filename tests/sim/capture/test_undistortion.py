@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from engine.errors import CameraError, InputError
-from engine.formats.cameras_colmap import PosedPhoto
+from engine.formats.cameras.colmap import PosedPhoto
 from engine.model import Camera
 from engine.sim.capture.undistortion import read_photo, undistort
 

@@ -30,9 +30,12 @@ def sheet() -> GaussianModel:
     sh[:, 0] += 0.5 * np.sin(12 * xy[:, :1]) + [0.4, 0.0, -0.4]
     quats = np.tile([1.0, 0, 0, 0], (n, 1))
     return GaussianModel(
-        means.astype(np.float32), log_scales.astype(np.float32), quats.astype(np.float32),
-        rng.uniform(1.0, 4.0, n).astype(np.float32), sh.astype(np.float32),
-    )  # fmt: skip
+        means.astype(np.float32),
+        log_scales.astype(np.float32),
+        quats.astype(np.float32),
+        rng.uniform(1.0, 4.0, n).astype(np.float32),
+        sh.astype(np.float32),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -54,10 +57,12 @@ def solid(seed: int, n: int = 3000) -> GaussianModel:
     sh = 0.1 * rng.standard_normal((n, 4, 3))
     sh[:, 0] = 0.7 * np.sin(normal @ rng.normal(0, 3, (3, 3))) + 0.2 * rng.standard_normal((n, 3))
     return GaussianModel(
-        (normal * radius).astype(np.float32), np.log(rng.uniform(0.02, 0.09, (n, 3))).astype(np.float32),
+        (normal * radius).astype(np.float32),
+        np.log(rng.uniform(0.02, 0.09, (n, 3))).astype(np.float32),
         (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        rng.normal(1.0, 1.5, n).astype(np.float32), sh.astype(np.float32),
-    )  # fmt: skip
+        rng.normal(1.0, 1.5, n).astype(np.float32),
+        sh.astype(np.float32),
+    )
 
 
 def marked(model: GaussianModel, seed: int) -> tuple[GaussianModel, OpenedRecord]:

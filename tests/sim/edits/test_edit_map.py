@@ -95,9 +95,7 @@ def test_a_moved_patch_is_found_and_read(scene: MarkedScene, patch: Bool) -> Non
     assert motion is not None
     assert np.degrees(np.arccos((np.trace(motion.R) - 1) / 2)) == pytest.approx(40.0, abs=0.1)
     whole = verify_pieces(suspect, scene.opened, pieces=seen.pieces)
-    alone = verify_pieces(
-        suspect, scene.opened, pieces=register_pieces(scene.opened.reference, suspect, most=1)
-    )
+    alone = verify_pieces(suspect, scene.opened, pieces=register_pieces(scene.opened.reference, suspect, most=1))
     assert whole.bit_accuracy == alone.bit_accuracy == 1.0
     assert whole.derived_fraction == 1.0
     assert whole.z > alone.z
@@ -110,9 +108,7 @@ def test_a_copied_patch_is_no_moved_one(scene: MarkedScene, patch: Bool) -> None
     assert hits(seen.kinds == Change.COPIED, np.arange(len(copied)) >= len(patch)) > (0.99, 0.99)
 
 
-def test_removed_and_foreign_gaussians_are_found(
-    scene: MarkedScene, patch: Bool, sheet: GaussianModel
-) -> None:
+def test_removed_and_foreign_gaussians_are_found(scene: MarkedScene, patch: Bool, sheet: GaussianModel) -> None:
     from engine.sim.model_placement import join
 
     far = sheet.with_(means=0.2 * sheet.means + 0.5, sh=sheet.sh[:, :1])

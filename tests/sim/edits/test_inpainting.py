@@ -35,9 +35,7 @@ def test_a_hole_is_covered_in_the_colors_around_it(sheet: GaussianModel, patch: 
     whole, empty, mended = (np.where(hole[..., None], i, 0) for i in images)
     assert psnr(whole, mended) > psnr(whole, empty) + 6
     around = ~hole & (opacity(cut) > 0.9)
-    assert (
-        psnr(images[0] * around[..., None], images[2] * around[..., None]) > 30
-    )  # the rim is not smeared over
+    assert psnr(images[0] * around[..., None], images[2] * around[..., None]) > 30  # the rim is not smeared over
 
 
 def test_stripes_go_on_through_the_hole(sheet: GaussianModel, patch: Bool) -> None:

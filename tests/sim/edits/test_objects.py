@@ -88,9 +88,12 @@ def test_a_box_bounds_its_gaussians() -> None:
     turned = Rotation.from_euler("z", 45, degrees=True)
     quat = np.roll(turned.as_quat(), 1)
     one = GaussianModel(
-        np.zeros((1, 3), np.float32), np.log(np.array([[1.0, 1e-3, 1e-3]], np.float32)),
-        quat[None].astype(np.float32), np.zeros(1, np.float32), np.zeros((1, 1, 3), np.float32),
-    )  # fmt: skip
+        np.zeros((1, 3), np.float32),
+        np.log(np.array([[1.0, 1e-3, 1e-3]], np.float32)),
+        quat[None].astype(np.float32),
+        np.zeros(1, np.float32),
+        np.zeros((1, 1, 3), np.float32),
+    )
     low, high = model_box(one)
     assert np.allclose(high, [3 / np.sqrt(2), 3 / np.sqrt(2), 3e-3], atol=5e-3)
     assert np.allclose(low, -high)
@@ -170,9 +173,7 @@ def test_every_object_is_found_under_its_own_record(merged: FlatScene, objects: 
         assert np.array_equal(finding.rows, rows)
         assert finding.low is not None
         assert finding.high is not None
-        inside = ((merged.model.means[rows] >= finding.low) & (merged.model.means[rows] <= finding.high)).all(
-            1
-        )
+        inside = ((merged.model.means[rows] >= finding.low) & (merged.model.means[rows] <= finding.high)).all(1)
         assert inside.mean() > 0.9
         assert finding.placement is not None
         own = records[finding.record].reference.means

@@ -8,15 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import GaussianModel, look_at
-from engine.sim.edits import (
-    lift_masks,
-    mask_shares,
-    project_selection,
-    segment,
-    segment_at,
-    select_box,
-    select_sphere,
-)
+from engine.sim.edits import lift_masks, mask_shares, project_selection, segment, segment_at, select_box, select_sphere
 from engine.sim.model_placement import join
 
 
@@ -34,9 +26,7 @@ def test_a_box_can_be_turned(sheet: GaussianModel) -> None:
     assert np.abs(sheet.means[turned, 1]).max() > 0.4
 
 
-@pytest.mark.parametrize(
-    ("low", "high"), [([1, 0, 0], [0, 1, 1]), ([0, 0, np.nan], [1, 1, 1]), ([0, 0], [1, 1])]
-)
+@pytest.mark.parametrize(("low", "high"), [([1, 0, 0], [0, 1, 1]), ([0, 0, np.nan], [1, 1, 1]), ([0, 0], [1, 1])])
 def test_malformed_boxes_are_refused(sheet: GaussianModel, low: list[float], high: list[float]) -> None:
     with pytest.raises(InputError):
         select_box(sheet, low, high)
@@ -64,9 +54,12 @@ def two_lumps() -> GaussianModel:
     sh = np.where(right[:, None], [-1.0, -1, 1], [1.0, -1, -1])[:, None]
     f = np.float32
     return GaussianModel(
-        means.astype(f), np.full((300, 3), -3, f), np.tile(np.array([1, 0, 0, 0], f), (300, 1)),
-        np.full(300, 3, f), sh.astype(f),
-    )  # fmt: skip
+        means.astype(f),
+        np.full((300, 3), -3, f),
+        np.tile(np.array([1, 0, 0, 0], f), (300, 1)),
+        np.full(300, 3, f),
+        sh.astype(f),
+    )
 
 
 def test_segments_part_lumps_and_come_by_size() -> None:

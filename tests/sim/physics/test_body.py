@@ -144,9 +144,7 @@ def test_gaussians_carry_velocity_and_strain_colours(body: Body) -> None:
     np.testing.assert_allclose(kernel_velocities(turning), body.model.means @ spin.T, atol=1e-6)
     calm, strained = color_by_strain(body), color_by_strain(moved(body, np.diag([1.5, 1.0, 1.0])))
     assert calm.sh.shape[1] == 1
-    np.testing.assert_allclose(
-        0.5 + SH_C0 * calm.sh[:, 0], np.tile([0.267, 0.005, 0.329], (len(calm), 1)), atol=1e-3
-    )
+    np.testing.assert_allclose(0.5 + SH_C0 * calm.sh[:, 0], np.tile([0.267, 0.005, 0.329], (len(calm), 1)), atol=1e-3)
     assert (strained.sh[:, 0, 1] > calm.sh[:, 0, 1] + 1).all()  # towards yellow
     np.testing.assert_allclose(strained.means[:, 0], 1.5 * body.model.means[:, 0], atol=1e-5)
 

@@ -32,9 +32,7 @@ def center(body: Body) -> np.ndarray:
 
 
 def test_a_body_comes_to_rest_on_the_ground(body: Body) -> None:
-    lying = replace(
-        body, material=Material(viscosity=500.0), velocities=body.velocities + np.array([0.0, -1.0, 0.0])
-    )
+    lying = replace(body, material=Material(viscosity=500.0), velocities=body.velocities + np.array([0.0, -1.0, 0.0]))
     world = World((lying,), planes=(ground(-0.1),), drag=0.5)
     lowest, totals = [], []
     for _ in range(120):
@@ -102,10 +100,7 @@ def test_bodies_collide_and_share_their_momentum(body: Body, ball: GaussianModel
     gap = center(second)[0] - center(first)[0]
     assert gap > 0.7  # without contact they would have passed through each other
     np.testing.assert_allclose(momentum(world), before[0], atol=1e-8 * 2 * body.masses.sum())
-    relative = (
-        momentum(World((second,)))[0] / second.masses.sum()
-        - momentum(World((first,)))[0] / first.masses.sum()
-    )
+    relative = momentum(World((second,)))[0] / second.masses.sum() - momentum(World((first,)))[0] / first.masses.sum()
     assert relative > -0.4  # they came at each other with 4
     np.testing.assert_allclose(angular_momentum(world), before[1], atol=0.02 * np.linalg.norm(before[1]))
     assert energy(world).total < before[2]
@@ -128,9 +123,4 @@ def test_a_body_does_not_pass_through_itself(ball: GaussianModel) -> None:
         lower = world.bodies[0].positions[~far & body.lattice.surface]
         limits.append(np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1))
     # Points keep 0.9 cells apart, less what one pass leaves of a crowd.
-    assert (
-        np.quantile(limits[0], 0.1)
-        > 0.6 * body.lattice.cell
-        > 0.3 * body.lattice.cell
-        > np.quantile(limits[1], 0.1)
-    )
+    assert np.quantile(limits[0], 0.1) > 0.6 * body.lattice.cell > 0.3 * body.lattice.cell > np.quantile(limits[1], 0.1)

@@ -24,13 +24,7 @@ from tests.reference.deformation import deformed_covariance
 from tests.reference.similarity import covariance
 
 PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
-MAPS = [
-    (bend_points, 1.3),
-    (bend_points, -0.4),
-    (twist_points, 2.0),
-    (barrel_points, 0.6),
-    (barrel_points, 2.2),
-]
+MAPS = [(bend_points, 1.3), (bend_points, -0.4), (twist_points, 2.0), (barrel_points, 0.6), (barrel_points, 2.2)]
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +60,7 @@ def test_gradients_are_the_derivatives_of_the_map(points_map: PointMap, strength
     assert np.abs(gradients[~beyond] - np.eye(3)).max() > 0.1
 
 
-@pytest.mark.parametrize(
-    ("points_map", "none"), [(bend_points, 0.0), (twist_points, 0.0), (barrel_points, 1.0)]
-)
+@pytest.mark.parametrize(("points_map", "none"), [(bend_points, 0.0), (twist_points, 0.0), (barrel_points, 1.0)])
 def test_no_strength_is_no_deformation(points_map: PointMap, none: float) -> None:
     points = np.random.default_rng(1).standard_normal((50, 3))
     moved, gradients = points_map(points, 2.0, none)

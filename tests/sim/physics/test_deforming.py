@@ -39,9 +39,7 @@ def test_covariances_match_the_twin(ball: GaussianModel) -> None:
     moved = deform_model(ball, ball.means, F, element)
     for i in range(0, len(ball), 7):
         expected = deformed_covariance(ball, i, F[element[i]])
-        np.testing.assert_allclose(
-            covariance(moved, i), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max()
-        )
+        np.testing.assert_allclose(covariance(moved, i), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
     np.testing.assert_allclose(np.linalg.norm(moved.quats, axis=1), 1.0, atol=1e-6)
     assert np.abs(moved.log_scales - ball.log_scales).max() > 0.5
 
@@ -57,9 +55,7 @@ def test_colours_match_the_twin(ball: GaussianModel) -> None:
 
 
 def test_more_gradients_than_a_batch_are_each_their_own_gaussians(ball: GaussianModel) -> None:
-    many = GaussianModel(
-        *(np.tile(getattr(ball, n), (40, *[1] * (getattr(ball, n).ndim - 1))) for n in ATTRIBUTES)
-    )
+    many = GaussianModel(*(np.tile(getattr(ball, n), (40, *[1] * (getattr(ball, n).ndim - 1))) for n in ATTRIBUTES))
     F = np.concatenate([gradients(600, seed=5)] * 40)
     F[20_000:] = F[20_000:, ::-1] * [[-1.0], [1.0], [1.0]]  # not the same in every batch
     moved = deform_model(many, many.means, F)
@@ -101,9 +97,7 @@ def test_degenerate_and_inverted_gradients_give_proper_rotations(name: str, ball
         assert np.trace(R.T @ F) == pytest.approx(s[0] + s[1] - s[2])
     few = ball.take(np.arange(50))
     moved = deform_model(few, few.means, F[None], np.zeros(50, dtype=np.int64))
-    assert all(
-        np.isfinite(getattr(moved, n)).all() for n in ATTRIBUTES if n != "log_scales" or name != "huge"
-    )
+    assert all(np.isfinite(getattr(moved, n)).all() for n in ATTRIBUTES if n != "log_scales" or name != "huge")
     if name in ("line", "plane", "mirror", "inverted"):
         for i in range(0, 50, 9):
             expected = deformed_covariance(few, i, F)

@@ -67,9 +67,14 @@ def test_constraints(
 def test_shape_matching(compiled: bool, parts: Assembly, state: tuple[np.ndarray, np.ndarray]) -> None:
     x, _ = state
     arguments = (
-        parts.inverse_masses, parts.masses, parts.rest, parts.cluster_members, parts.cluster_starts,
-        parts.cluster_rates, H,
-    )  # fmt: skip
+        parts.inverse_masses,
+        parts.masses,
+        parts.rest,
+        parts.cluster_members,
+        parts.cluster_starts,
+        parts.cluster_rates,
+        H,
+    )
     assert len(parts.cluster_rates) > 4
     np.testing.assert_array_equal(np.sort(parts.cluster_members), np.arange(len(x)))
     # Clusters whose points lie in a plane have no unique rotation in the twin: compare what is solid.
@@ -83,9 +88,15 @@ def test_shape_matching(compiled: bool, parts: Assembly, state: tuple[np.ndarray
     keep = parts.cluster_members[np.repeat(_solid_clusters(parts, solid), np.diff(parts.cluster_starts))]
     starts = np.concatenate([[0], np.cumsum(np.diff(parts.cluster_starts)[_solid_clusters(parts, solid)])])
     slow.shapes(
-        other, parts.inverse_masses, parts.masses, parts.rest, keep, starts,
-        parts.cluster_rates[_solid_clusters(parts, solid)], H,
-    )  # fmt: skip
+        other,
+        parts.inverse_masses,
+        parts.masses,
+        parts.rest,
+        keep,
+        starts,
+        parts.cluster_rates[_solid_clusters(parts, solid)],
+        H,
+    )
     np.testing.assert_allclose(one[solid], other[solid], atol=1e-12)
     assert np.abs(one - x).max() > 1e-3
 
@@ -114,9 +125,7 @@ def test_pairs_are_all_found_once(compiled: bool) -> None:
 @pytest.mark.parametrize("compiled", [True, False])
 def test_pairs_come_apart_and_keep_their_momentum(compiled: bool) -> None:
     rng = np.random.default_rng(2)
-    x_prev = 0.17 * np.argwhere(np.ones((3, 3, 3))) + 0.002 * rng.standard_normal(
-        (27, 3)
-    )  # clear of each other
+    x_prev = 0.17 * np.argwhere(np.ones((3, 3, 3))) + 0.002 * rng.standard_normal((27, 3))  # clear of each other
     x = 0.7 * x_prev + 0.01 * rng.standard_normal((27, 3))  # and rushing together
     masses = rng.uniform(1.0, 3.0, 27)
     radii = np.full(27, 0.08)
@@ -124,9 +133,7 @@ def test_pairs_come_apart_and_keep_their_momentum(compiled: bool) -> None:
     pairs = contacts.find_pairs(x, x, surface, body, radii, 0.16)
     assert len(pairs) > 20
     one, past = x.copy(), x_prev.copy()
-    (contacts.collide_pairs if compiled else contacts.collide_pairs.py_func)(
-        one, past, 1 / masses, pairs, radii
-    )
+    (contacts.collide_pairs if compiled else contacts.collide_pairs.py_func)(one, past, 1 / masses, pairs, radii)
     gap = np.linalg.norm(one[pairs[:, 0]] - one[pairs[:, 1]], axis=1)
     was = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     assert gap.mean() > was.mean() + 0.003

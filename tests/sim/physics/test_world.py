@@ -38,9 +38,7 @@ def excited(body: Body) -> Body:
     middle = center(body)
     stretched = middle + (body.positions - middle) * [1.2, 0.9, 1.0]
     return replace(
-        body,
-        positions=stretched,
-        velocities=np.cross([0.0, 2.0, 1.0], stretched - middle) + np.array([0.3, 0.1, 0.0]),
+        body, positions=stretched, velocities=np.cross([0.0, 2.0, 1.0], stretched - middle) + np.array([0.3, 0.1, 0.0])
     )
 
 
@@ -124,9 +122,7 @@ def test_rate_of_shape_matching_is_the_rate_of_a_spring(body: Body) -> None:
     sizes = []
     for _ in range(12):
         world = step(world)
-        sizes.append(
-            np.linalg.norm(world.bodies[0].positions - middle) / np.linalg.norm(body.positions - middle)
-        )
+        sizes.append(np.linalg.norm(world.bodies[0].positions - middle) / np.linalg.norm(body.positions - middle))
     crossing = np.interp(0.0, 1.0 - np.array(sizes), np.arange(1, 13) / 60.0)
     assert crossing == pytest.approx(0.5 * np.pi / 10.0, rel=0.05)
 
@@ -141,9 +137,7 @@ def test_shape_matching_stiffens_a_body(body: Body) -> None:
     assert squeezed(replace(soft, shape_rate=300.0)) < 0.3 * squeezed(soft)
 
 
-@pytest.mark.parametrize(
-    "kind", ["one corner through its face", "mirrored", "flattened", "one point", "shuffled"]
-)
+@pytest.mark.parametrize("kind", ["one corner through its face", "mirrored", "flattened", "one point", "shuffled"])
 def test_inverted_and_degenerate_elements_recover(kind: str, ball: GaussianModel) -> None:
     body = make_body(ball, resolution=4, material=Material(viscosity=500.0))
     x = body.positions.copy()
@@ -166,10 +160,7 @@ def test_inverted_and_degenerate_elements_recover(kind: str, ball: GaussianModel
     after = world.bodies[0]
     assert np.isfinite(after.positions).all()
     assert np.isfinite(pose(after).log_scales).all()
-    if kind in (
-        "mirrored",
-        "shuffled",
-    ):  # a mirror image is at peace but for its volumes: most of it turns over
+    if kind in ("mirrored", "shuffled"):  # a mirror image is at peace but for its volumes: most of it turns over
         assert (volumes(after) > 0).mean() > 0.9
     else:
         assert volumes(after).min() > 0.1

@@ -53,10 +53,7 @@ def test_a_whole_scenario(tmp_path: Path) -> None:
         (OBJECT + '[[steps]]\ndo = "pictures"\nsize = [8, 8]', "64..4096"),
         (OBJECT + '[[steps]]\ndo = "move"', "shift is missing"),
         (OBJECT + '[[steps]]\ndo = "scale"\nfactor = -1', "factor must be a finite number"),
-        (
-            OBJECT + '[[steps]]\ndo = "delete"\nselect = { box = [0,0,0,1,1,1], disc = [0,0,1] }',
-            "give one of",
-        ),
+        (OBJECT + '[[steps]]\ndo = "delete"\nselect = { box = [0,0,0,1,1,1], disc = [0,0,1] }', "give one of"),
         (OBJECT + '[[steps]]\ndo = "delete"\nselect = { ball = [0,0,0,1] }', "give one of"),
         (OBJECT + "[film]\nframes = -1", "frames must lie in 0..1000"),
         (OBJECT + "sped = 1\n", "'sped' is not known"),

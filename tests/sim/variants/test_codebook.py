@@ -34,9 +34,7 @@ def test_decoding_looks_every_index_up(compressed: CodebookModel, plant: Gaussia
     model = compressed.decode()
     for i in (0, 17, 5000):
         np.testing.assert_array_equal(model.sh[i, 0], compressed.centers["dc"][compressed.indices["dc"][i]])
-        np.testing.assert_array_equal(
-            model.log_scales[i], compressed.centers["scale"][compressed.indices["scale"][i]]
-        )
+        np.testing.assert_array_equal(model.log_scales[i], compressed.centers["scale"][compressed.indices["scale"][i]])
         quat = compressed.centers["rot"][compressed.indices["rot"][i]]
         np.testing.assert_allclose(model.quats[i], quat / np.linalg.norm(quat), atol=1e-6)
     np.testing.assert_array_equal(model.means, plant.means)
@@ -95,9 +93,11 @@ def test_an_unquantised_colour_is_no_codebook(plant: GaussianModel, key: OwnerKe
 
 def test_parts_that_do_not_fit(compressed: CodebookModel, plant: GaussianModel) -> None:
     parts = {
-        "plain": compressed.plain, "centers": compressed.centers, "indices": compressed.indices,
+        "plain": compressed.plain,
+        "centers": compressed.centers,
+        "indices": compressed.indices,
         "index_bits": compressed.index_bits,
-    }  # fmt: skip
+    }
     far = {**compressed.indices, "dc": compressed.indices["dc"] + 1}
     with pytest.raises(InputError, match="indices of 'dc'"):
         CodebookModel(**{**parts, "indices": far})

@@ -28,9 +28,12 @@ def compressed() -> CodebookModel:
     rng = np.random.default_rng(5)
     n = 50
     model = GaussianModel(
-        rng.standard_normal((n, 3)), rng.uniform(-5, -2, (n, 3)), rng.standard_normal((n, 4)),
-        rng.standard_normal(n), rng.standard_normal((n, 9, 3)),
-    )  # fmt: skip
+        rng.standard_normal((n, 3)),
+        rng.uniform(-5, -2, (n, 3)),
+        rng.standard_normal((n, 4)),
+        rng.standard_normal(n),
+        rng.standard_normal((n, 9, 3)),
+    )
     return make_codebook(model, {"dc": 12, "sh": 9, "scale": 5, "rot": 7})
 
 
@@ -66,9 +69,12 @@ def test_the_public_loader_reads_the_same(compressed: CodebookModel, written: Pa
 def test_plain_groups_go_through_the_ply(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     model = GaussianModel(
-        rng.standard_normal((30, 3)), rng.uniform(-5, -2, (30, 3)), np.tile([1, 0, 0, 0], (30, 1)),
-        rng.standard_normal(30), rng.standard_normal((30, 4, 3)),
-    )  # fmt: skip
+        rng.standard_normal((30, 3)),
+        rng.uniform(-5, -2, (30, 3)),
+        np.tile([1, 0, 0, 0], (30, 1)),
+        rng.standard_normal(30),
+        rng.standard_normal((30, 4, 3)),
+    )
     write_codebook(make_codebook(model, {"scale": 4}), tmp_path)
     back = read_codebook(tmp_path).decode()
     np.testing.assert_array_equal(back.sh, model.sh)
@@ -84,9 +90,7 @@ def test_the_public_code_wastes_bits_and_is_read(compressed: CodebookModel, tmp_
     np.testing.assert_array_equal(back.indices["rot"], compressed.indices["rot"])
 
 
-def test_the_same_model_gives_the_same_bytes(
-    compressed: CodebookModel, written: Path, tmp_path: Path
-) -> None:
+def test_the_same_model_gives_the_same_bytes(compressed: CodebookModel, written: Path, tmp_path: Path) -> None:
     size = write_codebook(compressed, tmp_path)
     assert size == sum(path.stat().st_size for path in tmp_path.iterdir())
     for name in (PLY, CENTERS, INDICES, ARGS):
@@ -166,9 +170,7 @@ def test_a_group_that_is_not_read_is_named(folder: Path) -> None:
         read_codebook(folder)
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"\x93NUMPY", pickle.dumps({}), b"\x93NUMPY\x01\x00\x10\x00{'descr':'|O'}  "]
-)
+@pytest.mark.parametrize("data", [b"", b"\x93NUMPY", pickle.dumps({}), b"\x93NUMPY\x01\x00\x10\x00{'descr':'|O'}  "])
 def test_arguments_that_are_no_npy(folder: Path, data: bytes) -> None:
     (folder / ARGS).write_bytes(data)
     with pytest.raises(FormatError, match="cannot be read"):

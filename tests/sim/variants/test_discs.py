@@ -56,9 +56,12 @@ def test_every_step_brings_the_discs_closer(plant: GaussianModel, made: Gaussian
 def test_widening_adds_the_dilation() -> None:
     """A disc that faces the camera gets 0.3 square pixels; nobody sees the one behind it."""
     disc = GaussianModel(
-        np.array([[0, 0, 2.0], [0, 0, -2.0]]), np.log([[0.01, 0.02, 1e-8]] * 2),
-        np.array([[1.0, 0, 0, 0]] * 2), np.zeros(2), np.zeros((2, 1, 3)),
-    )  # fmt: skip
+        np.array([[0, 0, 2.0], [0, 0, -2.0]]),
+        np.log([[0.01, 0.02, 1e-8]] * 2),
+        np.array([[1.0, 0, 0, 0]] * 2),
+        np.zeros(2),
+        np.zeros((2, 1, 3)),
+    )
     wide = widen(disc, [look_at((0, 0, 0), (0, 0, 1), (0, -1, 0), 100.0, 64, 64)])
     pixels = wide.scales[:, :2] * 100.0 / 2.0
     np.testing.assert_allclose(pixels[0] ** 2, [0.5**2 + 0.3, 1.0**2 + 0.3], rtol=1e-5)
@@ -68,19 +71,20 @@ def test_widening_adds_the_dilation() -> None:
         widen(disc, [])
 
 
-def test_the_row_of_table_4(
-    plant: GaussianModel, made: GaussianModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        variant, "DISC_MODEL_ATTACKS", (("crop to 10 %", "crop", 0.1), (".spz", "convert", "spz"))
-    )
+def test_the_row_of_table_4(plant: GaussianModel, made: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(variant, "DISC_MODEL_ATTACKS", (("crop to 10 %", "crop", 0.1), (".spz", "convert", "spz")))
     monkeypatch.setattr(variant, "DISC_PICTURE_ATTACKS", (("JPEG 30", "jpeg", 30.0),))
     config = profile("fast", views=3, view_size=320, landmark_views=0, psnr_db=50.0)
     row = measure_discs(plant, made, bench_key(0), config, views=2, size=256)
     assert [reading.case for reading in row.readings] == [
-        "none", "none, renders at the pose key", "crop to 10 %", ".spz", "one picture",
-        "one picture, drawn as thin Gaussians", "one picture, JPEG 30",
-    ]  # fmt: skip
+        "none",
+        "none, renders at the pose key",
+        "crop to 10 %",
+        ".spz",
+        "one picture",
+        "one picture, drawn as thin Gaussians",
+        "one picture, JPEG 30",
+    ]
     assert {reading.verdict for reading in row.readings} == {"marked"}
     assert row.readings[0].bit_accuracy == 1.0
     assert row.readings[0].z > 50

@@ -78,9 +78,7 @@ def test_a_file_is_marked_in_place(raw: Path, key: OwnerKey, config: EmbedConfig
     assert sorted(claims(raw, tmp_path / "records", key)) == [Verdict.MARKED, Verdict.MARKED]
 
 
-def test_what_cannot_carry_the_mark_is_left_as_it_was(
-    key: OwnerKey, plant: GaussianModel, tmp_path: Path
-) -> None:
+def test_what_cannot_carry_the_mark_is_left_as_it_was(key: OwnerKey, plant: GaussianModel, tmp_path: Path) -> None:
     path = tmp_path / "few.ply"
     path.write_bytes(encode_model(plant.take(np.arange(80)), "ply"))
     data = path.read_bytes()

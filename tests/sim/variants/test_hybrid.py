@@ -20,9 +20,7 @@ from engine.watermark.keys import OwnerKey
 
 
 def place(scale: float, degrees: float, x: float) -> Similarity:
-    return Similarity(
-        scale, Rotation.from_euler("y", degrees, degrees=True).as_matrix(), np.array([x, 0.0, 0.0])
-    )
+    return Similarity(scale, Rotation.from_euler("y", degrees, degrees=True).as_matrix(), np.array([x, 0.0, 0.0]))
 
 
 def test_variants_in_one_file_are_told_apart(
@@ -50,16 +48,21 @@ def test_variants_in_one_file_are_told_apart(
     )
     squeezed_record = open_record(result.record.to_bytes(key), key)
     _, absent = mark(half, bench_key(77))
-    scene = assemble({
-        "still": HybridPart(still, place(1.0, 0.0, 0.0)),
-        "discs": HybridPart(discs, place(0.7, 40.0, 3.0)),
-        "moving": HybridPart(marked_clip[0], place(1.6, -70.0, 7.0), time=0.4),
-        "squeezed": HybridPart(squeezed, place(2.0, 120.0, 14.0)),
-    })  # fmt: skip
+    scene = assemble(
+        {
+            "still": HybridPart(still, place(1.0, 0.0, 0.0)),
+            "discs": HybridPart(discs, place(0.7, 40.0, 3.0)),
+            "moving": HybridPart(marked_clip[0], place(1.6, -70.0, 7.0), time=0.4),
+            "squeezed": HybridPart(squeezed, place(2.0, 120.0, 14.0)),
+        }
+    )
     records = {
-        "still": still_record, "discs": disc_record, "moving": marked_clip[2], "squeezed": squeezed_record,
+        "still": still_record,
+        "discs": disc_record,
+        "moving": marked_clip[2],
+        "squeezed": squeezed_record,
         "absent": absent,
-    }  # fmt: skip
+    }
     findings = verify_hybrid(scene, records, {"moving": (clip, 0.4)}, instances=2)
     marked = {f.record: f for f in findings if f.claim.verdict is Verdict.MARKED}
     assert set(marked) == {"still", "discs", "moving", "squeezed"}

@@ -13,8 +13,10 @@ from engine.sim.variants.table4 import fidelity_for
 def test_a_mark_of_that_fidelity_costs_what_was_asked() -> None:
     rng = np.random.default_rng(0)
     truth = [rng.uniform(0.3, 0.7, (64, 64, 3)).astype(np.float32) for _ in range(3)]
-    before = [t + np.float32(s) * rng.standard_normal(t.shape).astype(np.float32) for t, s in
-              zip(truth, (0.01, 0.02, 0.04), strict=True)]  # fmt: skip
+    before = [
+        t + np.float32(s) * rng.standard_normal(t.shape).astype(np.float32)
+        for t, s in zip(truth, (0.01, 0.02, 0.04), strict=True)
+    ]
     mark = fidelity_for(truth, before, 20.0, drop=0.1)
     noise = np.float32(10 ** (-mark / 20))
     after = [b + noise * rng.standard_normal(b.shape).astype(np.float32) for b in before]

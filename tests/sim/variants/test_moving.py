@@ -40,9 +40,7 @@ def test_the_4d_file_carries_the_mark(clip: SpacetimeModel, marked_clip: Marked)
 
 
 @pytest.mark.parametrize("time", [0.05, 0.9])
-def test_an_export_of_a_moment_carries_the_mark(
-    clip: SpacetimeModel, marked_clip: Marked, time: float
-) -> None:
+def test_an_export_of_a_moment_carries_the_mark(clip: SpacetimeModel, marked_clip: Marked, time: float) -> None:
     """As a viewer exports it: what is visible, in another order, and the owner moves the record to that moment."""
     marked, _, opened = marked_clip
     shown = visible(marked.at(time))
@@ -64,9 +62,7 @@ def test_a_picture_of_a_moment_carries_the_mark(clip: SpacetimeModel, marked_cli
     assert verify_images([still], move_record(opened, clip, time), cameras=[camera]).claim.z < 5
 
 
-def test_a_picture_of_an_unknown_moment_counts_every_moment_tried(
-    clip: SpacetimeModel, marked_clip: Marked
-) -> None:
+def test_a_picture_of_an_unknown_moment_counts_every_moment_tried(clip: SpacetimeModel, marked_clip: Marked) -> None:
     marked, _, opened = marked_clip
     camera = make_rig(clip.canonical(), 3, 224, 224)[1]
     shown = np.clip(render(marked.at(0.5), camera), 0, 1)

@@ -14,10 +14,16 @@ def few() -> SpacetimeModel:
     rng = np.random.default_rng(0)
     n = 40
     return SpacetimeModel(
-        rng.standard_normal((n, 3)), rng.uniform(-5, -2, (n, 3)), 3 * rng.standard_normal((n, 4)),
-        rng.normal(0, 3, n), rng.uniform(-0.1, 1.1, (n, 3)), rng.uniform(0, 1, n), rng.uniform(-4, 1, n),
-        rng.standard_normal((n, 9)), rng.standard_normal((n, 4)),
-    )  # fmt: skip
+        rng.standard_normal((n, 3)),
+        rng.uniform(-5, -2, (n, 3)),
+        3 * rng.standard_normal((n, 4)),
+        rng.normal(0, 3, n),
+        rng.uniform(-0.1, 1.1, (n, 3)),
+        rng.uniform(0, 1, n),
+        rng.uniform(-4, 1, n),
+        rng.standard_normal((n, 9)),
+        rng.standard_normal((n, 4)),
+    )
 
 
 @pytest.mark.parametrize("time", [0.0, 0.37, 1.0])
@@ -34,9 +40,16 @@ def test_a_moment_is_what_the_paper_says(few: SpacetimeModel, time: float) -> No
 def test_opacity_survives_fading_to_nothing_and_back(few: SpacetimeModel) -> None:
     """At its temporal centre a Gaussian has its own logit; far away the logit is the logarithm of what is left."""
     one = SpacetimeModel(
-        few.means[:1], few.log_scales[:1], few.quats[:1], np.array([14.0]), few.colors[:1], np.array([0.5]),
-        np.array([np.log(0.1)]), few.motion[:1], few.omega[:1],
-    )  # fmt: skip
+        few.means[:1],
+        few.log_scales[:1],
+        few.quats[:1],
+        np.array([14.0]),
+        few.colors[:1],
+        np.array([0.5]),
+        np.array([np.log(0.1)]),
+        few.motion[:1],
+        few.omega[:1],
+    )
     assert one.at(0.5).opacity_logits[0] == pytest.approx(14.0, abs=1e-5)
     assert one.at(0.0).opacity_logits[0] == pytest.approx(-25.0, abs=1e-4)
     assert one.at(9.5).opacity_logits[0] == -80.0

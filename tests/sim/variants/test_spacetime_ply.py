@@ -8,10 +8,31 @@ from engine.sim.variants.spacetime import SpacetimeModel
 from engine.sim.variants.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
 
 PUBLIC_ORDER = [
-    "x", "y", "z", "trbf_center", "trbf_scale", "nx", "ny", "nz", *(f"motion_{i}" for i in range(9)),
-    "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-    "rot_0", "rot_1", "rot_2", "rot_3", "omega_0", "omega_1", "omega_2", "omega_3",
-]  # fmt: skip
+    "x",
+    "y",
+    "z",
+    "trbf_center",
+    "trbf_scale",
+    "nx",
+    "ny",
+    "nz",
+    *(f"motion_{i}" for i in range(9)),
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+    "omega_0",
+    "omega_1",
+    "omega_2",
+    "omega_3",
+]
 
 
 @pytest.fixture
@@ -19,10 +40,16 @@ def model() -> SpacetimeModel:
     rng = np.random.default_rng(3)
     n = 6
     return SpacetimeModel(
-        rng.standard_normal((n, 3)), rng.uniform(-5, -2, (n, 3)), 2 * rng.standard_normal((n, 4)),
-        rng.standard_normal(n), rng.uniform(0, 1, (n, 3)), rng.uniform(0, 1, n), rng.uniform(-4, 1, n),
-        rng.standard_normal((n, 9)), rng.standard_normal((n, 4)),
-    )  # fmt: skip
+        rng.standard_normal((n, 3)),
+        rng.uniform(-5, -2, (n, 3)),
+        2 * rng.standard_normal((n, 4)),
+        rng.standard_normal(n),
+        rng.uniform(0, 1, (n, 3)),
+        rng.uniform(0, 1, n),
+        rng.uniform(-4, 1, n),
+        rng.standard_normal((n, 9)),
+        rng.standard_normal((n, 4)),
+    )
 
 
 @pytest.fixture
@@ -74,9 +101,7 @@ def test_a_missing_property_is_named(data: bytes, name: str) -> None:
 
 def test_a_full_model_is_refused_by_name(data: bytes) -> None:
     with pytest.raises(UnsupportedFormatError, match="network"):
-        read_spacetime_ply(
-            data.replace(b" nx\n", b" f_t_0\n").replace(b" ny\n", b" f_t_1\n"), file="full.ply"
-        )
+        read_spacetime_ply(data.replace(b" nx\n", b" f_t_0\n").replace(b" ny\n", b" f_t_1\n"), file="full.ply")
 
 
 def test_a_count_larger_than_the_file_allocates_nothing(data: bytes) -> None:

@@ -47,10 +47,7 @@ ON_MODELS: dict[str, dict[str, tuple[str, float, str]]] = {
         "10 % left, random": ("prune_random", 0.9, "literal"),
         "10 % left, one piece": ("crop", 0.1, "literal"),
     },
-    "as_code": {
-        "crop": ("crop", 0.4, "as_code"),
-        "clone": ("clone", 0.5, "as_code"),
-    },
+    "as_code": {"crop": ("crop", 0.4, "as_code"), "clone": ("clone", 0.5, "as_code")},
 }
 """The same words said of a model. As code: crop drops a block of the file, cloning copies Gaussians as they are."""
 
@@ -67,14 +64,7 @@ def attack_pictures(
             wanted = {column: attack for column, attack in attacks.items() if column in columns}
             for reading in readings_of_picture(picture, camera, marked, wanted, (seed, k, number)):
                 rows.append(
-                    {
-                        "scene": Path(scene).name,
-                        "seed": seed,
-                        "on": "picture",
-                        "reading": label,
-                        "view": k,
-                        **reading,
-                    }
+                    {"scene": Path(scene).name, "seed": seed, "on": "picture", "reading": label, "view": k, **reading}
                 )
     return rows
 
@@ -94,8 +84,12 @@ def attack_models(scene: str, seed: int, changes: dict[str, Any], columns: list[
             result = verify_model(suspect, marked.opened, VerifyConfig(route="model"))
             rows.append(
                 {
-                    "scene": Path(scene).name, "seed": seed, "on": "model", "reading": label, "attack": column,
+                    "scene": Path(scene).name,
+                    "seed": seed,
+                    "on": "model",
+                    "reading": label,
+                    "attack": column,
                     **read_bits(result, marked, "model"),
                 }
-            )  # fmt: skip
+            )
     return rows

@@ -53,14 +53,20 @@ def measure_costs(
     )
     return [
         {
-            "scene": Path(scene).name, "profile": named_profile, "gaussians": len(made.original),
-            **_spread("embed", embeds), **_spread("verify", verifies),
+            "scene": Path(scene).name,
+            "profile": named_profile,
+            "gaussians": len(made.original),
+            **_spread("embed", embeds),
+            **_spread("verify", verifies),
             "fps_before": _frames(made.original, width, height, repeats),
-            "fps_after": _frames(made.marked, width, height, repeats), "width": width, "height": height,
+            "fps_after": _frames(made.marked, width, height, repeats),
+            "width": width,
+            "height": height,
             "bytes": {kind: len(encode_model(made.marked, kind)) for kind in FORMATS},
-            "compact_sog_bytes": len(encode_model(compact.marked, "sog")), **_fidelity(compact),
+            "compact_sog_bytes": len(encode_model(compact.marked, "sog")),
+            **_fidelity(compact),
         }
-    ]  # fmt: skip
+    ]
 
 
 def _spread(name: str, seconds: list[float]) -> dict[str, float]:

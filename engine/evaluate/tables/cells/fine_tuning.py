@@ -13,9 +13,7 @@ from engine.sim.fine_tuning import SETTINGS
 __all__ = ["fine_tune_scene"]
 
 
-def fine_tune_scene(
-    scene: str, setting: str, seed: int, epochs: int, size: int, changes: dict[str, Any]
-) -> list[Row]:
+def fine_tune_scene(scene: str, setting: str, seed: int, epochs: int, size: int, changes: dict[str, Any]) -> list[Row]:
     """Table 5's readings along one training of all parameters."""
     marked = mark(scene, DEFAULT, seed, changes)
     rows = bench_fine_tuning(marked, SETTINGS[setting], epochs=epochs, size=size, seed=seed)

@@ -31,18 +31,17 @@ ATTACKS: dict[str, tuple[str, float, str]] = {
 """What single pictures go through where settings are compared: label, attack, strength, reading."""
 
 _REPORTED = (
-    "psnr_worst_view", "ssim_worst_view", "psnr_total_worst_view", "gaussians_in", "gaussians_out", "capacity_bits",
-)  # fmt: skip
+    "psnr_worst_view",
+    "ssim_worst_view",
+    "psnr_total_worst_view",
+    "gaussians_in",
+    "gaussians_out",
+    "capacity_bits",
+)
 
 
 def measure_setting(
-    scene: str,
-    setting: dict[str, Any],
-    seed: int,
-    views: int,
-    size: int,
-    changes: dict[str, Any],
-    attacked: bool,
+    scene: str, setting: dict[str, Any], seed: int, views: int, size: int, changes: dict[str, Any], attacked: bool
 ) -> list[Row]:
     """Mark a scene and look at it from views of its own.
 
@@ -78,19 +77,26 @@ def measure_setting(
     whole = verify_model(shown, marked.opened, VerifyConfig(route="model"))
     rows: list[Row] = [
         {
-            **about, "kind": "marked", **{name: marked.report[name] for name in _REPORTED},
-            **read_bits(whole, marked, "model"), "embed_seconds": marked.report["seconds"],
+            **about,
+            "kind": "marked",
+            **{name: marked.report[name] for name in _REPORTED},
+            **read_bits(whole, marked, "model"),
+            "embed_seconds": marked.report["seconds"],
             "refine_seconds": marked.report["seconds_by_stage"].get("refine", 0.0),
         }
-    ]  # fmt: skip
+    ]
     for k, camera in enumerate(cameras_for(marked.original, views, size, seed)):
         truth, picture = (np.clip(render(model, camera), 0.0, 1.0) for model in (marked.original, shown))
         rows.append(
             {
-                **about, "kind": "view", "view": k, "psnr": psnr(truth, picture), "ssim": ssim(truth, picture),
+                **about,
+                "kind": "view",
+                "view": k,
+                "psnr": psnr(truth, picture),
+                "ssim": ssim(truth, picture),
                 "distance": ms_ssim_distance(truth, picture),
             }
-        )  # fmt: skip
+        )
         wanted = ATTACKS if attacked else {"none": ATTACKS["none"]}
         for reading in readings_of_picture(picture, camera, marked, wanted, (seed, k)):
             rows.append({**about, "kind": "picture", "view": k, **reading})
@@ -103,8 +109,12 @@ def mark(scene: str, setting: Setting, seed: int, changes: dict[str, Any]) -> Ma
     loaded = read_model(scene)
     key = bench_key(seed)
     made = embed(
-        loaded.model, key, original_sha256=loaded.sha256, bits=setting.bits, config=config,
+        loaded.model,
+        key,
+        original_sha256=loaded.sha256,
+        bits=setting.bits,
+        config=config,
         variant=without(setting.without, config.quantize),
-    )  # fmt: skip
+    )
     opened = open_record(made.record.to_bytes(key), key)
     return MarkedScene(Path(scene).name, loaded.model, made.model, opened, made.report)

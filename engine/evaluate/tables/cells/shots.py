@@ -31,10 +31,14 @@ def read_bits(result: Verification, scene: MarkedScene, route: str) -> dict[str,
     claim = result.claim
     paper = judge(result.evidence, scene.opened, route, 1, VerifyConfig(decoder="paper"))
     return {
-        "z": claim.z, "right": claim.matching_bits, "bits": claim.bits, "right_by_eq10": paper.matching_bits,
-        "claimed": claim.verdict.value == "marked", "log10_false_claim": claim.log10_false_claim,
+        "z": claim.z,
+        "right": claim.matching_bits,
+        "bits": claim.bits,
+        "right_by_eq10": paper.matching_bits,
+        "claimed": claim.verdict.value == "marked",
+        "log10_false_claim": claim.log10_false_claim,
         "seconds": result.seconds,
-    }  # fmt: skip
+    }
 
 
 def readings_of_picture(

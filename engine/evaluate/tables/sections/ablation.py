@@ -19,12 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SEEN_AS = ("model", *CONDITIONS)
-NAMES = {
-    "model": "the model",
-    "none": "picture",
-    "JPEG 10": "picture, JPEG 10",
-    "noise 0.1": "picture, noise 0.1",
-}
+NAMES = {"model": "the model", "none": "picture", "JPEG 10": "picture, JPEG 10", "noise 0.1": "picture, noise 0.1"}
 
 
 @dataclass(frozen=True)
@@ -52,8 +47,11 @@ LINES = (
     Line("pruning", "gamma 0.2, the paper's, instead of 0", pruned(BUDGET_DB, 0.2), PRUNED),
     Line("pruning", "near-duplicates not merged", pruned(BUDGET_DB, merge_distance=0.0), PRUNED),
     Line("HVQ", "1024 code vectors instead of 8192", Setting("cells-1024", {"quantize": {"cells": 1024}})),
-    Line("HVQ", "mark in a residual stage too", Setting(
-        "residual-mark", {"quantize": {"residual_codes": [1024]}, "plan": {"stages": 2}})),
+    Line(
+        "HVQ",
+        "mark in a residual stage too",
+        Setting("residual-mark", {"quantize": {"residual_codes": [1024]}, "plan": {"stages": 2}}),
+    ),
     Line("HVQ", "compact output: own residuals dropped", compact()),
     Line("uncertainty", "cells weighted evenly", Setting("no-unc-weights", without="uncertainty weights")),
     Line("uncertainty", "no uncertainty in the mask", Setting("no-unc-mask", without="uncertainty mask")),
@@ -65,7 +63,7 @@ LINES = (
     Line("balance", "views not balanced", Setting("no-balance", {"plan": {"balance_rounds": 0}})),
     Line("refinement", "60 steps, weights of the text", refined("loss-text", 0.4, 1.0, 0.3)),
     Line("refinement", "60 steps, weights of the appendix", refined("loss-appendix", 0.2, 0.5, 0.05)),
-)  # fmt: skip
+)
 QUICK = ("texture-0",)
 
 
@@ -84,15 +82,18 @@ def cells(options: Options) -> list[Cell]:
 def section(rows: list[Row], options: Options) -> Section:
     """Changes of z, bits, fidelity and seconds, and a verdict in words."""
     table = [
-        _line(line, rows)
-        for line in lines(options.quick)
-        if of_kind(rows, setting=line.setting.name, kind="marked")
+        _line(line, rows) for line in lines(options.quick) if of_kind(rows, setting=line.setting.name, kind="marked")
     ]
     columns = (
-        "stage", "change", *(f"z, {NAMES[c]}" for c in SEEN_AS), "bits under attack, before -> after", "PSNR, dB",
+        "stage",
+        "change",
+        *(f"z, {NAMES[c]}" for c in SEEN_AS),
+        "bits under attack, before -> after",
+        "PSNR, dB",
         "size",
-        "embed, s", "so",
-    )  # fmt: skip
+        "embed, s",
+        "so",
+    )
     return Section(
         "Ablation: what each stage buys",
         [
@@ -114,19 +115,21 @@ def section(rows: list[Row], options: Options) -> Section:
                 "Change of z that each change of the pipeline makes, 95 % intervals; right of 0 the change helps.",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def _line(line: Line, rows: list[Row]) -> list[Any]:
     new, old = (of_kind(rows, setting=s.name, kind="marked") for s in (line.setting, line.base))
     return [
-        line.stage, line.change, *(str(effect(rows, line.setting.name, line.base.name, c) or "") for c in SEEN_AS),
+        line.stage,
+        line.change,
+        *(str(effect(rows, line.setting.name, line.base.name, c) or "") for c in SEEN_AS),
         f"{_bits(rows, line.base)} -> {_bits(rows, line.setting)}",
         f"{_worst(old):.1f} -> {_worst(new):.1f}",
         f"{100 * _left(rows, line.base):.0f} -> {100 * _left(rows, line.setting):.0f}",
         f"{_seconds(old):.1f} -> {_seconds(new):.1f}",
         verdict(line, rows),
-    ]  # fmt: skip
+    ]
 
 
 def verdict(line: Line, rows: list[Row]) -> str:
@@ -153,12 +156,7 @@ def draw(rows: list[Row], wanted: list[Line]) -> Figure:
             found = effect(rows, line.setting.name, line.base.name, condition)
             if found is not None:
                 points.append(
-                    (
-                        found.percent,
-                        number - 0.24 + 0.16 * slot,
-                        found.percent - found.low,
-                        found.high - found.percent,
-                    )
+                    (found.percent, number - 0.24 + 0.16 * slot, found.percent - found.low, found.high - found.percent)
                 )
         if points:
             x, y, below, above = zip(*points, strict=True)
@@ -176,11 +174,7 @@ def draw(rows: list[Row], wanted: list[Line]) -> Figure:
 def _bits(rows: list[Row], setting: Setting) -> str:
     of = of_kind(rows, setting=setting.name, kind="picture")
     found = accuracy([row for row in of if row["attack"] != "none"])
-    return (
-        ""
-        if found is None
-        else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
-    )
+    return "" if found is None else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
 
 
 def _worst(rows: list[Row]) -> float:
@@ -197,6 +191,4 @@ def _left(rows: list[Row], setting: Setting) -> float:
     return float(sum(row["gaussians_out"] / row["gaussians_in"] for row in of) / len(of))
 
 
-PART = Part(
-    "ablation", "Ablation", "What does each stage of the pipeline buy, and what buys nothing?", cells, section
-)
+PART = Part("ablation", "Ablation", "What does each stage of the pipeline buy, and what buys nothing?", cells, section)

@@ -22,7 +22,7 @@ NO_COUNTERPART = (
     ("tau_occ", "none: accumulated opacity never exceeds 1, so 1.2 never stops a pixel; transmittance ends it at 1e-4"),
     ("lambda_freq", "weight of detail in the residual codebooks of the compact output; 0 in every profile"),
     ("lambda_msg, lambda_rec, lambda_wavelet", "the same, in a refinement that no profile uses"),
-)  # fmt: skip
+)
 
 
 def compact(lambda_freq: float = 0.0) -> Setting:
@@ -34,30 +34,30 @@ def knobs(quick: bool) -> list[Knob]:
     """All panels: four of the paper's, three of ours."""
     best = {row["knob"]: row["best"] for row in printed("figure6")}
     if quick:
-        return [
-            Knob("texture exponent", {0.0: _plan("texture-0", texture_exponent=0.0), 0.5: DEFAULT}, 0.5),
-        ]
+        return [Knob("texture exponent", {0.0: _plan("texture-0", texture_exponent=0.0), 0.5: DEFAULT}, 0.5)]
     return [
         Knob(
             "lambda_msg",
             {v: TEXT if v == 0.4 else refined(f"msg-{v:g}", v, 1.0, 0.3) for v in (0.1, 0.2, 0.4, 0.8)},
-            0.4, best["lambda_msg"], log=True,
+            0.4,
+            best["lambda_msg"],
+            log=True,
         ),
         Knob(
             "lambda_rec",
             {v: TEXT if v == 1.0 else refined(f"rec-{v:g}", 0.4, v, 0.3) for v in (0.25, 0.5, 1.0, 2.0)},
-            1.0, best["lambda_rec"], log=True,
+            1.0,
+            best["lambda_rec"],
+            log=True,
         ),
         Knob(
             "lambda_wavelet",
             {v: TEXT if v == 0.3 else refined(f"wavelet-{v:g}", 0.4, 1.0, v) for v in (0.05, 0.3, 1.0)},
-            0.3, best["lambda_wavelet"], log=True,
+            0.3,
+            best["lambda_wavelet"],
+            log=True,
         ),
-        Knob(
-            "lambda_freq (compact output)",
-            {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)},
-            0.0, best["lambda_freq"],
-        ),
+        Knob("lambda_freq (compact output)", {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)}, 0.0, best["lambda_freq"]),
         Knob(
             "texture exponent",
             {v: DEFAULT if v == 0.5 else _plan(f"texture-{v:g}", texture_exponent=v) for v in (0.0, 0.25, 0.5, 1.0)},
@@ -69,14 +69,16 @@ def knobs(quick: bool) -> list[Knob]:
                 v: DEFAULT if v == 8192 else Setting(f"cells-{v}", {"quantize": {"cells": v}})
                 for v in (1024, 2048, 4096, 8192)
             },
-            8192, log=True,
+            8192,
+            log=True,
         ),
         Knob(
             "key views",
             {v: DEFAULT if v == 6 else Setting(f"views-{v}", {"views": v}) for v in (2, 4, 6, 10, 16)},
-            6, log=True,
+            6,
+            log=True,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def cells(options: Options) -> list[Cell]:
@@ -114,9 +116,7 @@ def draw(rows: list[Row], panels: list[Knob]) -> Figure:
     """Small multiples with one legend."""
     across = min(4, len(panels))
     down = -(-len(panels) // across)
-    drawn, grid = figure(
-        down, across, width=2.5 * across + 0.6, height=2.5 * down + 0.7, squeeze=False, sharey=True
-    )
+    drawn, grid = figure(down, across, width=2.5 * across + 0.6, height=2.5 * down + 0.7, squeeze=False, sharey=True)
     every = list(grid.flat)
     for axes, knob in zip(every, panels, strict=False):
         draw_knob(axes, knob, rows)
@@ -146,6 +146,4 @@ def _plan(name: str, **changes: float) -> Setting:
     return Setting(name, {"plan": changes})
 
 
-PART = Part(
-    "fig6", "Figure 6: hyper-parameters", "Which hyper-parameters matter, and how much?", cells, section
-)
+PART = Part("fig6", "Figure 6: hyper-parameters", "Which hyper-parameters matter, and how much?", cells, section)

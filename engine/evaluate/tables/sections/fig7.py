@@ -41,17 +41,17 @@ def knobs(quick: bool) -> dict[str, Knob]:
         "budget": Knob("pruning budget, dB", {v: pruned(v) for v in budgets}, 0.0),
         "gamma": Knob(
             f"gamma (at {BUDGET_DB:g} dB)",
-            {v: pruned(BUDGET_DB) if v == 0.0 else pruned(BUDGET_DB, v) for v in gammas}, 0.0, 0.2,
+            {v: pruned(BUDGET_DB) if v == 0.0 else pruned(BUDGET_DB, v) for v in gammas},
+            0.0,
+            0.2,
         ),
         "strength": Knob("PSNR of the mark, dB", {v: strength(v) for v in levels}, 47.0),
-    }  # fmt: skip
+    }
 
 
 def cells(options: Options) -> list[Cell]:
     """Every point, and the model without pruning."""
-    every = {
-        setting.name: setting for knob in knobs(options.quick).values() for setting in knob.points.values()
-    }
+    every = {setting.name: setting for knob in knobs(options.quick).values() for setting in knob.points.values()}
     return setting_cells(options, [DEFAULT, *every.values()])
 
 
@@ -76,7 +76,8 @@ def section(rows: list[Row], options: Options) -> Section:
         [
             Table(COLUMNS, [line for knob in panels.values() for line in knob_rows(knob, rows)], "Every point"),
             Table(
-                ("knob", "value", "pruned, %", "worst key view against the original, dB"), shares,
+                ("knob", "value", "pruned, %", "worst key view against the original, dB"),
+                shares,
                 "What pruning removes",
             ),
         ],
@@ -88,7 +89,7 @@ def section(rows: list[Row], options: Options) -> Section:
                 "10 and noise. Right: the same over the strength of the mark. Bootstrap 95 % over views and keys.",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def draw(rows: list[Row], panels: dict[str, Knob]) -> Figure:
@@ -97,10 +98,7 @@ def draw(rows: list[Row], panels: dict[str, Knob]) -> Figure:
     budget = panels["budget"]
     with_share = Knob(
         "Gaussians removed, %",
-        {
-            0.0: DEFAULT,
-            **{v: s for v, s in budget.points.items() if of_kind(rows, setting=s.name, kind="marked")},
-        },
+        {0.0: DEFAULT, **{v: s for v, s in budget.points.items() if of_kind(rows, setting=s.name, kind="marked")}},
         -1.0,
     )
     places = [100 * _share_pruned(rows, setting.name) for setting in with_share.points.values()]
@@ -130,11 +128,7 @@ def _draw_gamma(axes: Axes, knob: Knob, rows: list[Row]) -> None:
     """Share removed at the same budget over gamma."""
     style = next(styles())
     values = [v for v, s in knob.points.items() if of_kind(rows, setting=s.name, kind="marked")]
-    axes.plot(
-        values,
-        [100 * _share_pruned(rows, knob.points[v].name) for v in values],
-        **{**style, "color": "#1a1a1a"},
-    )
+    axes.plot(values, [100 * _share_pruned(rows, knob.points[v].name) for v in values], **{**style, "color": "#1a1a1a"})
     axes.set_ylim(0, 100)
     axes.set_xlabel(knob.name)
     axes.set_ylabel("Gaussians removed, %")
@@ -164,7 +158,9 @@ def _least(rows: list[Row], setting: str) -> float:
 
 
 PART = Part(
-    "fig7", "Figure 7: pruning and strength",
+    "fig7",
+    "Figure 7: pruning and strength",
     "How much may be pruned, how faint may the mark be, before bits are lost?",
-    cells, section,
-)  # fmt: skip
+    cells,
+    section,
+)

@@ -34,18 +34,31 @@ def section(rows: list[Row], options: Options) -> Section:
             continue
         ours.append(
             [
-                bits, str(accuracy(of_kind(of, kind="picture"))), str(accuracy(marked)),
-                mean_text([row["psnr"] for row in views]), mean_text([row["ssim"] for row in views], 4),
-                mean_text([row["distance"] for row in views], 5), min(row["psnr_worst_view"] for row in marked),
-                f"{min(row['ssim_worst_view'] for row in marked):.4f}", _z(of),
+                bits,
+                str(accuracy(of_kind(of, kind="picture"))),
+                str(accuracy(marked)),
+                mean_text([row["psnr"] for row in views]),
+                mean_text([row["ssim"] for row in views], 4),
+                mean_text([row["distance"] for row in views], 5),
+                min(row["psnr_worst_view"] for row in marked),
+                f"{min(row['ssim_worst_view'] for row in marked):.4f}",
+                _z(of),
                 min(row["capacity_bits"] for row in marked),
             ]
-        )  # fmt: skip
+        )
     refused = of_kind(rows, kind="refused")
     columns = (
-        "bits", "accuracy, one picture", "accuracy, model", "PSNR, dB", "SSIM", "1 - MS-SSIM", "worst key view, dB",
-        "its SSIM", "z of a picture", "capacity, bits",
-    )  # fmt: skip
+        "bits",
+        "accuracy, one picture",
+        "accuracy, model",
+        "PSNR, dB",
+        "SSIM",
+        "1 - MS-SSIM",
+        "worst key view, dB",
+        "its SSIM",
+        "z of a picture",
+        "capacity, bits",
+    )
     table = printed("table1")
     theirs = [[row["system"], row["bits"], row["bit_accuracy"], row["psnr"], row["lpips"]] for row in table]
     best = {bits: accuracy(of_kind(rows, setting=_name(bits), kind="picture")) for bits in LENGTHS}
@@ -78,7 +91,7 @@ def section(rows: list[Row], options: Options) -> Section:
                 "exact 95 % over all bits. Others: published, other hardware and scenes, blind.",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
@@ -98,11 +111,12 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         psnr, ssim = (min(row[name] for row in marked) for name in ("psnr_worst_view", "ssim_worst_view"))
         made.append(
             Bar(
-                "fidelity of the mark, 32 bits, worst key view", f">= {LEAST_DB:g} dB, SSIM >= {LEAST_SSIM}",
+                "fidelity of the mark, 32 bits, worst key view",
+                f">= {LEAST_DB:g} dB, SSIM >= {LEAST_SSIM}",
                 f"{psnr:.2f} dB, SSIM {ssim:.4f}, lowest of {len(marked)} markings",
                 psnr >= LEAST_DB and ssim >= LEAST_SSIM,
             )
-        )  # fmt: skip
+        )
     return made
 
 
@@ -156,7 +170,10 @@ def _z(rows: list[Row]) -> str:
 
 
 PART = Part(
-    "table1", "Table 1: bit accuracy and fidelity",
+    "table1",
+    "Table 1: bit accuracy and fidelity",
     "Are all bits read, at which length, and what does it cost the look?",
-    cells, section, bars,
-)  # fmt: skip
+    cells,
+    section,
+    bars,
+)

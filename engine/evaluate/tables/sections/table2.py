@@ -16,9 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = {
-    "none": "no attack", "rotation": "rotation 30 deg", "scaling": "scale 0.75", "crop": "crop 40 %", "jpeg": "JPEG 10",
-    "noise": "noise 0.1", "clone": "clone 50 %", "prune": "prune 20 %",
-}  # fmt: skip
+    "none": "no attack",
+    "rotation": "rotation 30 deg",
+    "scaling": "scale 0.75",
+    "crop": "crop 40 %",
+    "jpeg": "JPEG 10",
+    "noise": "noise 0.1",
+    "clone": "clone 50 %",
+    "prune": "prune 20 %",
+}
 CUTS = ("10 % left, random", "10 % left, one piece")
 QUICK = ("none", "jpeg", "crop", "clone")
 WAYS = (
@@ -30,13 +36,17 @@ WAYS = (
 MEANINGS = (
     ("rotation", "turned by 30 deg, black corners", "by a random angle up to 30 deg", "turned by 30 deg"),
     ("scaling", "each side x0.75", "area x0.75", "x0.75"),
-    ("crop", "40 % of the area cut away", "centred, sides x0.4 (16 % of the area left)",
-     "a connected 60 % left; as code: 40 % of the file's rows dropped as a block"),
+    (
+        "crop",
+        "40 % of the area cut away",
+        "centred, sides x0.4 (16 % of the area left)",
+        "a connected 60 % left; as code: 40 % of the file's rows dropped as a block",
+    ),
     ("jpeg", "quality 10, 4:2:0", "the same", "-"),
     ("noise", "std 0.1", "std 0.01 (0.1 is squared first)", "std 0.1 of each attribute's own, on all"),
     ("clone", "-", "-", "half of the Gaussians split into look-alike pairs; as code: copied as they are"),
     ("prune", "-", "-", "a random fifth removed"),
-)  # fmt: skip
+)
 
 
 def cells(options: Options) -> list[Cell]:
@@ -59,12 +69,8 @@ def section(rows: list[Row], options: Options) -> Section:
     for on, reading, name in WAYS:
         found = {c: accuracy(of_kind(rows, on=on, reading=reading, attack=c)) for c in COLUMNS}
         if any(found.values()):
-            wide.append(
-                [f"ours: {name}", *(None if a is None else f"{100 * a.share:.2f}" for a in found.values())]
-            )
-    wide += [
-        [f"{_named(row)} (published)", *(row[column] for column in COLUMNS)] for row in printed("table2")
-    ]
+            wide.append([f"ours: {name}", *(None if a is None else f"{100 * a.share:.2f}" for a in found.values())])
+    wide += [[f"{_named(row)} (published)", *(row[column] for column in COLUMNS)] for row in printed("table2")]
     return Section(
         "Table 2: 32 bits after attacks",
         [
@@ -77,7 +83,8 @@ def section(rows: list[Row], options: Options) -> Section:
             Table(("system", *COLUMNS.values()), wide, "Bit accuracy, %"),
             Table(
                 ("attack", "on", "bits", "z, least to most", "claims at 1e-9", "by the paper's rule (Eq 10)"),
-                list(_details(rows)), "Ours in full",
+                list(_details(rows)),
+                "Ours in full",
             ),
             Table(("attack", "picture, literal", "picture, as public code runs it", "model"), MEANINGS, "What is run"),
         ],
@@ -90,7 +97,7 @@ def section(rows: list[Row], options: Options) -> Section:
                 "axis.",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def _details(rows: list[Row]) -> Iterator[list[Any]]:
@@ -100,9 +107,13 @@ def _details(rows: list[Row]) -> Iterator[list[Any]]:
             if of:
                 claims = f"{sum(row['claimed'] for row in of)} of {len(of)}"
                 yield [
-                    COLUMNS.get(column, column), name, str(accuracy(of)), range_text([row["z"] for row in of]), claims,
+                    COLUMNS.get(column, column),
+                    name,
+                    str(accuracy(of)),
+                    range_text([row["z"] for row in of]),
+                    claims,
                     f"{100 * accuracy(of, 'right_by_eq10').share:.2f} %",  # type: ignore[union-attr]
-                ]  # fmt: skip
+                ]
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
@@ -143,15 +154,17 @@ def draw(rows: list[Row]) -> Figure:
             y = number - 0.26 + step * slot
             label = f"ours, {name}" if column == _first(rows, on, reading) else None
             axes.errorbar(100 * found.share, y, xerr=error, label=label, capsize=2, **look)
-    for mark, row in zip(
-        "xo+d*", [r for r in printed("table2") if r["system"] != "HiDDeN+3DGS"], strict=True
-    ):
+    for mark, row in zip("xo+d*", [r for r in printed("table2") if r["system"] != "HiDDeN+3DGS"], strict=True):
         paper = row["system"] == "Mark3DGS"
         axes.plot(
-            [row[column] for column in COLUMNS], [n + 0.34 for n in range(len(COLUMNS))], linestyle="none", marker=mark,
-            color="#1a1a1a" if paper else "#8a8a8a", markerfacecolor="none",
+            [row[column] for column in COLUMNS],
+            [n + 0.34 for n in range(len(COLUMNS))],
+            linestyle="none",
+            marker=mark,
+            color="#1a1a1a" if paper else "#8a8a8a",
+            markerfacecolor="none",
             label="the paper" if paper else row["system"],
-        )  # fmt: skip
+        )
     axes.set_yticks(range(len(COLUMNS)), list(COLUMNS.values()))
     axes.invert_yaxis()
     axes.set_xlim(84, 101)
@@ -182,6 +195,10 @@ def _named(row: Row) -> str:
 
 
 PART = Part(
-    "table2", "Table 2: bits after attacks", "How many of 32 bits are read after each of the paper's attacks?",
-    cells, section, bars,
-)  # fmt: skip
+    "table2",
+    "Table 2: bits after attacks",
+    "How many of 32 bits are read after each of the paper's attacks?",
+    cells,
+    section,
+    bars,
+)

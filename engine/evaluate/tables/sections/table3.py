@@ -22,13 +22,18 @@ def cells(options: Options) -> list[Cell]:
             f"table3-{profile}-{short}",
             f"{CELLS}.costs:measure_costs",
             {
-                "scene": path, "named_profile": profile, "seed": options.seed, "repeats": 1 if options.quick else 3,
-                "width": 1297, "height": 840, "changes": changes,
+                "scene": path,
+                "named_profile": profile,
+                "seed": options.seed,
+                "repeats": 1 if options.quick else 3,
+                "width": 1297,
+                "height": 840,
+                "changes": changes,
             },
         )
         for short, path in scenes_of(options)
         for profile in (("fast",) if options.quick else ("fast", "balanced"))
-    ]  # fmt: skip
+    ]
 
 
 def section(rows: list[Row], options: Options) -> Section:
@@ -36,16 +41,35 @@ def section(rows: list[Row], options: Options) -> Section:
     of = _own(rows)
     ours = [
         [
-            row["scene"], row["profile"], row["gaussians"], _seconds(row, "embed"), _seconds(row, "verify"),
-            f"{row['fps_before']:.1f}", f"{row['fps_after']:.1f}", _mb(row["bytes"]["ply"]), _mb(row["bytes"]["sog"]),
-            _mb(row["compact_sog_bytes"]), row["compact_sog_bytes"] / row["gaussians"], f"{row['compact_psnr']:.1f}",
+            row["scene"],
+            row["profile"],
+            row["gaussians"],
+            _seconds(row, "embed"),
+            _seconds(row, "verify"),
+            f"{row['fps_before']:.1f}",
+            f"{row['fps_after']:.1f}",
+            _mb(row["bytes"]["ply"]),
+            _mb(row["bytes"]["sog"]),
+            _mb(row["compact_sog_bytes"]),
+            row["compact_sog_bytes"] / row["gaussians"],
+            f"{row['compact_psnr']:.1f}",
         ]
         for row in of
-    ]  # fmt: skip
+    ]
     columns = (
-        "scene", "profile", "Gaussians", "embed, s", "verify a model, s", "frames/s before", "and after", "PLY, MB",
-        ".sog, MB", "compact .sog, MB", "its bytes a Gaussian", "its worst view, dB",
-    )  # fmt: skip
+        "scene",
+        "profile",
+        "Gaussians",
+        "embed, s",
+        "verify a model, s",
+        "frames/s before",
+        "and after",
+        "PLY, MB",
+        ".sog, MB",
+        "compact .sog, MB",
+        "its bytes a Gaussian",
+        "its worst view, dB",
+    )
     every = [
         [row["scene"], *(row["bytes"][kind] / row["gaussians"] for kind in row["bytes"])]
         for row in of
@@ -68,9 +92,7 @@ def section(rows: list[Row], options: Options) -> Section:
         ],
         [
             Table(columns, ours, "Ours"),
-            Table(
-                ("scene", *names), every, "Bytes a Gaussian in each format, marked, no bands or codes dropped"
-            ),
+            Table(("scene", *names), every, "Bytes a Gaussian in each format, marked, no bands or codes dropped"),
             Table(("system", "training, minutes", "frames/s", "MB"), theirs, "As the paper prints it"),
         ],
     )
@@ -90,10 +112,12 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         size = row["compact_sog_bytes"] / row["gaussians"]
         made.append(
             Bar(
-                f"file of {row['scene']}, compact, .sog", f"<= {BYTES_BAR:g} bytes a Gaussian", f"{size:.1f}",
+                f"file of {row['scene']}, compact, .sog",
+                f"<= {BYTES_BAR:g} bytes a Gaussian",
+                f"{size:.1f}",
                 size <= BYTES_BAR,
             )
-        )  # fmt: skip
+        )
     return made
 
 
@@ -121,6 +145,10 @@ def _mb(size: Any) -> str:
 
 
 PART = Part(
-    "table3", "Table 3: time, frames a second, size", "How long does it take, how fast does it draw, how large is it?",
-    cells, section, bars,
-)  # fmt: skip
+    "table3",
+    "Table 3: time, frames a second, size",
+    "How long does it take, how fast does it draw, how large is it?",
+    cells,
+    section,
+    bars,
+)

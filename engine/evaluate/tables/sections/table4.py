@@ -31,31 +31,52 @@ def section(rows: list[Row], options: Options) -> Section:
     paper = {row["variant"]: row for row in printed("table4")}
     ours = [
         [
-            row["scene"], row["variant"], row["psnr_before"], row["psnr_after"], f"{row['psnr_drop']:.3f}",
-            row["ms_ssim_distance_before"], row["ms_ssim_distance_after"], f"{row['all_bits']} of {row['cases']}",
+            row["scene"],
+            row["variant"],
+            row["psnr_before"],
+            row["psnr_after"],
+            f"{row['psnr_drop']:.3f}",
+            row["ms_ssim_distance_before"],
+            row["ms_ssim_distance_after"],
+            f"{row['all_bits']} of {row['cases']}",
             f"{row['claimed']} of {row['cases']}",
             f"{row['weakest']}: {100 * row['weakest_bits']:.1f} %, z {row['weakest_z']:.0f}",
-            paper[row["model"]]["psnr_before"] - paper[row["model"]]["psnr_after"], paper[row["model"]]["bit_accuracy"],
+            paper[row["model"]]["psnr_before"] - paper[row["model"]]["psnr_after"],
+            paper[row["model"]]["bit_accuracy"],
         ]
         for row in of
-    ]  # fmt: skip
+    ]
     columns = (
-        "scene", "variant", "PSNR before, dB", "after", "drop, dB", "1 - MS-SSIM before", "after", "readings whole",
-        "claims at 1e-9", "weakest reading",
-        "the paper: drop, dB", "its bits, %",
-    )  # fmt: skip
+        "scene",
+        "variant",
+        "PSNR before, dB",
+        "after",
+        "drop, dB",
+        "1 - MS-SSIM before",
+        "after",
+        "readings whole",
+        "claims at 1e-9",
+        "weakest reading",
+        "the paper: drop, dB",
+        "its bits, %",
+    )
     theirs = [
         [
-            row["variant"], row["psnr_before"], row["psnr_after"], row["psnr_before"] - row["psnr_after"],
-            row["lpips_before"], row["lpips_after"], row["bit_accuracy"],
+            row["variant"],
+            row["psnr_before"],
+            row["psnr_after"],
+            row["psnr_before"] - row["psnr_after"],
+            row["lpips_before"],
+            row["lpips_after"],
+            row["bit_accuracy"],
         ]
         for row in printed("table4")
-    ]  # fmt: skip
+    ]
     each = [
         [row["scene"], row["variant"], reading["case"], 100 * reading["bit_accuracy"], reading["z"], reading["verdict"]]
         for row in of
         for reading in row["row"]["readings"]
-    ]  # fmt: skip
+    ]
     return Section(
         "Table 4: 2DGS, 4DGS, codebooks, generated models",
         [
@@ -69,12 +90,13 @@ def section(rows: list[Row], options: Options) -> Section:
         [
             Table(columns, ours, "Ours"),
             Table(
-                ("variant", "PSNR before, dB", "after", "drop, dB", "LPIPS before", "after", "bit accuracy, %"), theirs,
+                ("variant", "PSNR before, dB", "after", "drop, dB", "LPIPS before", "after", "bit accuracy, %"),
+                theirs,
                 "As the paper prints it",
             ),
             Table(("scene", "variant", "reading", "bits, %", "z", "verdict"), each, "Every reading"),
         ],
-    )  # fmt: skip
+    )
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
@@ -84,19 +106,22 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         whole, cases = row["all_bits"], row["cases"]
         made.append(
             Bar(
-                f"{row['variant']} of {row['scene']}: bits in every reading, claims", "100 %, all claimed",
+                f"{row['variant']} of {row['scene']}: bits in every reading, claims",
+                "100 %, all claimed",
                 f"{whole} of {cases} readings whole, {row['claimed']} claimed; weakest {row['weakest']} "
                 f"{100 * row['weakest_bits']:.1f} %",
                 whole == cases == row["claimed"],
             )
-        )  # fmt: skip
+        )
         drop = range_text([row["psnr_drop"]], 3)
         made.append(
             Bar(
-                f"{row['variant']} of {row['scene']}: what the mark costs", f"<= {MOST_DROP_DB} dB", f"{drop} dB",
+                f"{row['variant']} of {row['scene']}: what the mark costs",
+                f"<= {MOST_DROP_DB} dB",
+                f"{drop} dB",
                 row["psnr_drop"] <= MOST_DROP_DB,
             )
-        )  # fmt: skip
+        )
     return made
 
 
@@ -105,6 +130,10 @@ def _own(rows: list[Row]) -> list[Row]:
 
 
 PART = Part(
-    "table4", "Table 4: other kinds of Gaussian models", "Can 2DGS, 4DGS, codebook and generated models be marked too?",
-    cells, section, bars,
-)  # fmt: skip
+    "table4",
+    "Table 4: other kinds of Gaussian models",
+    "Can 2DGS, 4DGS, codebook and generated models be marked too?",
+    cells,
+    section,
+    bars,
+)

@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SETTINGS = {
-    "key": "marked pictures, key poses", "neither": "marked pictures, own poses",
-    "clean+key": "clean pictures, key poses", "clean": "clean pictures, own poses",
-}  # fmt: skip
+    "key": "marked pictures, key poses",
+    "neither": "marked pictures, own poses",
+    "clean+key": "clean pictures, key poses",
+    "clean": "clean pictures, own poses",
+}
 BITS, LEAST, EPOCHS = 32, 0.999, 500
 SIZE = 400
 """Side of the pictures the attacker trains on, pixels."""
@@ -31,13 +33,17 @@ def cells(options: Options) -> list[Cell]:
             f"table5-{setting.replace('+', '-and-')}-{short}",
             f"{CELLS}.fine_tuning:fine_tune_scene",
             {
-                "scene": path, "setting": setting, "seed": options.seed, "epochs": epochs, "size": size,
+                "scene": path,
+                "setting": setting,
+                "seed": options.seed,
+                "epochs": epochs,
+                "size": size,
                 "changes": Effort.of(options).changes,
             },
         )
         for short, path in scenes_of(options)
         for setting in (("clean+key",) if options.quick else SETTINGS)
-    ]  # fmt: skip
+    ]
 
 
 def section(rows: list[Row], options: Options) -> Section:
@@ -46,12 +52,18 @@ def section(rows: list[Row], options: Options) -> Section:
     paper = {row["setting"]: row for row in printed("table5")}
     ours = [
         [
-            row["scene"], SETTINGS[row["setting"]], row["epochs"], _share(row),
-            paper[row["setting"]].get(str(row["epochs"])), row["z"],
-            f"{row['log10_false_claim']:.0f}", row["verdict"], row["psnr_to_clean"],
+            row["scene"],
+            SETTINGS[row["setting"]],
+            row["epochs"],
+            _share(row),
+            paper[row["setting"]].get(str(row["epochs"])),
+            row["z"],
+            f"{row['log10_false_claim']:.0f}",
+            row["verdict"],
+            row["psnr_to_clean"],
         ]
         for row in of
-    ]  # fmt: skip
+    ]
     theirs = [[SETTINGS[row.pop("setting")], *row.values()] for row in printed("table5")]
     return Section(
         "Table 5: fine-tuning",
@@ -64,13 +76,22 @@ def section(rows: list[Row], options: Options) -> Section:
         ],
         [
             Table(
-                ("scene", "the attacker has", "epochs", "bits", "the paper, %", "z", "log10 false claim", "verdict",
-                 "PSNR to clean, dB"),
-                ours, "Ours",
+                (
+                    "scene",
+                    "the attacker has",
+                    "epochs",
+                    "bits",
+                    "the paper, %",
+                    "z",
+                    "log10 false claim",
+                    "verdict",
+                    "PSNR to clean, dB",
+                ),
+                ours,
+                "Ours",
             ),
             Table(
-                ("the attacker has", "0 epochs", "100", "300", "500"), theirs,
-                "Bit accuracy as the paper prints it, %",
+                ("the attacker has", "0 epochs", "100", "300", "500"), theirs, "Bit accuracy as the paper prints it, %"
             ),
         ],
         [
@@ -81,7 +102,7 @@ def section(rows: list[Row], options: Options) -> Section:
                 "the paper: published, other hardware and scenes.",
             )
         ],
-    )  # fmt: skip
+    )
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
@@ -95,10 +116,12 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         worst = min(last, key=lambda row: (row["bit_accuracy"], row["z"]))
         made.append(
             Bar(
-                f"{EPOCHS} epochs, {name}", f">= {100 * LEAST:g} %",
-                f"{_share(worst)}, z {worst['z']:.0f}, lowest of {len(last)} scenes", worst["bit_accuracy"] >= LEAST,
+                f"{EPOCHS} epochs, {name}",
+                f">= {100 * LEAST:g} %",
+                f"{_share(worst)}, z {worst['z']:.0f}, lowest of {len(last)} scenes",
+                worst["bit_accuracy"] >= LEAST,
             )
-        )  # fmt: skip
+        )
     return made
 
 
@@ -109,24 +132,14 @@ def draw(rows: list[Row]) -> Figure:
     for (setting, name), look in zip(SETTINGS.items(), styles(), strict=False):
         of = of_kind(rows, setting=setting)
         epochs = sorted({row["epochs"] for row in of})
-        worst = [
-            min((row for row in of if row["epochs"] == e), key=lambda row: float(row["z"])) for e in epochs
-        ]
+        worst = [min((row for row in of if row["epochs"] == e), key=lambda row: float(row["z"])) for e in epochs]
         stops = [int(name) for name in paper[setting] if name != "setting"]
         published = [paper[setting][str(stop)] for stop in stops]
         left.plot(
-            stops,
-            published,
-            label=f"the paper: {name}",
-            **{**look, "markerfacecolor": "white", "linewidth": 1.0},
+            stops, published, label=f"the paper: {name}", **{**look, "markerfacecolor": "white", "linewidth": 1.0}
         )
         if worst:
-            left.plot(
-                epochs,
-                [100 * row["bit_accuracy"] for row in worst],
-                **{**look, "linestyle": "none"},
-                zorder=5,
-            )
+            left.plot(epochs, [100 * row["bit_accuracy"] for row in worst], **{**look, "linestyle": "none"}, zorder=5)
             right.plot(epochs, [row["z"] for row in worst], label=f"ours: {name}", **look)
     left.set_title("All bits survive in all four settings" if _all_whole(rows) else "Bits along fine-tuning")
     left.set_ylabel("bit accuracy, %")
@@ -136,10 +149,7 @@ def draw(rows: list[Row]) -> Figure:
     right.set_ylim(bottom=0)
     for axes in (left, right):
         axes.set_xlabel("epochs")
-    handles = [
-        h + k
-        for h, k in zip(left.get_legend_handles_labels(), right.get_legend_handles_labels(), strict=True)
-    ]
+    handles = [h + k for h, k in zip(left.get_legend_handles_labels(), right.get_legend_handles_labels(), strict=True)]
     drawn.legend(*handles, loc="outside lower center", ncols=2)
     return drawn
 
@@ -149,9 +159,7 @@ def _own(rows: list[Row]) -> list[Row]:
 
 
 def _all_whole(rows: list[Row]) -> bool:
-    return {row["setting"] for row in rows} == set(SETTINGS) and all(
-        row["bit_accuracy"] == 1.0 for row in rows
-    )
+    return {row["setting"] for row in rows} == set(SETTINGS) and all(row["bit_accuracy"] == 1.0 for row in rows)
 
 
 def _share(row: Row) -> str:
@@ -160,10 +168,5 @@ def _share(row: Row) -> str:
 
 
 PART = Part(
-    "table5",
-    "Table 5: fine-tuning",
-    "Does fine-tuning on clean pictures wash the mark out?",
-    cells,
-    section,
-    bars,
+    "table5", "Table 5: fine-tuning", "Does fine-tuning on clean pictures wash the mark out?", cells, section, bars
 )

@@ -14,23 +14,21 @@ from engine.evaluate.tables.words import INTERVALS, accuracy, mean_text
 STEPS, QUICK_STEPS = 60, 2
 UNMARKED = Setting("unmarked", unmarked=True)
 ROWS = {
-    "unmarked": "none: the unmarked model", "default": "closed form, no refinement (what every profile does)",
-    "loss-msg": "msg", "loss-msg-rec": "msg + rec",
+    "unmarked": "none: the unmarked model",
+    "default": "closed form, no refinement (what every profile does)",
+    "loss-msg": "msg",
+    "loss-msg-rec": "msg + rec",
     "loss-text": "msg + rec + wavelet, weights of the text 0.4, 1.0, 0.3",
     "loss-appendix": "msg + rec + wavelet, weights of the appendix 0.2, 0.5, 0.05",
-}  # fmt: skip
-PAPER = {
-    "unmarked": "none", "loss-msg": "msg", "loss-msg-rec": "msg+rec", "loss-text": "msg+rec+wavelet",
-}  # fmt: skip
+}
+PAPER = {"unmarked": "none", "loss-msg": "msg", "loss-msg-rec": "msg+rec", "loss-text": "msg+rec+wavelet"}
 """Rows of the paper's table that ours stand beside."""
 
 
 def refined(name: str, msg: float, rec: float, wavelet: float, *, quick: bool = False) -> Setting:
     """A setting with the refinement on and these weights."""
     steps = QUICK_STEPS if quick else STEPS
-    return Setting(
-        name, {"refine": {"steps": steps, "lambda_msg": msg, "lambda_rec": rec, "lambda_wavelet": wavelet}}
-    )
+    return Setting(name, {"refine": {"steps": steps, "lambda_msg": msg, "lambda_rec": rec, "lambda_wavelet": wavelet}})
 
 
 def settings(quick: bool) -> list[Setting]:
@@ -63,20 +61,30 @@ def section(rows: list[Row], options: Options) -> Section:
         unseen = setting == "unmarked"
         ours.append(
             [
-                name, str(accuracy(of_kind(pictures, attack="none"))),
+                name,
+                str(accuracy(of_kind(pictures, attack="none"))),
                 f"{sum(row['claimed'] for row in pictures + marked)} of {len(pictures + marked)}",
                 None if unseen else mean_text([row["psnr"] for row in views]),
-                mean_text([row["ssim"] for row in views], 4), mean_text([row["distance"] for row in views], 5),
+                mean_text([row["ssim"] for row in views], 4),
+                mean_text([row["distance"] for row in views], 5),
                 *(None if unseen else str(effect(rows, setting, "default", c) or "") for c in ("model", *CONDITIONS)),
                 f"{sum(row['refine_seconds'] for row in marked) / len(marked):.1f}",
                 *(paper.get(PAPER.get(setting, ""), {}).get(name) for name in ("bit_accuracy", "psnr")),
             ]
-        )  # fmt: skip
+        )
     columns = (
-        "losses", "bits, one picture", "claims at 1e-9", "PSNR, dB", "SSIM", "1 - MS-SSIM", "z of the model",
-        *(f"z, {'no attack' if c == 'none' else c}" for c in CONDITIONS), "refinement, s",
-        "the paper: bits, %", "its PSNR, dB",
-    )  # fmt: skip
+        "losses",
+        "bits, one picture",
+        "claims at 1e-9",
+        "PSNR, dB",
+        "SSIM",
+        "1 - MS-SSIM",
+        "z of the model",
+        *(f"z, {'no attack' if c == 'none' else c}" for c in CONDITIONS),
+        "refinement, s",
+        "the paper: bits, %",
+        "its PSNR, dB",
+    )
     theirs = [[*row.values()] for row in printed("table6")]
     return Section(
         "Table 6: losses of the refinement",
@@ -92,9 +100,7 @@ def section(rows: list[Row], options: Options) -> Section:
         ],
         [
             Table(columns, ours, "Ours"),
-            Table(
-                ("losses", "bit accuracy, %", "PSNR, dB", "SSIM", "LPIPS"), theirs, "As the paper prints it"
-            ),
+            Table(("losses", "bit accuracy, %", "PSNR, dB", "SSIM", "LPIPS"), theirs, "As the paper prints it"),
         ],
     )
 
@@ -106,17 +112,14 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         return []
     claims = sum(row["claimed"] for row in of)
     largest = max(row["z"] for row in of)
-    return [
-        Bar(
-            "unmarked model, claims",
-            "0",
-            f"{claims} of {len(of)} readings, largest z {largest:.2f}",
-            claims == 0,
-        )
-    ]
+    return [Bar("unmarked model, claims", "0", f"{claims} of {len(of)} readings, largest z {largest:.2f}", claims == 0)]
 
 
 PART = Part(
-    "table6", "Table 6: losses of the refinement", "What do the three losses of Eq 9 buy over the closed-form mark?",
-    cells, section, bars,
-)  # fmt: skip
+    "table6",
+    "Table 6: losses of the refinement",
+    "What do the three losses of Eq 9 buy over the closed-form mark?",
+    cells,
+    section,
+    bars,
+)

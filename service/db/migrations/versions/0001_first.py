@@ -50,9 +50,7 @@ def upgrade() -> None:
     op.create_index(op.f("ix_assets_tenant"), "assets", ["tenant"], unique=False)
     op.create_table(
         "audit",
-        sa.Column(
-            "index", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), autoincrement=False, nullable=False
-        ),
+        sa.Column("index", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), autoincrement=False, nullable=False),
         sa.Column("at", sa.Text(), nullable=False),
         sa.Column("tenant", sa.Text(), nullable=False),
         sa.Column("event", sa.Text(), nullable=False),

@@ -1,0 +1,1 @@
+"""Cameras from other programs' files: INRIA's and NeRF's JSON, COLMAP models, trajectories. Start at `files`."""

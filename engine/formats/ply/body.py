@@ -1,0 +1,152 @@
+"""The tables of a PLY file as numpy records, binary of either byte order or ASCII; no more than is there."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.formats.ply.header import Element, Header
+
+_LINES_AT_ONCE = 4096
+
+
+def read_tables(
+    data: bytes | memoryview, header: Header, wanted: list[str], *, file: str
+) -> dict[str, npt.NDArray[np.void]]:
+    """Read the elements asked for; that rows times bytes a row is what follows the header is checked first.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file.
+    header : Header
+        Of that file.
+    wanted : list of str
+        Elements to read, which the header has; others are skipped.
+    file : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    dict of str to (count,) records
+        Of a binary file, views on its bytes in its byte order.
+
+    Raises
+    ------
+    FormatError
+        There is less, or more, than the header announces; a line of an ASCII file is not what it should be
+        (with its row and property); lists stand in the way of an element asked for.
+    """
+    for element in header.elements:
+        listed = next((p for p in element.properties if p.is_list), None)
+        if listed is not None:
+            message = "a list where plain numbers are needed"
+            raise FormatError(message, file=file, element=element.name, prop=listed.name)
+        if element.name == wanted[-1]:
+            break
+    if not header.byte_order:
+        return _read_ascii(data, header, wanted, file)
+    offsets = _locate(header, len(data), file=file)
+    tables = {}
+    for element in header.elements:
+        if element.name in wanted:
+            dtype = element.dtype(header.byte_order)
+            tables[element.name] = np.frombuffer(data, dtype, element.count, offsets[element.name])
+    return tables
+
+
+def _locate(header: Header, length: int, file: str) -> dict[str, int]:
+    """Offset of every element before the first one with lists, once all bytes are known to be there.
+
+    With lists at the end of the file, which are skipped, the rest must only be long enough.
+    """
+    offsets: dict[str, int] = {}
+    offset, open_end = header.size, False
+    for element in header.elements:
+        if not open_end and not element.has_lists:
+            offsets[element.name] = offset
+        open_end = open_end or element.has_lists
+        offset += element.count * element.stride
+        if offset > length:
+            there = length - (offset - element.count * element.stride)
+            message = (
+                f"the header announces {element.count} rows of {element.stride} bytes, "
+                f"but only {max(there, 0)} bytes are there: cut off, or the count is wrong"
+            )
+            row = max(there, 0) // element.stride if element.stride else None
+            raise FormatError(message, file=file, element=element.name, row=row)
+    if offset < length and not open_end:
+        last = header.elements[-1]
+        message = f"{length - offset} bytes follow the {last.count} rows of the last element: the count is wrong"
+        raise FormatError(message, file=file, element=last.name)
+    return offsets
+
+
+def _read_ascii(
+    data: bytes | memoryview, header: Header, wanted: list[str], file: str
+) -> dict[str, npt.NDArray[np.void]]:
+    body = data[header.size :]
+    for element in header.elements:  # a digit and a separator each: known before anything is allocated
+        least = 2 * element.count * len(element.properties) - 1
+        if least > len(body):
+            message = f"the header announces {element.count} rows, but only {len(body)} bytes are there"
+            raise FormatError(message, file=file, element=element.name)
+    lines = iter(io.TextIOWrapper(io.BytesIO(body), encoding="latin-1"))
+    tables = {}
+    for element in header.elements:
+        if element.name in wanted:
+            tables[element.name] = _read_rows(lines, element, file)
+        else:
+            skipped = sum(1 for _ in islice(lines, element.count))
+            if skipped < element.count:
+                raise _too_short(element, skipped, file)
+    if any(line.strip() for line in lines):
+        last = header.elements[-1]
+        message = f"more lines follow the {last.count} rows of the last element: the count is wrong"
+        raise FormatError(message, file=file, element=last.name)
+    return tables
+
+
+def _read_rows(lines: Iterator[str], element: Element, file: str) -> npt.NDArray[np.void]:
+    records = np.empty(element.count, dtype=element.dtype("<"))
+    for start in range(0, element.count, _LINES_AT_ONCE):
+        block = list(islice(lines, min(_LINES_AT_ONCE, element.count - start)))
+        if not any(block):
+            raise _too_short(element, start, file)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                rows = np.loadtxt(block, dtype=records.dtype, comments=None, ndmin=1)
+        except (ValueError, OverflowError):
+            raise _fault(block, start, element, file) from None
+        if len(rows) < len(block):
+            raise _fault(block, start, element, file)
+        records[start : start + len(rows)] = rows
+        if start + len(rows) < element.count and len(block) < _LINES_AT_ONCE:
+            raise _too_short(element, start + len(rows), file)
+    return records
+
+
+def _fault(block: list[str], start: int, element: Element, file: str) -> FormatError:
+    """The first line of a block that is no row of the element, named."""
+    for row, line in enumerate(block, start):
+        words = line.split()
+        if len(words) != len(element.properties):
+            message = f"the line holds {len(words)} values, expected {len(element.properties)}"
+            return FormatError(message, file=file, element=element.name, row=row)
+        for word, prop in zip(words, element.properties, strict=True):
+            try:
+                np.loadtxt([word], dtype=prop.code, comments=None)
+            except (ValueError, OverflowError):
+                message = f"{word[:40]!a} is no {np.dtype(prop.code).name}"
+                return FormatError(message, file=file, element=element.name, row=row, prop=prop.name)
+    return FormatError("cannot be read", file=file, element=element.name, row=start)
+
+
+def _too_short(element: Element, rows: int, file: str) -> FormatError:
+    message = f"there are only {rows} of the announced {element.count} rows: cut off, or the count is wrong"
+    return FormatError(message, file=file, element=element.name, row=rows)

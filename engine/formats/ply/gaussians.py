@@ -1,0 +1,182 @@
+"""Gaussian models as INRIA's PLY: every variant met in the wild is read; written with three scales, or two for
+2DGS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.ply.body import read_tables
+from engine.formats.ply.header import Element, Header, parse_header
+from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
+from engine.model import DISC_THICKNESS, Float32, GaussianModel
+
+REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
+"""Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
+
+_NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, nobody reads them
+_ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
+
+
+def read_ply(
+    data: bytes | memoryview, *, file: str, header: Header | None = None
+) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The whole file.
+    file : str
+        Name of the file, for messages.
+    header : Header, optional
+        If already parsed.
+
+    Returns
+    -------
+    model : GaussianModel
+    repairs : tuple of Repair
+        What was mended or ignored, such as ``extra_properties``, ``extra_elements``, ``flat_discs``.
+
+    Raises
+    ------
+    FormatError
+        The bytes are not what the header says, or a property is missing.
+    UnsupportedFormatError
+        The file is a point cloud or a mesh.
+    """
+    header = header or parse_header(data, file=file)
+    vertex, repairs = _check_vertex(header, file)
+    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    arrays = _empty_arrays(len(records), REST_COUNTS[_count_rest(vertex, file)])
+    _spread(records, _columns(arrays, frozenset(vertex.names)))
+    if "scale_2" not in vertex.names:
+        log_scales = arrays["log_scales"]
+        log_scales[:, 2] = np.maximum(log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS), LOG_SCALE_RANGE[0])
+        text = f"2DGS discs: their third scale was set to {DISC_THICKNESS:g} of the smaller one"
+        repairs.append(Repair("flat_discs", len(records), text))
+    logits = arrays["opacity_logits"]
+    model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
+    return model, (*repairs, *mended)
+
+
+def write_ply(model: GaussianModel) -> Iterator[bytes]:
+    """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals.
+
+    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them.
+
+    Parameters
+    ----------
+    model : GaussianModel
+
+    Yields
+    ------
+    bytes
+        Joined, they are the file. Reading it gives the same bits back.
+    """
+    rest = 3 * (model.sh.shape[1] - 1)
+    names = ["x", "y", "z", *_NORMALS, "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{i}" for i in range(rest)]
+    scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
+    names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
+    lines += [f"property float {name}" for name in names]
+    yield ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+
+    arrays = {
+        "means": model.means,
+        "log_scales": model.log_scales,
+        "quats": model.quats,
+        "opacity_logits": model.opacity_logits,
+        "sh": model.sh,
+    }
+    columns = _columns(arrays, frozenset(names))
+    for start in range(0, len(model), _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, len(model))
+        table = np.zeros((stop - start, len(names)), dtype="<f4")
+        for j, name in enumerate(names):
+            if name in columns:
+                table[:, j] = columns[name][start:stop]
+        yield table.tobytes()
+
+
+def _check_vertex(header: Header, file: str) -> tuple[Element, list[Repair]]:
+    """The vertex element once it is known to hold Gaussians, and what the file holds besides."""
+    vertex = header.element("vertex")
+    if vertex is None:
+        there = ", ".join(repr(e.name) for e in header.elements[:5])
+        raise FormatError(f"has no element 'vertex', only {there}", file=file)
+    if "f_dc_0" not in vertex.names:
+        colored = {"red", "green", "blue"} <= vertex.names
+        what = "a colored point cloud" if colored else "a point cloud or a mesh"
+        message = f"is {what}, not a Gaussian model: it has no colors f_dc_0, scales, rotations and opacity"
+        raise UnsupportedFormatError(message, file=file, element="vertex")
+    needed = ["x", "y", "z", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
+    for name in [*needed, "rot_0", "rot_1", "rot_2", "rot_3"]:
+        if name not in vertex.names:
+            raise FormatError("is missing", file=file, element="vertex", prop=name)
+
+    repairs: list[Repair] = []
+    known = {*needed, *_NORMALS, "f_dc_0", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
+    known |= {f"f_rest_{i}" for i in range(_count_rest(vertex, file))}
+    extra = [p.name for p in vertex.properties if p.name not in known]
+    if extra:
+        repairs.append(Repair("extra_properties", len(extra), _ignored("properties", extra)))
+    others = [e.name for e in header.elements if e is not vertex]
+    if others:
+        repairs.append(Repair("extra_elements", len(others), _ignored("elements", others)))
+    return vertex, repairs
+
+
+def _ignored(what: str, names: list[str]) -> str:
+    shown = ", ".join(repr(name[:40]) for name in names[:5])
+    return f"{what} that no Gaussian has were ignored: {shown}" + (", ..." if len(names) > 5 else "")
+
+
+def _count_rest(vertex: Element, file: str) -> int:
+    """Number of f_rest properties, once they are known to be the first so many."""
+    names = {name for name in vertex.names if name.startswith("f_rest_")}
+    if len(names) not in REST_COUNTS:
+        message = f"{len(names)} properties f_rest_*, expected 0, 9, 24 or 45 (degree 0 to 3)"
+        raise FormatError(message, file=file, element="vertex")
+    for i in range(len(names)):
+        if f"f_rest_{i}" not in names:
+            raise FormatError("is missing", file=file, element="vertex", prop=f"f_rest_{i}")
+    return len(names)
+
+
+def _empty_arrays(count: int, coefficients: int) -> dict[str, Float32]:
+    shapes = {
+        "means": (count, 3),
+        "log_scales": (count, 3),
+        "quats": (count, 4),
+        "opacity_logits": (count,),
+        "sh": (count, coefficients, 3),
+    }
+    return {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
+
+
+def _columns(arrays: dict[str, Float32], present: frozenset[str]) -> dict[str, Float32]:
+    """(N,) view on the arrays for every property; f_rest is channel-major in the file, nowhere else."""
+    means, log_scales, quats, sh = (arrays[key] for key in ("means", "log_scales", "quats", "sh"))
+    views = {name: means[:, i] for i, name in enumerate("xyz")}
+    views |= {f"scale_{i}": log_scales[:, i] for i in range(3)}
+    views |= {f"rot_{i}": quats[:, i] for i in range(4)}
+    views |= {f"f_dc_{c}": sh[:, 0, c] for c in range(3)}
+    rest = sh.shape[1] - 1
+    views |= {f"f_rest_{c * rest + k}": sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
+    views["opacity"] = arrays["opacity_logits"]
+    return {name: view for name, view in views.items() if name in present}
+
+
+def _spread(records: npt.NDArray[Any], columns: dict[str, Float32]) -> None:
+    """Copy the fields of the records into the columns, whatever their type and byte order."""
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
+        for start in range(0, len(records), _ROWS_AT_ONCE):
+            block = records[start : start + _ROWS_AT_ONCE]
+            for name, column in columns.items():
+                column[start : start + _ROWS_AT_ONCE] = block[name]

@@ -1,0 +1,125 @@
+"""Points out of a COLMAP model, text or binary (https://colmap.github.io/format.html)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.model import Float64
+
+_ROW = struct.Struct("<Q3d3BdQ")
+"""Id, position, colour, reprojection error, length of the track; the track follows, 8 bytes an entry."""
+
+_LARGEST = 1e15  # scene units; also false for what is no number
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapPoints:
+    """The sparse points of a reconstruction.
+
+    Parameters
+    ----------
+    positions : (N, 3) float64
+        Scene units, finite.
+    colors : (N, 3) uint8
+    errors : (N,) float64
+        Mean reprojection error, pixels; -1 where the file does not know it.
+    tracks : (N,) int64
+        Number of photos that see the point.
+    """
+
+    positions: Float64
+    colors: npt.NDArray[np.uint8]
+    errors: Float64
+    tracks: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+_Row = tuple[float, float, float, int, int, int, float, int]
+
+
+def read_points(data: bytes, file: str, *, binary: bool) -> ColmapPoints:
+    """Points of a points3D file, in its order.
+
+    Parameters
+    ----------
+    data : bytes
+    file : str
+        Name, for messages.
+    binary : bool
+
+    Returns
+    -------
+    ColmapPoints
+        May be empty.
+
+    Raises
+    ------
+    FormatError
+        If the file ends early, goes on too long, claims more points than its bytes can hold, or a row is no point.
+    """
+    rows = (_binary_rows if binary else _text_rows)(data, file)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    return ColmapPoints(
+        np.ascontiguousarray(table[:, :3]),
+        table[:, 3:6].astype(np.uint8),
+        table[:, 6].copy(),
+        table[:, 7].astype(np.int64),
+    )
+
+
+def _checked(row: _Row, file: str, number: int) -> _Row:
+    if not all(abs(value) < _LARGEST for value in row[:3]):
+        raise FormatError(f"the position {row[:3]} is not finite", file=file, row=number)
+    if not all(0 <= value <= 255 for value in row[3:6]):
+        raise FormatError(f"the colour {row[3:6]} is not in 0..255", file=file, row=number)
+    if not math.isfinite(row[6]):
+        raise FormatError(f"the error {row[6]} is not finite", file=file, row=number)
+    return row
+
+
+def _text_rows(data: bytes, file: str) -> list[_Row]:
+    rows: list[_Row] = []
+    for line in data.decode("utf-8", "replace").splitlines():
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if len(words) < 8 or len(words) % 2:
+            message = f"{len(words)} words are no point (id, x, y, z, r, g, b, error, pairs of image and point)"
+            raise FormatError(message, file=file, row=len(rows))
+        try:
+            x, y, z, error = (float(words[k]) for k in (1, 2, 3, 7))
+            r, g, b = (int(words[k]) for k in (4, 5, 6))
+        except ValueError:
+            raise FormatError(f"{line[:80]!r} is no point", file=file, row=len(rows)) from None
+        rows.append(_checked((x, y, z, r, g, b, error, (len(words) - 8) // 2), file, len(rows)))
+    return rows
+
+
+def _binary_rows(data: bytes, file: str) -> list[_Row]:
+    if len(data) < 8:
+        raise FormatError(f"has {len(data)} bytes, too few for a count", file=file)
+    (count,) = struct.unpack_from("<Q", data)
+    if count * _ROW.size > len(data) - 8:
+        raise FormatError(f"claims {count} points in {len(data)} bytes", file=file)
+    rows: list[_Row] = []
+    at = 8
+    for number in range(count):
+        if at + _ROW.size > len(data):
+            raise FormatError(f"ends after {len(data)} bytes, in the middle of a point", file=file, row=number)
+        _, x, y, z, r, g, b, error, track = _ROW.unpack_from(data, at)
+        at += _ROW.size
+        if 8 * track > len(data) - at:
+            raise FormatError(f"claims a track of {track} photos beyond the end", file=file, row=number)
+        at += 8 * track
+        rows.append(_checked((x, y, z, r, g, b, error, track), file, number))
+    if at != len(data):
+        raise FormatError(f"goes on for {len(data) - at} bytes after its last point", file=file)
+    return rows

@@ -1,0 +1,69 @@
+"""A COLMAP reconstruction as a whole: its photos' cameras and its sparse points."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.errors import InputError
+from engine.formats.cameras.colmap import PosedPhoto, read_photos
+from engine.formats.cameras.files import SUBFOLDERS, read_limited
+from engine.formats.points.colmap import ColmapPoints, read_points
+
+__all__ = ["Reconstruction", "read_reconstruction"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What structure from motion found.
+
+    Parameters
+    ----------
+    photos : list of PosedPhoto
+        In the order of their names.
+    points : ColmapPoints
+    """
+
+    photos: list[PosedPhoto]
+    points: ColmapPoints
+
+
+def read_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
+    """Read a COLMAP model, text or binary.
+
+    Parameters
+    ----------
+    path : path
+        Folder with ``cameras``, ``images`` and ``points3D`` (``.bin`` or ``.txt``), or one that holds it under a
+        usual name (``sparse/0``).
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    InputError
+        There is no such folder or file.
+    CameraError, FormatError
+        A file is broken; the message names it and the entry.
+    """
+    root = Path(path)
+    for folder in (root / name for name in SUBFOLDERS):
+        for suffix in (".bin", ".txt"):
+            files = [folder / f"{name}{suffix}" for name in ("cameras", "images", "points3D")]
+            if all(file.is_file() for file in files):
+                return _read(files, binary=suffix == ".bin")
+    raise InputError(f"{root}: holds no COLMAP model: cameras, images and points3D, all .bin or all .txt")
+
+
+def _read(files: list[Path], *, binary: bool) -> Reconstruction:
+    try:
+        cameras, images, points = (read_limited(file) for file in files)
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
+    return Reconstruction(
+        read_photos(cameras, images, str(files[0]), str(files[1]), binary=binary),
+        read_points(points, str(files[2]), binary=binary),
+    )

@@ -1,0 +1,1 @@
+"""SOG, PlayCanvas's zip of lossless WebP images. Start at `bundle`."""

@@ -1,0 +1,128 @@
+"""Where the parts of a SOG scene lie: a zip archive or a folder. Only parts asked for by name are read."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Protocol
+
+from engine.errors import FormatError
+
+META = "meta.json"
+MAX_META_BYTES = 1 << 20
+"""Three codebooks of 256 numbers take 16 KB."""
+
+_MAX_DIRECTORY_BYTES = 1 << 16
+"""A bundle has eight entries of some 60 bytes; junk of operating systems may add a few dozen."""
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+    KeyError,
+    IndexError,
+)
+"""What zipfile raises on archives that are damaged, encrypted or beyond it."""
+
+
+class Archive(Protocol):
+    """Parts of a scene by plain name."""
+
+    size: int
+    """Bytes of the whole scene as stored."""
+
+    def read(self, name: str, limit: int) -> bytes:
+        """One part of at most `limit` bytes; FormatError if it is missing, longer or damaged."""
+        ...
+
+
+class ZipArchive:
+    """A bundled scene."""
+
+    def __init__(self, data: bytes, *, file: str) -> None:
+        self.size, self._file = len(data), file
+        _check_directory(data, file=file)
+        try:
+            self._zip = zipfile.ZipFile(io.BytesIO(data))
+            entries = self._zip.infolist()
+        except _DAMAGE as fault:
+            raise FormatError(f"damaged zip archive ({fault})", file=file) from None
+        self._entries: dict[str, zipfile.ZipInfo] = {}
+        for entry in entries:
+            if entry.filename in self._entries:
+                raise FormatError("zip archive holds two entries of this name", file=file, element=entry.filename)
+            self._entries[entry.filename] = entry
+
+    def read(self, name: str, limit: int) -> bytes:
+        entry = self._entries.get(name)
+        if entry is None:
+            raise FormatError("zip archive lacks this entry", file=self._file, element=name)
+        if entry.file_size > limit:
+            message = f"{entry.file_size} bytes, at most {limit} expected"
+            raise FormatError(message, file=self._file, element=name)
+        if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError("is neither stored nor deflated", file=self._file, element=name)
+        try:
+            with self._zip.open(entry) as stream:
+                part = stream.read(limit + 1)
+        except _DAMAGE as fault:
+            raise FormatError(f"damaged zip entry ({fault})", file=self._file, element=name) from None
+        if len(part) != entry.file_size:
+            message = f"unpacks to {len(part)} bytes, expected {entry.file_size}"
+            raise FormatError(message, file=self._file, element=name)
+        return part
+
+
+class Folder:
+    """An unbundled scene; the folder is the user's own, the names in it come from the caller checked."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.size = 0
+
+    def read(self, name: str, limit: int) -> bytes:
+        path = self._folder / name
+        try:
+            if path.stat().st_size > limit:
+                message = f"{path.stat().st_size} bytes, at most {limit} expected"
+                raise FormatError(message, file=str(self._folder), element=name)
+            part = path.read_bytes()
+        except OSError as fault:
+            message = f"cannot be read ({fault.strerror})"
+            raise FormatError(message, file=str(self._folder), element=name) from None
+        return part
+
+    def weigh(self, names: tuple[str, ...]) -> None:
+        """Set `size` to the sum of the parts named; missing ones count nothing."""
+        self.size = sum(p.stat().st_size for p in (self._folder / name for name in names) if p.is_file())
+
+
+def write_zip(parts: dict[str, bytes]) -> bytes:
+    """A zip archive of stored entries, without dates or other traces of the machine."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name, part in parts.items():
+            entry = zipfile.ZipInfo(name, _EPOCH)
+            entry.create_system, entry.external_attr = 3, 0o644 << 16
+            archive.writestr(entry, part)
+    return buffer.getvalue()
+
+
+def _check_directory(data: bytes, *, file: str) -> None:
+    """Refuse a long list of entries before zipfile builds an object for each."""
+    end = data.rfind(b"PK\x05\x06", max(0, len(data) - (1 << 16) - 22))
+    if end < 0 or end + 22 > len(data):
+        raise FormatError("is no zip archive, or its end is cut off", file=file)
+    size = struct.unpack_from("<I", data, end + 12)[0]
+    if data[max(0, end - 20) : end].startswith(b"PK\x06\x07") or size > _MAX_DIRECTORY_BYTES:
+        raise FormatError("zip archive lists far more entries than a scene has", file=file)

@@ -1,0 +1,106 @@
+"""SOG, PlayCanvas's "Spatially Ordered Gaussians": a zip archive or folder of lossless WebP images.
+
+Versions 1 ("SOGS") and 2 are read, 2 is written. Format: the SOG page of PlayCanvas's user manual, and the
+readers of playcanvas/splat-transform. The axes are those of PLY.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from engine.errors import FormatError
+from engine.formats.repairs import Repair
+from engine.formats.sog.archive import MAX_META_BYTES, META, Folder, ZipArchive, write_zip
+from engine.formats.sog.decoding import decode_scene
+from engine.formats.sog.encoding import SogPalette, encode_scene
+from engine.formats.sog.meta import parse_meta
+from engine.model import GaussianModel
+
+__all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
+
+
+def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Read a bundled scene, version 1 or 2.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole zip archive. Only meta.json and the images it names are ever unpacked.
+    file : str
+        Its name, for messages.
+
+    Returns
+    -------
+    model : GaussianModel
+    repairs : tuple of Repair
+        Harmless faults, mended; such as alpha 0 and 255, which no finite logit has.
+
+    Raises
+    ------
+    UnsupportedFormatError
+        Another version, or images that are lossy.
+    FormatError
+        The archive or an image is damaged, or sizes and counts do not agree; checked before it is decoded.
+    """
+    archive = ZipArchive(data, file=file)
+    meta = parse_meta(archive.read(META, MAX_META_BYTES), file=file)
+    return decode_scene(meta, archive, file=file)
+
+
+def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Read an unbundled scene: a folder with meta.json, or the path of that meta.json.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    model, repairs
+        As `read_sog`.
+
+    Raises
+    ------
+    FormatError
+        As `read_sog`, or a part is missing or cannot be read.
+    """
+    path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    if not path.is_dir() and path.name != META:
+        raise FormatError(f"is neither a folder nor a {META}", file=str(path))
+    archive = Folder(folder)
+    meta = parse_meta(archive.read(META, MAX_META_BYTES), file=str(path))
+    archive.weigh(meta.names)
+    return decode_scene(meta, archive, file=str(path))
+
+
+def write_sog(model: GaussianModel, *, palette: SogPalette | None = None) -> bytes:
+    """Write a bundled scene, version 2; the Gaussians come out in another order (along a Z-curve).
+
+    Parameters
+    ----------
+    model : GaussianModel
+        At least one Gaussian.
+    palette : (codes, labels), optional
+        Spherical harmonics above DC that are vector-quantised already: 1 to 65,536 code vectors
+        (P, K - 1, 3), and which of them each Gaussian has, (N,). They then stand for `model.sh[:, 1:]`. By
+        default a palette of 1k to 64k code vectors is learnt, by the number of Gaussians as PlayCanvas's
+        writer; exact where no more differ.
+
+    Returns
+    -------
+    bytes
+        The same for the same input, on any number of threads.
+
+    Raises
+    ------
+    InputError
+        The model is empty, or the palette does not fit it.
+
+    Notes
+    -----
+    Errors: centres half of 1/65535 of their range in the domain sign(x) log(1 + abs(x)), opacities 1/510,
+    the three smaller components of a quaternion 0.0028 each; log scales, DC and code vectors that of the best
+    256 values for all of them.
+    """
+    return write_zip(encode_scene(model, palette))

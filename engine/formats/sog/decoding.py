@@ -1,0 +1,146 @@
+"""From the images of a SOG scene to the attributes of Gaussians."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.formats.guards import check_count
+from engine.formats.repairs import Repair, clean
+from engine.formats.sog.archive import Archive
+from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
+from engine.formats.sog.webp import Pixels, decode_webp, webp_size
+from engine.model import Float32, GaussianModel
+
+QUATERNION_TAG = 252
+"""Alpha of a quaternion's pixel: this plus the index of the component that is left out, the largest."""
+
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+"""The components that are kept, by the index of the largest; w, x, y, z as in the model."""
+
+_CHUNK = 1 << 14
+
+
+def decode_scene(meta: SogMeta, archive: Archive, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """Decode all images of a scene; see `engine.formats.sog.bundle.read_sog`."""
+    check_count(meta.count, archive.size, file=file)
+    scene = _Scene(meta, archive, file)
+    quats, quat_repairs = scene.quats()
+    logits, dc = scene.opacity_logits(), scene.dc()
+    rest, rest_repairs = scene.rest()
+    sh = dc[:, None] if rest is None else np.concatenate([dc[:, None], rest], axis=1)
+    model, repairs = clean(scene.means(), scene.log_scales(), quats, logits, sh, file=file, element="gaussians")
+    return model, (*meta.repairs, *quat_repairs, *rest_repairs, *repairs)
+
+
+class _Scene:
+    """Images are decoded when they are asked for, each once; all of one Gaussian a pixel have one size."""
+
+    def __init__(self, meta: SogMeta, archive: Archive, file: str) -> None:
+        self._meta, self._archive, self._file = meta, archive, file
+        self._size: tuple[int, int] | None = None
+        self._pixel_limit = 2 * meta.count + (1 << 16)  # writers pad to blocks or to a square
+        self._sh0 = self._rows("sh0")
+
+    def _load(self, name: str, pixel_limit: int) -> tuple[bytes, tuple[int, int]]:
+        # A lossless image is hardly ever larger than its four bytes a pixel.
+        data = self._archive.read(name, 6 * pixel_limit + (1 << 16))
+        size = webp_size(data, file=self._file, element=name)
+        if size[0] * size[1] > pixel_limit:
+            message = f"{size[0]}x{size[1]} pixels, at most {pixel_limit} expected"
+            raise FormatError(message, file=self._file, element=name)
+        return data, size
+
+    def _rows(self, key: str, index: int = 0) -> Pixels:
+        """(N, 4) the pixels of the Gaussians in one image."""
+        name, count = self._meta.files[key][index], self._meta.count
+        data, size = self._load(name, self._pixel_limit)
+        if size[0] * size[1] < count:
+            message = f"{size[0]}x{size[1]} pixels for {count} Gaussians"
+            raise FormatError(message, file=self._file, element=name)
+        if self._size not in (None, size):
+            message = f"is {size[0]}x{size[1]}, other images are {self._size[0]}x{self._size[1]}"
+            raise FormatError(message, file=self._file, element=name)
+        self._size = size
+        return decode_webp(data, size, file=self._file, element=name).reshape(-1, 4)[:count]
+
+    def means(self) -> Float32:
+        low, high = self._rows("means", 0), self._rows("means", 1)
+        result = np.empty((self._meta.count, 3), dtype=np.float32)
+        for axis in range(3):
+            code = low[:, axis] | (high[:, axis].astype(np.uint16) << 8)
+            ramp = np.linspace(self._meta.mins[axis], self._meta.maxs[axis], 1 << 16)
+            with np.errstate(over="ignore"):  # an absurd range becomes infinite, and its rows are dropped
+                table = (np.sign(ramp) * np.expm1(np.abs(ramp))).astype(np.float32)
+            result[:, axis] = table[code]
+        return result
+
+    def log_scales(self) -> Float32:
+        return _look_up(self._meta.scales, self._rows("scales"))
+
+    def dc(self) -> Float32:
+        return _look_up(self._meta.dc, self._sh0)
+
+    def opacity_logits(self) -> Float32:
+        return self._meta.opacity.astype(np.float32)[self._sh0[:, 3]]
+
+    def quats(self) -> tuple[Float32, tuple[Repair, ...]]:
+        pixels = self._rows("quats")
+        tagged = pixels[:, 3] >= QUATERNION_TAG
+        largest = np.where(tagged, pixels[:, 3] - np.uint8(QUATERNION_TAG), 0)
+        table = ((np.arange(256) / 127.5 - 1.0) * np.sqrt(0.5)).astype(np.float32)
+        small = table[pixels[:, :3]]  # (N, 3)
+        rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)
+        quats = np.empty((len(pixels), 4), dtype=np.float32)
+        np.put_along_axis(quats, OTHERS[largest], small, axis=1)
+        quats[np.arange(len(pixels)), largest] = np.sqrt(np.maximum(rest, np.float32(0.0)))
+        untagged = np.flatnonzero(~tagged)
+        if not len(untagged):
+            return quats, ()
+        quats[untagged] = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+        text = f"{len(untagged)} quaternions (first in row {untagged[0]}) without a tag taken as no rotation"
+        return quats, (Repair("quaternions_untagged", len(untagged), text),)
+
+    def rest(self) -> tuple[Float32 | None, tuple[Repair, ...]]:
+        """(N, K - 1, 3) coefficients above DC, None for degree 0."""
+        palette = self._meta.palette
+        if palette is None:
+            return None, ()
+        book = self._centroids(palette)  # (P, K - 1, 3)
+        count = len(book) if palette.count is None else palette.count
+        pixels = self._rows("shN", 1)
+        labels = pixels[:, 0] | (pixels[:, 1].astype(np.uint16) << 8)
+        stray = np.flatnonzero(labels >= count)
+        if len(stray):
+            book = np.concatenate([book[:count], np.zeros((1, *book.shape[1:]), dtype=np.float32)])
+            labels = np.minimum(labels, np.uint16(min(count, MAX_PALETTE - 1)))
+        result = np.empty((len(labels), *book.shape[1:]), dtype=np.float32)
+        for start in range(0, len(labels), _CHUNK):
+            np.take(book, labels[start : start + _CHUNK], axis=0, out=result[start : start + _CHUNK], mode="clip")
+        if not len(stray):
+            return result, ()
+        text = f"{len(stray)} labels (first in row {stray[0]}) beyond the {count} code vectors taken as zero"
+        return result, (Repair("labels_beyond_palette", len(stray), text),)
+
+    def _centroids(self, palette: Palette) -> Float32:
+        name = self._meta.files["shN"][0]
+        data, (width, height) = self._load(name, MAX_PALETTE * max(REST_COEFFICIENTS.values()))
+        bands = {PALETTE_ROW * rest: band for band, rest in REST_COEFFICIENTS.items()}.get(width)
+        if bands is None or palette.bands not in (None, bands):
+            message = f"{width} pixels wide, expected {PALETTE_ROW} times 3, 8 or 15, as its bands say"
+            raise FormatError(message, file=self._file, element=name)
+        if PALETTE_ROW * height < (palette.count or 1) or height > MAX_PALETTE // PALETTE_ROW:
+            message = f"{height} rows of {PALETTE_ROW} code vectors for {palette.count}"
+            raise FormatError(message, file=self._file, element=name)
+        pixels = decode_webp(data, (width, height), file=self._file, element=name)
+        codes: npt.NDArray[np.uint8] = pixels[..., :3].reshape(PALETTE_ROW * height, -1, 3)
+        return palette.table.astype(np.float32)[codes]
+
+
+def _look_up(tables: npt.NDArray[np.float64], pixels: Pixels) -> Float32:
+    """(N, 3) values of the first three channels, each through its own table."""
+    result = np.empty((len(pixels), 3), dtype=np.float32)
+    for channel in range(3):
+        result[:, channel] = tables[channel].astype(np.float32)[pixels[:, channel]]
+    return result

@@ -1,0 +1,152 @@
+"""The axes in which an SPZ file stores its scene, and the way from there to the axes of PLY."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError, InputError
+from engine.model import Float32, Float64
+from engine.numerics.spherical_harmonics import sh_basis
+
+Frame = Literal["auto", "spec", "ply"]
+"""What a reader takes the axes of a file for: what the file says (else the specification's), the
+specification's, or those of PLY."""
+
+COORDINATE_SYSTEM_EXTENSION = 0xADBE0003
+"""SPZ_ADOBE_coordinate_system: one uint32, the number of a frame."""
+
+UNSPECIFIED, RUB, RDF = 0, 4, 6
+"""Numbers of frames. RUB (right, up, back) is the specification's, RDF (right, down, front) is PLY's."""
+
+_DIRECTIONS = {"L": (-1, 0, 0), "R": (1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+_NAMES = (
+    "RUB",
+    "LDB",
+    "RDB",
+    "LUB",
+    "RUB",
+    "LDF",
+    "RDF",
+    "LUF",
+    "RUF",
+    "LFD",
+    "RFD",
+    "LFU",
+    "RFU",
+    "LBD",
+    "RBD",
+    "LBU",
+    "RBU",
+)
+"""Frames by number, as nianticlabs/spz numbers them; UNSPECIFIED falls back to RUB there too."""
+
+_QUARTER_TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_IRRATIONAL_DIRECTION = np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)  # no basis function vanishes here
+
+
+@dataclass(frozen=True)
+class FrameChange:
+    """p_ply = turn @ (signs * p_file).
+
+    Parameters
+    ----------
+    signs : (3,)
+        +-1 for each axis of the file.
+    turn : (3, 3) or None
+        Quarter turn about x that follows, None where the signs are enough.
+    """
+
+    signs: Float64
+    turn: Float64 | None = None
+
+    def apply_signs(self, means: Float32, quats: Float32, sh: Float32) -> None:
+        """Flip centres (N, 3), quaternions (N, 4) and coefficients (N, K, 3) in place; exact in float32."""
+        if (self.signs == 1).all():
+            return
+        means *= self.signs.astype(np.float32)
+        quats[:, 1:] *= self.quaternion_signs
+        for k, sign in enumerate(self.coefficient_signs(sh.shape[1])):
+            if sign < 0:
+                np.negative(sh[:, k], out=sh[:, k])
+
+    @property
+    def quaternion_signs(self) -> Float32:
+        """(3,) signs of x, y, z: M R(q) M has, for a diagonal M, the axis of q times M's cofactors."""
+        signs: Float32 = (np.prod(self.signs) * self.signs).astype(np.float32)
+        return signs
+
+    def coefficient_signs(self, coefficients: int) -> Float32:
+        """(K,) sign of each basis function under the flip: Y_k(signs * d) = sign_k Y_k(d)."""
+        degree = round(coefficients**0.5) - 1
+        d = _IRRATIONAL_DIRECTION
+        flipped: npt.NDArray[Any] = sh_basis(d * self.signs, degree) * sh_basis(d, degree)
+        signs: Float32 = np.sign(flipped).astype(np.float32)
+        return signs
+
+
+SPECIFICATION = FrameChange(np.array([1.0, -1.0, -1.0]))
+"""RUB to RDF; its own inverse, so that the writer uses it as well."""
+
+
+def frame_change(frame: str, extensions: bytes, *, file: str) -> FrameChange:
+    """The change of axes that brings a file's scene to those of PLY.
+
+    Parameters
+    ----------
+    frame : {"auto", "spec", "ply"}
+        See `Frame`.
+    extensions : bytes
+        The file's extension records, back to back.
+    file : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    InputError
+        `frame` is none of the three.
+    FormatError
+        The records do not fit into their bytes, or name a frame that does not exist.
+    """
+    if frame not in get_args(Frame):
+        raise InputError(f"frame is {frame!r}, expected one of {', '.join(get_args(Frame))}")
+    declared = _declared_frame(extensions, file=file)
+    if frame == "spec" or (frame == "auto" and declared is None):
+        return SPECIFICATION
+    if frame == "ply" or declared is None:
+        return FrameChange(np.ones(3))
+    if declared >= len(_NAMES):
+        message = f"declares frame {declared}, known are 0 to {len(_NAMES) - 1}; name the frame to use"
+        raise FormatError(message, file=file, element="SPZ_ADOBE_coordinate_system")
+    axes = [_DIRECTIONS[axis] for axis in _NAMES[declared]]
+    to_ply = np.array(axes, dtype=np.float64).T  # its columns are the file's axes
+    if (to_ply == np.diag(np.diag(to_ply))).all():
+        return FrameChange(np.diag(to_ply).copy())
+    return FrameChange(np.diag(_QUARTER_TURN.T @ to_ply).copy(), _QUARTER_TURN)
+
+
+def coordinate_system_record(number: int) -> bytes:
+    """The extension record that declares a frame."""
+    return struct.pack("<III", COORDINATE_SYSTEM_EXTENSION, 4, number)
+
+
+def _declared_frame(extensions: bytes, *, file: str) -> int | None:
+    position, declared = 0, None
+    while position < len(extensions):
+        if position + 8 > len(extensions):
+            raise FormatError("an extension record is cut off", file=file, element="extensions")
+        kind, length = struct.unpack_from("<II", extensions, position)
+        position += 8
+        if length > len(extensions) - position:
+            message = f"extension {kind:#010x} claims {length} bytes, {len(extensions) - position} are left"
+            raise FormatError(message, file=file, element="extensions")
+        if kind == COORDINATE_SYSTEM_EXTENSION and declared is None:
+            if length != 4:
+                raise FormatError(f"frame takes {length} bytes, expected 4", file=file, element="extensions")
+            declared = struct.unpack_from("<I", extensions, position)[0]
+        position += length
+    return declared

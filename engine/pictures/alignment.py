@@ -1,0 +1,217 @@
+"""Bring a suspect picture into the frame of a reference render: rotated, scaled, cropped (DESIGN 4.8).
+
+1. Hypotheses: the picture as it is, the whole picture at another size, SIFT + RANSAC.
+2. Robust Gauss-Newton on brightness, coarse to fine, with gain and offset, to a few hundredths of a pixel.
+   The gradients are those of the noise-free render, so noise in the picture does not bias the fit.
+3. A homography in place of the similarity only where it fits clearly better.
+4. The picture resampled into the reference's pixels, and the mask of pixels that carry evidence.
+
+Nothing here sees a key or a chip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Bool, Float32, Float64
+from engine.numerics.resampling import map_points, smooth, warp
+from engine.pictures.brightness_curve import predict_brightness
+from engine.pictures.brightness_fit import Fit, fit_warp
+from engine.pictures.features import detect_keypoints, luma, match_within
+
+__all__ = ["Alignment", "AlignmentConfig", "align_image"]
+
+
+_SUSPICIOUS = 0.005
+"""Share of contradicting pixels above which brightness is predicted more carefully."""
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """Knobs of `align_image`.
+
+    Parameters
+    ----------
+    keypoints : int
+        SIFT keypoints an image.
+    ratio : float
+        Lowe's ratio of distances.
+    ransac_pixels : float
+        Reprojection error of an inlier, pixels.
+    least_matches : int
+        Inliers a SIFT hypothesis needs.
+    least_correlation : float
+        Correlation of the brightness of both images below which there is no alignment.
+    sure_correlation : float
+        Correlation above which no further hypothesis is tried.
+    perspective_gain : float
+        A homography must lower the residual to this fraction of the similarity's.
+    snap_pixels : float
+        A fitted motion smaller than this everywhere is none: the picture is used without resampling.
+    margin : int
+        Pixels by which the mask is eroded.
+    """
+
+    keypoints: int = 2000
+    ratio: float = 0.8
+    ransac_pixels: float = 3.0
+    least_matches: int = 8
+    least_correlation: float = 0.4
+    sure_correlation: float = 0.98
+    perspective_gain: float = 0.97
+    snap_pixels: float = 0.06
+    margin: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A suspect picture in the reference's frame.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64
+        Homography from reference pixel to suspect pixel coordinates.
+    warped : (H, W, 3) float32
+        The suspect resampled into the reference's pixels, 0 outside.
+    mask : (H, W) bool
+        Pixels that carry evidence: inside the suspect, not painted over or black from a rotation.
+    inliers : int
+        Brightness samples that agree with the fit.
+    rms : float
+        Robust residual of brightness after gain and offset, image units.
+    correlation : float
+        Correlation of both images' brightness on the pixels fitted, -1..1.
+    """
+
+    matrix: Float64
+    warped: Float32
+    mask: Bool
+    inliers: int
+    rms: float
+    correlation: float
+
+
+def align_image(
+    reference_image: Float32, suspect_image: Float32, config: AlignmentConfig = AlignmentConfig()
+) -> Alignment | None:
+    """Find the motion that lays the suspect over the reference render.
+
+    Parameters
+    ----------
+    reference_image : (H, W, 3) float32
+        Render of the unmarked reference, 0..1.
+    suspect_image : (h, w, 3) float32
+        The picture, 0..1, of any size.
+    config : AlignmentConfig
+
+    Returns
+    -------
+    Alignment or None
+        None when nothing fits.
+
+    Raises
+    ------
+    InputError
+        If either is not a finite (H, W, 3) image.
+    """
+    reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
+    grey, suspect_grey = luma(reference), luma(suspect)
+    best: Fit | None = None
+    for matrix in _hypotheses(grey, suspect_grey, config):
+        coarse = fit_warp(grey, suspect_grey, matrix, levels=(8, 4), homography=False)
+        if coarse is not None and (best is None or coarse.correlation > best.correlation):
+            best = coarse
+        if best is not None and best.correlation > config.sure_correlation:
+            break
+    if best is None or best.correlation < config.least_correlation:
+        return None
+    fit = fit_warp(grey, suspect_grey, best.matrix, levels=(4, 2, 1), homography=False) or best
+    bent = fit_warp(grey, suspect_grey, fit.matrix, levels=(2, 1), homography=True)
+    if bent is not None and bent.rms < config.perspective_gain * fit.rms:
+        fit = bent
+    matrix = fit.matrix
+    if grey.shape == suspect_grey.shape and _largest_motion(matrix, *grey.shape) < config.snap_pixels:
+        matrix = np.eye(3)
+    warped, inside = _resample(suspect, matrix, *grey.shape)
+    mask = _evidence_mask(grey, luma(warped), inside, fit, config.margin)
+    return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation)
+
+
+def _checked(image: Float32) -> Float32:
+    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape) < 1:
+        raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
+    image = np.ascontiguousarray(image, dtype=np.float32)
+    if not np.isfinite(image).all():
+        raise InputError("the image holds values that are not finite")
+    return np.clip(image, 0.0, 1.0)
+
+
+def _hypotheses(grey: Float32, suspect: Float32, config: AlignmentConfig) -> Iterator[Float64]:
+    """Motions to try, cheapest first."""
+    sy, sx = suspect.shape[0] / grey.shape[0], suspect.shape[1] / grey.shape[1]
+    if abs(sx / sy - 1.0) < 0.02:
+        yield np.diag([sx, sy, 1.0])
+    yield from _sift_hypotheses(grey, suspect, config)
+    if abs(sx / sy - 1.0) >= 0.02:  # squeezed, or a crop without a single good keypoint
+        yield np.diag([sx, sy, 1.0])
+
+
+def _sift_hypotheses(grey: Float32, suspect: Float32, config: AlignmentConfig) -> Iterator[Float64]:
+    import cv2
+
+    a, b = detect_keypoints(grey, config.keypoints), detect_keypoints(suspect, config.keypoints)
+    from_suspect, to_reference = match_within(b.descriptors, a.descriptors, config.ratio)
+    if len(from_suspect) < config.least_matches:
+        return
+    source, target = a.points[to_reference], b.points[from_suspect]
+    cv2.setRNGSeed(0)
+    similarity, inliers = cv2.estimateAffinePartial2D(
+        source, target, method=cv2.RANSAC, ransacReprojThreshold=config.ransac_pixels, maxIters=2000, confidence=0.999
+    )
+    agreed = 0
+    if similarity is not None and inliers is not None and inliers.sum() >= config.least_matches:
+        agreed = int(inliers.sum())
+        yield np.vstack([similarity, [0.0, 0.0, 1.0]])
+    bent, inliers = cv2.findHomography(source, target, cv2.RANSAC, config.ransac_pixels, maxIters=2000)
+    # Eight numbers explain more than four by themselves; only a clear majority counts.
+    if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + config.least_matches:
+        yield np.asarray(bent, dtype=np.float64)
+
+
+def _largest_motion(matrix: Float64, height: int, width: int) -> float:
+    corners = np.array([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
+    return float(np.abs(map_points(matrix, corners) - corners).max())
+
+
+def _resample(suspect: Float32, matrix: Float64, height: int, width: int) -> tuple[Float32, Bool]:
+    if suspect.shape[:2] == (height, width) and np.array_equal(matrix, np.eye(3)):
+        return suspect, np.ones((height, width), dtype=np.bool_)
+    scale = float(np.sqrt(abs(np.linalg.det(matrix[:2, :2]))))
+    # Where several suspect pixels fall into one of the reference, average them first.
+    prefiltered = smooth(suspect, 0.5 * np.sqrt(max(scale**2 - 1.0, 0.0)))
+    return warp(prefiltered, matrix, height, width)
+
+
+def _evidence_mask(grey: Float32, warped: Float32, inside: Bool, fit: Fit, margin: int) -> Bool:
+    """Inside the suspect, and not where a whole neighbourhood contradicts the reference (fill, captions)."""
+    import cv2
+
+    wrong = _contradicted(np.clip(fit.gain * grey + fit.offset, 0.0, 1.0), warped, inside)
+    if np.mean(wrong) > _SUSPICIOUS:  # captions, or a tone curve or light that gain and offset do not describe
+        again = _contradicted(predict_brightness(grey, warped, inside), warped, inside)
+        wrong = again if again.sum() < wrong.sum() else wrong
+    bad = (wrong | ~inside).astype(np.uint8)
+    size = 2 * margin + 1
+    grown = cv2.dilate(bad, np.ones((size, size), dtype=np.uint8), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(grown == 0)
+
+
+def _contradicted(expected: Float32, warped: Float32, inside: Bool) -> Bool:
+    difference = np.where(inside, np.abs(warped - expected), 0.0)
+    local = smooth(difference.astype(np.float32), 4.0)
+    typical = float(np.median(local[inside])) if inside.any() else 0.0
+    return np.asarray(local > max(0.06, 5.0 * typical))

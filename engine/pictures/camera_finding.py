@@ -1,0 +1,283 @@
+"""Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
+
+1. Keypoints of the picture, matched to the landmarks of the record.
+2. PnP-RANSAC over a ladder of focal lengths; refined on the matches that agree.
+3. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
+
+The picture of another scene fails at the number of agreeing matches, or at the correlation with the render.
+Nothing here sees a key or a chip.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.model import Camera, Float32, Float64, GaussianModel, Int64
+from engine.pictures.camera_hypotheses import LADDER, Hypothesis, at_other_focal, fit_camera, hypothesize
+from engine.pictures.features import Keypoints, detect_keypoints, luma
+from engine.pictures.landmark_matching import match_landmarks, match_projected
+from engine.pictures.landmarks import Landmarks
+from engine.pictures.pose_refinement import refine_level
+
+__all__ = ["CameraConfig", "FoundCamera", "find_camera"]
+
+GUIDED = (1.0, 1.0, 0.5)
+"""Tolerances of the rounds of guided matching, in those of the first."""
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Knobs of `find_camera`.
+
+    Parameters
+    ----------
+    keypoints : int
+        SIFT keypoints of the picture.
+    detection_size : int
+        Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced.
+    ratios : tuple of float
+        Lowe's ratio of distances over the whole bank, and within each of its views, 0..1. The first gives few
+        matches, mostly right; the second many, mostly wrong.
+    views : int
+        Views of the bank in which the second kind is sought: those with most matches.
+    same_place : float
+        Landmarks nearer to each other than this are one place, in radii of the bank.
+    tolerance : float
+        Reprojection error of an inlier, in longer sides of the picture.
+    least_start : int
+        Matches that must agree before the camera is roughly known.
+    least_inliers : int
+        Keypoints that must agree with the camera then.
+    focals : tuple of float
+        Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after.
+    other_focals : tuple of float
+        Focal lengths to start from where the refinement from the keypoints' own fails, in those.
+    least_correlation, sure_correlation : float
+        Correlation of brightness with the render below which the picture shows something else, and above which a
+        refinement that converged has not failed.
+    coarse_size, fine_size : int
+        Largest longer side of the first and of the last level of the refinement, pixels. Renders at another size
+        than the picture's are not quite the reduced picture, so there is no level coarser than needed.
+    iterations : int
+        Renders of one level at most.
+    step : float
+        The refinement ends when its step is smaller, pixels.
+    """
+
+    keypoints: int = 2000
+    detection_size: int = 1000
+    ratios: tuple[float, float] = (0.8, 0.85)
+    views: int = 8
+    same_place: float = 0.05
+    tolerance: float = 0.005
+    least_start: int = 6
+    least_inliers: int = 12
+    focals: tuple[float, ...] = LADDER
+    other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
+    least_correlation: float = 0.75
+    sure_correlation: float = 0.98
+    coarse_size: int = 1000
+    fine_size: int = 2000
+    iterations: int = 12
+    step: float = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """The camera of a picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the picture's size; square pixels, principal point in the centre.
+    inliers : int
+        Matches that agree with the pose found from keypoints.
+    rms : float
+        Robust standard deviation of the brightness residual, 0..1.
+    correlation : float
+        Of picture and render, -1..1.
+    step : float
+        Root mean square flow of the last step of the refinement, pixels.
+    seconds_by_stage : dict
+        Of "keypoints", "match", "pose" and "refine".
+    """
+
+    camera: Camera
+    inliers: int
+    rms: float
+    correlation: float
+    step: float
+    seconds_by_stage: dict[str, float]
+
+
+def find_camera(
+    landmarks: Landmarks, reference_model: GaussianModel, image: Float32, config: CameraConfig = CameraConfig()
+) -> FoundCamera | None:
+    """Camera from which a picture shows a model.
+
+    Parameters
+    ----------
+    landmarks : Landmarks
+        Of the model, from its record.
+    reference_model : GaussianModel
+        The unmarked reference.
+    image : (h, w, 3) float32
+        The picture, range 0 to 1.
+    config : CameraConfig
+
+    Returns
+    -------
+    FoundCamera or None
+        None when no view of the model was recognised.
+
+    Raises
+    ------
+    InputError
+        If the picture is not a finite (h, w, 3) image.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
+        raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
+    if not np.isfinite(image).all():
+        raise InputError("the picture holds values that are not finite")
+    grey = luma(np.asarray(image, dtype=np.float32))
+    seconds: dict[str, float] = {}
+    began = time.perf_counter()
+
+    def lap(stage: str) -> None:
+        nonlocal began
+        now = time.perf_counter()
+        seconds[stage], began = now - began, now
+
+    height, width = grey.shape
+    shrink = min(1.0, config.detection_size / max(height, width))
+    small = _resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
+    found = detect_keypoints(small, config.keypoints)
+    enlarged = found.points * (width / small.shape[1], height / small.shape[0])
+    keypoints = Keypoints(enlarged, found.descriptors)
+    lap("keypoints")
+    matches = match_landmarks(keypoints, landmarks, config.ratios, config.same_place * _radius(landmarks), config.views)
+    lap("match")
+    starts = _hypotheses(keypoints, landmarks, matches, (width, height), config)
+    lap("pose")
+    best: FoundCamera | None = None
+    for start in starts:
+        best = _better(best, _refine(reference_model, grey, start, config))
+        if best is not None and _is_sure(best, config):
+            break
+    if best is not None and not _is_sure(best, config):
+        for start in _at_other_focals(keypoints, landmarks, max(starts, key=lambda h: h.support), config):
+            best = _better(best, _refine(reference_model, grey, start, config))
+            if best is not None and _is_sure(best, config):
+                break
+    lap("refine")
+    return replace(best, seconds_by_stage=seconds) if best is not None else None
+
+
+def _better(first: FoundCamera | None, second: FoundCamera | None) -> FoundCamera | None:
+    if first is None or second is None:
+        return first or second
+    return second if second.correlation > first.correlation else first
+
+
+def _is_sure(found: FoundCamera, config: CameraConfig) -> bool:
+    return found.step < config.step and found.correlation > config.sure_correlation
+
+
+def _hypotheses(
+    keypoints: Keypoints,
+    landmarks: Landmarks,
+    matches: Sequence[tuple[Int64, Int64]],
+    size: tuple[int, int],
+    config: CameraConfig,
+) -> list[Hypothesis]:
+    """The camera that most keypoints agree with, from each set of matches; by falling support."""
+    tolerance = config.tolerance * max(size)
+    found = []
+    for keypoint, landmark in matches:
+        start = hypothesize(
+            landmarks.points[landmark].astype(np.float64),
+            keypoints.points[keypoint],
+            *size,
+            tolerance,
+            config.least_start,
+            config.focals,
+        )
+        guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
+        if guided is not None and guided.support >= config.least_inliers:
+            found.append(guided)
+    return sorted(found, key=lambda hypothesis: -hypothesis.support)
+
+
+def _guided(keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, tolerance: float) -> Hypothesis | None:
+    """A hypothesis fitted to all that matches where it projects, which is more than stood out at first."""
+    for factor in GUIDED:
+        keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, 3.0 * factor * tolerance)
+        fitted = fit_camera(
+            landmarks.points[landmark].astype(np.float64),
+            keypoints.points[keypoint],
+            hypothesis.camera,
+            factor * tolerance,
+        )
+        if fitted is None:
+            return None
+        hypothesis = fitted
+    return hypothesis
+
+
+def _at_other_focals(
+    keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, config: CameraConfig
+) -> Iterator[Hypothesis]:
+    """Cameras of other focal lengths with which the keypoints agree about as well."""
+    tolerance = config.tolerance * max(hypothesis.camera.width, hypothesis.camera.height)
+    keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, tolerance)
+    points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+    for factor in config.other_focals:
+        other = at_other_focal(points, pixels, hypothesis, factor, 0.5 * tolerance)
+        if other is not None:
+            yield other
+
+
+def _refine(model: GaussianModel, grey: Float32, hypothesis: Hypothesis, config: CameraConfig) -> FoundCamera | None:
+    """Refine on brightness, coarse to fine; None when a level does not look like the picture."""
+    camera = hypothesis.camera
+    height, width = grey.shape
+    largest = min(max(width, height), config.fine_size)
+    size = min(config.coarse_size, largest)
+    while True:
+        shrink = size / max(width, height)
+        shape = max(16, round(width * shrink)), max(16, round(height * shrink))
+        refined = refine_level(model, _resized(grey, *shape), camera.resized(*shape), config.iterations, config.step)
+        if refined is None or refined.correlation < config.least_correlation:
+            return None
+        camera = _square(refined.camera.resized(width, height))
+        if size == largest:
+            return FoundCamera(camera, hypothesis.support, refined.rms, refined.correlation, refined.step, {})
+        size = min(2 * size, largest)
+
+
+def _square(camera: Camera) -> Camera:
+    """Square pixels and a central principal point, which rounding of a level's size may have bent."""
+    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    K = np.array([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
+    return Camera(camera.viewmat, K, camera.width, camera.height)
+
+
+def _resized(grey: Float32, width: int, height: int) -> Float32:
+    import cv2
+
+    if (height, width) == grey.shape:
+        return grey
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _radius(landmarks: Landmarks) -> float:
+    """Median distance of the landmarks from their middle, scene units."""
+    if len(landmarks) == 0:
+        return 0.0
+    points: Float64 = landmarks.points.astype(np.float64)
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))

@@ -1,0 +1,203 @@
+"""From matches of a picture with places in the world to a camera: PnP-RANSAC over a ladder of focal lengths.
+
+Three matches give a pose for a known focal length; the right step of the ladder is near enough for most
+matches to agree, and Levenberg-Marquardt over pose and focal length closes the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Bool, Camera, Float64
+from engine.pictures.camera_motion import PARAMETERS, moved, normalized, point_columns
+
+__all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
+
+LADDER: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 9))
+"""Focal lengths tried, in widths of the picture; 19 % apart."""
+RANSAC_TRIALS = 1000
+RANSAC_SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A camera and the matches that agree with it.
+
+    Parameters
+    ----------
+    camera : Camera
+    inliers : (M,) bool
+    rms : float
+        Reprojection error of the inliers, pixels.
+    """
+
+    camera: Camera
+    inliers: Bool
+    rms: float
+
+    @property
+    def support(self) -> int:
+        """Number of inliers."""
+        return int(self.inliers.sum())
+
+
+def hypothesize(
+    points: Float64,
+    pixels: Float64,
+    width: int,
+    height: int,
+    tolerance: float,
+    least: int,
+    ladder: tuple[float, ...] = LADDER,
+) -> Hypothesis | None:
+    """Camera with square pixels and a central principal point that most matches agree with.
+
+    Parameters
+    ----------
+    points : (M, 3) float64
+        World.
+    pixels : (M, 2) float64
+        Pixel coordinates, centres at half integers.
+    width, height : int
+        Size of the picture, pixels.
+    tolerance : float
+        Reprojection error of an inlier, pixels.
+    least : int
+        Fewest inliers.
+    ladder : tuple of float
+        Focal lengths tried, in widths of the picture.
+
+    Returns
+    -------
+    Hypothesis or None
+    """
+    import cv2
+
+    if len(points) < max(least, 5):
+        return None
+    started: list[tuple[int, Camera]] = []
+    for step in ladder:
+        focal = step * width
+        K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+        cv2.setRNGSeed(RANSAC_SEED)
+        try:
+            # On the ladder's coarse steps even right matches miss by some pixels.
+            ok, turn, shift, agreeing = cv2.solvePnPRansac(
+                points,
+                pixels,
+                K,
+                None,
+                iterationsCount=RANSAC_TRIALS,
+                reprojectionError=2.0 * tolerance,
+                confidence=0.9999,
+                flags=cv2.SOLVEPNP_AP3P,
+            )
+        except cv2.error:  # degenerate points
+            continue
+        if not ok or agreeing is None or len(agreeing) < least:
+            continue
+        viewmat = np.eye(4)
+        viewmat[:3, :3], viewmat[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+        if np.isfinite(viewmat).all():
+            started.append((len(agreeing), Camera(viewmat, K, width, height)))
+    started.sort(key=lambda entry: -entry[0])
+    best: Hypothesis | None = None
+    for _, camera in started[:3]:
+        fitted = fit_camera(points, pixels, camera, tolerance)
+        if fitted is not None and (best is None or fitted.support > best.support):
+            best = fitted
+    return best if best is not None and best.support >= least else None
+
+
+def fit_camera(
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, zoom: bool = True
+) -> Hypothesis | None:
+    """Refine a camera by robust Levenberg-Marquardt over pose and focal length.
+
+    Parameters
+    ----------
+    points : (M, 3)
+    pixels : (M, 2)
+    camera : Camera
+        Start.
+    tolerance : float
+        Reprojection error of an inlier, pixels; errors far above it lose their weight.
+    zoom : bool
+        Fit the focal length too.
+
+    Returns
+    -------
+    Hypothesis or None
+        None when every point ends up behind the camera.
+    """
+    damping, free = 1e-3, PARAMETERS if zoom else PARAMETERS - 1
+    cost, error, columns, weight = _linearize(points, pixels, camera, tolerance)
+    for _ in range(30):
+        columns = columns[..., :free]
+        weighted = columns * weight[:, None, None]
+        normal = np.einsum("mik,mil->kl", weighted, columns)
+        right = np.einsum("mik,mi->k", weighted, error)
+        normal[np.diag_indices_from(normal)] *= 1.0 + damping
+        normal[np.diag_indices_from(normal)] += 1e-9
+        step = np.linalg.solve(normal, right)
+        if not np.isfinite(step).all() or np.abs(step).max() > 1.0:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        step = np.append(step, np.zeros(PARAMETERS - free))
+        trial = moved(camera, step, _median_depth(points, camera))
+        tried = _linearize(points, pixels, trial, tolerance)
+        if tried[0] < cost:
+            done = cost - tried[0] < 1e-6 * cost
+            camera, damping = trial, max(damping / 10.0, 1e-9)
+            cost, error, columns, weight = tried
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+    distance = np.linalg.norm(error, axis=1)
+    inliers = distance < tolerance
+    if not inliers.any():
+        return None
+    return Hypothesis(camera, inliers, float(np.sqrt(np.mean(distance[inliers] ** 2))))
+
+
+def at_other_focal(
+    points: Float64, pixels: Float64, start: Hypothesis, factor: float, tolerance: float
+) -> Hypothesis | None:
+    """The camera further away behind a longer lens (or nearer, shorter) that agrees with the same matches.
+
+    From afar, or before something flat, the two look alike to within the error of the matches.
+    """
+    depth = _median_depth(points, start.camera)
+    motion = np.zeros(PARAMETERS)
+    motion[5], motion[6] = factor - 1.0, np.log(factor)
+    return fit_camera(points, pixels, moved(start.camera, motion, depth), tolerance, zoom=False)
+
+
+def _median_depth(points: Float64, camera: Camera) -> float:
+    depth = points @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    front = depth[depth > 0]
+    return float(np.median(front)) if len(front) else 1.0
+
+
+def _linearize(
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float
+) -> tuple[float, Float64, Float64, Float64]:
+    """Cauchy cost, errors (M, 2), columns (M, 2, 7), weights (M,); points behind the camera weigh nothing."""
+    rays, depth = normalized(points, camera)
+    front = depth > 1e-9
+    depth = np.where(front, depth, 1.0)
+    rays = np.where(front[:, None], rays, 0.0)
+    focal = camera.K[0, 0]
+    center = np.array([camera.K[0, 2], camera.K[1, 2]])
+    error = np.where(front[:, None], pixels - (focal * rays + center), 1e3 * tolerance)
+    square = np.sum(error**2, axis=1) / tolerance**2
+    weight = np.where(front, 1.0 / (1.0 + square), 0.0)
+    columns = point_columns(rays, depth / _median_depth(points, camera), focal)
+    return float(np.log1p(square).sum()), error, columns, weight

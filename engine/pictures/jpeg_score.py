@@ -1,0 +1,215 @@
+"""What a JPEG-compressed picture says about a small change of the reference: the exact score of its quantiser.
+
+A JPEG coder rounds each DCT coefficient of the luma to a multiple of its step q. Knowing the unmarked coefficient
+c, the observed multiple k tells that c plus the mark's share d fell into [(k - 1/2) q, (k + 1/2) q]. With d normal
+with standard deviation s, the locally optimal statistic is E[d | interval] / s^2, a truncated normal mean. A plain
+residual would take all of the rounding error, known in advance from c, for noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import dctn, idctn
+from scipy.special import log_ndtr
+
+from engine.model import Bool, Float32, Float64
+from engine.pictures.color_fit import fit_colors
+
+_BETTER = 0.7
+"""Tone and uneven light must leave this share of what gain and offset leave."""
+
+LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+STANDARD_LUMA_TABLE = np.array(
+    [
+        [16, 11, 10, 16, 24, 40, 51, 61],
+        [12, 12, 14, 19, 26, 58, 60, 55],
+        [14, 13, 16, 24, 40, 57, 69, 56],
+        [14, 17, 22, 29, 51, 87, 80, 62],
+        [18, 22, 37, 56, 68, 109, 103, 77],
+        [24, 35, 55, 64, 81, 104, 113, 92],
+        [49, 64, 78, 87, 103, 121, 120, 101],
+        [72, 92, 95, 98, 112, 100, 103, 99],
+    ],
+    dtype=np.float64,
+)
+"""ITU-T T.81, table K.1: what libjpeg scales by quality, and so nearly every encoder."""
+
+LEAST_STEP = 3.0
+"""Steps smaller than this hide in the rounding of the decoded picture to 8 bits."""
+
+ROUNDING = 0.5
+"""Standard deviation of a coefficient's error from 8-bit rounding before and after coding, grey levels."""
+
+
+def luma_table(quality: int) -> Float64:
+    """(8, 8) quantisation steps of libjpeg at a quality of 1 to 100."""
+    factor = 5000 // quality if quality < 50 else 200 - 2 * quality
+    return np.clip((STANDARD_LUMA_TABLE * factor + 50) // 100, 1, 255)
+
+
+def blocks_of(luma: Float32 | Float64) -> Float64:
+    """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
+    height, width = (size // 8 * 8 for size in luma.shape)
+    tiles = luma[:height, :width].astype(np.float64).reshape(height // 8, 8, width // 8, 8).swapaxes(1, 2)
+    return np.asarray(dctn(tiles - 128.0, axes=(2, 3), norm="ortho"))
+
+
+def find_quality(picture: Float32) -> int | None:
+    """libjpeg quality a picture was saved at, judged by how its coefficients sit on a table's multiples.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) float32
+        Range 0 to 1.
+
+    Returns
+    -------
+    int or None
+        None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or
+        compressed too lightly to matter).
+    """
+    luma = 255.0 * picture @ LUMA
+    flat = blocks_of(luma).reshape(-1, 64)
+    flat = flat[_unclipped(picture).reshape(-1)]  # clipping moves coefficients off their multiples
+    if len(flat) < 40:
+        return None
+    flat = flat[:: max(1, len(flat) // 1500), 1:33]
+    best, least = None, 0.5
+    for quality in range(2, 93):
+        steps = luma_table(quality).reshape(-1)[1:33]
+        use = steps >= LEAST_STEP
+        multiple = flat[:, use] / steps[use]
+        loud = np.abs(multiple) > 0.6  # zeros fit every table
+        if use.sum() < 6 or (loud.sum(axis=0) > 4).sum() < 3:
+            continue
+        off = (multiple - np.round(multiple)) * steps[use]
+        # On the right table what is left is rounding noise; on a wrong one it is uniform over the step.
+        fit = float(np.mean(np.square(off[loud])) / np.mean(np.broadcast_to(steps[use] ** 2 / 12.0, off.shape)[loud]))
+        # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
+        if fit < 0.7 * least:
+            best, least = quality, fit
+    return best
+
+
+def _unclipped(picture: Float32) -> Bool:
+    """(by, bx) blocks without black or white values."""
+    height, width = (size // 8 * 8 for size in picture.shape[:2])
+    inside = (picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)
+    tiles = inside[:height, :width].reshape(height // 8, 8, width // 8, 8 * picture.shape[2])
+    return np.asarray(tiles.all(axis=(1, 3)))
+
+
+def block_spread(pattern: Float32) -> Float64:
+    """(8, 8) standard deviation of a mark-like pattern (H, W, 3) in each luma coefficient, grey levels."""
+    return np.asarray(np.sqrt(np.square(blocks_of(255.0 * pattern @ LUMA + 128.0)).mean(axis=(0, 1))))
+
+
+def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Float64, quality: int) -> Float32:
+    """Cotangent image of a JPEG-compressed suspect lying pixel on pixel over the reference.
+
+    Parameters
+    ----------
+    reference : (H, W, 3) float32
+        Unmarked render, range 0 to 1, with the suspect's exposure (`match_exposure`).
+    picture : (H, W, 3) float32
+        Suspect in the same pixels, never resampled since it was compressed.
+    mask : (H, W) bool
+        Pixels that carry evidence; blocks touching others are left out.
+    spread : (8, 8) float64
+        Standard deviation of the mark in each coefficient, grey levels.
+    quality : int
+        From `find_quality`.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        In log-likelihood per unit of colour.
+    """
+    observed = blocks_of(255.0 * picture @ LUMA)
+    steps = luma_table(quality)
+    known = blocks_of(255.0 * reference @ LUMA)
+    total = np.sqrt(spread**2 + ROUNDING**2 + _mismatch(observed, known, steps) ** 2)
+    k = _multiples(observed, known, steps)
+    low, high = ((k - 0.5) * steps - known) / total, ((k + 0.5) * steps - known) / total
+    score = _truncated_mean(low, high) / total
+    # A coefficient many deviations from where the reference puts it is something else in the picture.
+    score[(np.minimum(np.abs(low), np.abs(high)) > 4.0) & (low * high > 0)] = 0.0
+    height, width = (size // 8 * 8 for size in mask.shape)
+    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
+    score *= whole[:, :, None, None]
+    image = np.zeros(mask.shape, dtype=np.float32)
+    image[:height, :width] = idctn(score, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(height, width)
+    return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
+
+
+def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
+    """Multiples of the steps that the coder stored, also in blocks whose decoded pixels were clipped.
+
+    Clipping to black or white moves every coefficient of a block off its multiple. The reference, coded and clipped
+    alike, is moved alike, so multiples are counted from there.
+    """
+    start = np.round(known / steps)
+    decoded = np.clip(idctn(start * steps, axes=(2, 3), norm="ortho"), -128.0, 127.0)
+    return np.asarray(start + np.round((observed - dctn(decoded, axes=(2, 3), norm="ortho")) / steps))
+
+
+def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
+    """The reference in the picture's colours, where these are not its own.
+
+    Gain and offset of each channel tell whether they are; tone and light are fitted in full only where that explains
+    clearly more. All on block means: compression takes contrast from single pixels, which is no exposure, but a
+    tone curve would bend to it.
+    """
+    height, width = (size // 8 * 8 for size in mask.shape)
+    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
+    use = _unclipped(picture) & whole
+    if use.sum() < 50:
+        return reference
+    out = reference.copy()
+    for c in range(3):
+        x, y = (_block_means(image[..., c])[use] for image in (reference, picture))
+        gain, offset = 1.0, 0.0
+        for _ in range(6):
+            w = 1.0 / (1.0 + np.square((y - gain * x - offset) / 0.03))
+            mean_x, mean_y = np.average(x, weights=w), np.average(y, weights=w)
+            gain = float(np.sum(w * (x - mean_x) * (y - mean_y)) / max(np.sum(w * np.square(x - mean_x)), 1e-12))
+            offset = float(mean_y - gain * mean_x)
+        changed = abs(gain - 1.0) > 0.03 or abs(offset) > 0.012
+        sane = 0.2 < gain < 5.0 and abs(offset) < 0.3  # too flat a picture fits any line
+        if changed and sane:
+            out[..., c] = gain * reference[..., c] + offset
+    out = np.clip(out, 0.0, 1.0)
+    if np.array_equal(out, np.clip(reference, 0.0, 1.0)):
+        return out
+    full = fit_colors(reference, picture, mask).predicted
+    missed, left = (_missed(image, picture, use) for image in (out, full))
+    return full if left < _BETTER * missed else out
+
+
+def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:
+    """Median error of the block means."""
+    errors = [np.abs(_block_means(picture[..., c]) - _block_means(predicted[..., c]))[use] for c in range(3)]
+    return float(np.median(errors))
+
+
+def _block_means(plane: Float32) -> Float64:
+    height, width = (size // 8 * 8 for size in plane.shape)
+    return np.asarray(plane[:height, :width].reshape(height // 8, 8, width // 8, 8).mean(axis=(1, 3), dtype=np.float64))
+
+
+def _mismatch(observed: Float64, known: Float64, steps: Float64) -> Float64:
+    """(8, 8) deviation of the suspect from the reference beyond what rounding to the steps explains."""
+    error = np.square(observed - known).reshape(-1, 64)
+    typical = np.mean(np.minimum(error, 9.0 * np.quantile(error, 0.9, axis=0)), axis=0).reshape(8, 8)
+    return np.asarray(np.sqrt(np.maximum(typical - steps**2 / 12.0, 0.0)) * 0.5)
+
+
+def _truncated_mean(low: Float64, high: Float64) -> Float64:
+    """Mean of a standard normal known to lie in [low, high], stable in the tails."""
+    flip = low + high > 0  # by symmetry work in the lower tail
+    a, b = np.where(flip, -high, low), np.where(flip, -low, high)
+    log_mass = log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-12)))
+    density = np.exp(-0.5 * a**2 - log_mass) - np.exp(-0.5 * b**2 - log_mass)
+    mean = density / np.sqrt(2 * np.pi)
+    return np.asarray(np.where(flip, -mean, mean))

@@ -1,0 +1,145 @@
+"""Landmarks of a model: keypoints of its renders with their places in the world (DESIGN 4.8).
+
+They let the camera of a screenshot be found later, and are kept with the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InputError
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int32
+from engine.pictures.features import detect_keypoints, luma
+from engine.raster import render_depth
+
+__all__ = ["Landmarks", "make_landmarks"]
+
+PER_VIEW = 450
+"""Most landmarks of one view: 48 views of 144 bytes each make 3.1 MB."""
+SURPLUS = 3.0
+"""Keypoints detected for each landmark wanted: those on edges of depth and on haze are thrown away."""
+LEAST_ALPHA = 0.7
+"""A pixel this opaque shows a surface, and its depth is that surface's."""
+DEPTH_EDGE = 0.05
+"""Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
+MARGIN = 8
+"""Pixels kept around what is visible when a render is cut before detection."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places of a model that a keypoint detector recognises.
+
+    Parameters
+    ----------
+    points : (L, 3) float32
+        World coordinates, scene units.
+    descriptors : (L, 128) uint8
+        See `engine.pictures.features`.
+    views : (L,) int32
+        Number of the view each was seen in.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not fit together.
+    """
+
+    points: Float32
+    descriptors: npt.NDArray[np.uint8]
+    views: Int32
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        shapes = (self.points.shape, self.descriptors.shape, self.views.shape)
+        if shapes != ((count, 3), (count, 128), (count,)):
+            raise InputError(f"landmarks have shapes {shapes}, expected (L, 3), (L, 128), (L,)")
+        if self.descriptors.dtype != np.uint8:
+            raise InputError(f"descriptors are {self.descriptors.dtype}, expected uint8")
+        if not np.isfinite(self.points).all():
+            raise InputError("landmarks hold points that are not finite")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def make_landmarks(
+    model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None] | None = None
+) -> Landmarks:
+    """Detect landmarks in renders of a model.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The unmarked reference.
+    cameras : sequence of Camera
+        Views that cover it; about 48 of 640 x 480 pixels.
+    advance : callable, optional
+        Called with the fraction done, 0 to 1, after every view.
+
+    Returns
+    -------
+    Landmarks
+        In the order of the cameras; strongest first within each. Empty where nothing is distinctive.
+    """
+    points, descriptors, views = [], [], []
+    for number, camera in enumerate(cameras):
+        image, alpha, depth = render_depth(model, camera)
+        found = _detect(image, alpha, depth, camera)
+        points.append(found[0])
+        descriptors.append(found[1])
+        views.append(np.full(len(found[0]), number, dtype=np.int32))
+        if advance is not None:
+            advance((number + 1) / len(cameras))
+    if not points:
+        return Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, dtype=np.int32))
+    return Landmarks(np.concatenate(points), np.concatenate(descriptors), np.concatenate(views))
+
+
+def _detect(image: Float32, alpha: Float32, depth: Float32, camera: Camera) -> tuple[Float32, npt.NDArray[np.uint8]]:
+    """Points (P, 3) and descriptors (P, 128) of one render."""
+    top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
+    grey = luma(image[top:bottom, left:right])
+    if min(grey.shape) < 16:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
+    keypoints = detect_keypoints(grey, int(SURPLUS * PER_VIEW))
+    pixels = keypoints.points + np.array([left, top])
+    column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
+    row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)
+    kept = np.nonzero(_surface(alpha, depth)[row, column])[0][:PER_VIEW]
+    z = depth[row[kept], column[kept]].astype(np.float64)
+    return lift(pixels[kept], z, camera).astype(np.float32), keypoints.descriptors[kept]
+
+
+def _bounds(visible: Bool) -> tuple[int, int, int, int]:
+    """Top, bottom, left, right of what is visible, with a margin; detection costs by the pixel."""
+    rows, columns = np.nonzero(visible.any(axis=1))[0], np.nonzero(visible.any(axis=0))[0]
+    if not len(rows):
+        return 0, 0, 0, 0
+    return (
+        max(int(rows[0]) - MARGIN, 0),
+        min(int(rows[-1]) + MARGIN + 1, visible.shape[0]),
+        max(int(columns[0]) - MARGIN, 0),
+        min(int(columns[-1]) + MARGIN + 1, visible.shape[1]),
+    )
+
+
+def _surface(alpha: Float32, depth: Float32) -> Bool:
+    """(H, W) where an opaque surface is seen, away from its edges."""
+    import cv2
+
+    window = np.ones((5, 5), dtype=np.uint8)
+    farthest, nearest = cv2.dilate(depth, window), cv2.erode(depth, window)
+    opaque = cv2.erode(alpha, window) > LEAST_ALPHA
+    return np.asarray(opaque & (farthest - nearest < DEPTH_EDGE * depth))
+
+
+def lift(pixels: Float64, depth: Float64, camera: Camera) -> Float64:
+    """(P, 3) world points at pixel coordinates (P, 2) and camera depths (P,)."""
+    rays = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1).T).T
+    local = rays * depth[:, None]
+    return np.asarray((local - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3])

@@ -1,0 +1,246 @@
+"""Refine a camera on brightness: robust Gauss-Newton against fresh renders, coarse to fine (DESIGN 4.8).
+
+The model of the picture is suspect(x) = gain render(x; camera) + offset. A small motion of the camera moves
+what a pixel shows by a flow that follows from its depth, and so changes its brightness by -gradient . flow:
+one render with depth gives all seven columns of the linearised problem. The residual is always that of an
+exact render, so where the iteration stops, depth edges and haze have not biased it; they only slow it down.
+
+Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import prange
+
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.resampling import smooth
+from engine.pictures.brightness_fit import robust_scale
+from engine.pictures.camera_motion import PARAMETERS, moved
+from engine.pictures.features import luma
+from engine.raster import render_depth
+
+__all__ = ["Refined", "refine_level"]
+
+_KERNEL_VERSION = 1
+BLUR = 0.8
+"""Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
+WIDEST_BLUR = 3.0
+"""Blur of the first iterations, pixels; it falls to half each time, but not below the last step, so that an edge
+overlaps with itself."""
+TRUSTED = 0.1
+"""Residuals below this are no outliers before the blur is down: a part that does not fit yet is not given up."""
+LEAST_ALPHA = 0.5
+"""Pixels more transparent than this show a background nobody knows."""
+CLIPPED = 0.985
+"""Brighter pixels of the picture say nothing about position."""
+FARTHEST = 2.0
+"""A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
+LEAST_PIXELS = 400
+"""Fewer usable pixels than this cannot carry nine unknowns."""
+ACCELERATE_BELOW = 0.5
+"""Steps below this are taken for linear, pixels of the level."""
+MEMORY = 2
+"""Steps that the acceleration remembers."""
+MOST_EXTRAPOLATION = 30.0
+"""The acceleration goes at most this many times as far as the last step."""
+_UNKNOWNS = PARAMETERS + 2
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A camera and how well its render explains the picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the level's size.
+    rms : float
+        Robust standard deviation of the brightness residual, 0..1.
+    correlation : float
+        Of picture and render on the pixels used, -1..1.
+    step : float
+        Root mean square flow of the last motion, pixels of the level.
+    iterations : int
+    """
+
+    camera: Camera
+    rms: float
+    correlation: float
+    step: float
+    iterations: int
+
+
+@parallel_kernel
+def _normal_equations(  # type: ignore[no-untyped-def]
+    base, residual, gx, gy, depth, weight, focal, cx, cy, gain, spread, rows, flows
+):
+    height, width = base.shape
+    for j in prange(height):
+        column = np.zeros(9)
+        u = np.zeros(7)
+        v = np.zeros(7)
+        b = (j + 0.5 - cy) / focal
+        for i in range(width):
+            if weight[j, i] <= 0.0:
+                continue
+            a = (i + 0.5 - cx) / focal
+            near = 1.0 / depth[j, i]
+            u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
+            v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
+            for k in range(7):
+                column[k] = -gain * focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
+            column[7] = base[j, i]
+            column[8] = 1.0
+            r = residual[j, i]
+            w = weight[j, i] / (1.0 + (r / spread) ** 2)
+            for k in range(9):
+                for l in range(k, 9):
+                    rows[j, k, l] += w * column[k] * column[l]
+                rows[j, k, 9] += w * column[k] * r
+            for k in range(7):
+                for l in range(k, 7):
+                    flows[j, k, l] += weight[j, i] * focal * focal * (u[k] * u[l] + v[k] * v[l])
+
+
+def refine_level(
+    model: GaussianModel, picture: Float32, camera: Camera, iterations: int, tolerance: float
+) -> Refined | None:
+    """Refine a camera on one level of resolution.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The unmarked reference.
+    picture : (H, W) float32
+        Brightness of the picture, 0..1, at the camera's size.
+    camera : Camera
+        Start, within a few pixels.
+    iterations : int
+        Renders at most.
+    tolerance : float
+        Stops when the motion's root mean square flow is below this, pixels.
+
+    Returns
+    -------
+    Refined or None
+        None where too little of the model is in the picture.
+    """
+    gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
+    memory = Acceleration()
+    for iteration in range(iterations):
+        image, alpha, depth = render_depth(model, camera)
+        blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
+        seen, base = smooth(picture, blur), smooth(luma(image), blur)
+        weight = _weights(alpha, depth, seen)
+        used = weight > 0
+        if used.sum() < LEAST_PIXELS:
+            return None
+        unit = float(np.median(depth[used]))
+        if iteration == 0:
+            gain, offset = _line(base[used], seen[used])
+        residual = seen - np.float32(gain) * base - np.float32(offset)
+        spread = robust_scale(residual[used])
+        outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
+        correlation = _correlation(base[used], seen[used])
+        gy, gx = np.gradient(base)
+        rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
+        flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
+        with parallel_section():
+            _normal_equations(
+                base,
+                residual,
+                np.ascontiguousarray(gx),
+                np.ascontiguousarray(gy),
+                np.where(used, depth / np.float32(unit), np.float32(1.0)),
+                weight,
+                camera.K[0, 0],
+                camera.K[0, 2],
+                camera.K[1, 2],
+                gain,
+                outlying,
+                rows,
+                flows,
+            )
+        motion, brightness = _solve(rows.sum(axis=0))
+        flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
+        step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
+        if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
+            return None
+        move = memory.improve(motion, flow, step) if blur == BLUR else motion
+        if not np.abs(move).max() < FARTHEST:
+            return None  # a picture of something else: motions that hardly show run away
+        camera = moved(camera, move, unit)
+        gain, offset = gain + brightness[0], offset + brightness[1]
+        if step < tolerance and blur == BLUR:
+            break
+    return Refined(camera, spread, correlation, step, iteration + 1)
+
+
+class Acceleration:
+    """Anderson's acceleration of a fixed-point iteration (Walker and Ni 2011).
+
+    The columns come from flow and gradients and so carry errors, which shrink the steps along directions that
+    hardly show, such as a longer lens further away: there plain Gauss-Newton goes a tenth of the way each time.
+    What the last steps achieved tells how much further to go.
+    """
+
+    def __init__(self) -> None:
+        self._motions: list[Float64] = []
+        self._moves: list[Float64] = []
+
+    def improve(self, motion: Float64, flow: Float64, step: float) -> Float64:
+        """The move to make in place of a motion (7,), whose squared flow is motion' flow motion = step^2."""
+        if step > ACCELERATE_BELOW:  # not linear yet
+            self._motions, self._moves = [], []
+            return motion
+        move = motion
+        if self._moves:
+            changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (7, m)
+            moves = np.stack(self._moves).T
+            normal = changes.T @ flow @ changes
+            normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
+            normal[np.diag_indices_from(normal)] += 1e-16
+            mix = np.linalg.solve(normal, changes.T @ flow @ motion)
+            if np.abs(mix).max() < MOST_EXTRAPOLATION:
+                move = motion - (moves + changes) @ mix
+        self._motions, self._moves = [*self._motions, motion][-MEMORY:], [*self._moves, move][-MEMORY:]
+        return move
+
+
+def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
+    """(H, W) how far a pixel shows the model and nothing else."""
+    usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
+    return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
+
+
+def _line(base: Float32, seen: Float32) -> tuple[float, float]:
+    """Gain and offset from quantiles: right even while the images are out of register."""
+    low, high = np.quantile(base, [0.2, 0.8])
+    bottom, top = np.quantile(seen, [0.2, 0.8])
+    gain = float(np.clip((top - bottom) / max(high - low, 1e-3), 0.2, 3.0))
+    return gain, float(np.median(seen) - gain * np.median(base))
+
+
+def _correlation(a: Float32, b: Float32) -> float:
+    a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
+    both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
+
+
+def _symmetric(upper: Float64) -> Float64:
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def _solve(system: Float64) -> tuple[Float64, Float64]:
+    """Motion (7,) and change of gain and offset (2,) from the summed upper triangle and right side."""
+    normal = _symmetric(system[:, :_UNKNOWNS])
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
+    # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
+    # cannot tell where it was.
+    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(_UNKNOWNS)
+    solution = scale * np.linalg.solve(damped, scale * system[:, _UNKNOWNS])
+    return solution[:PARAMETERS], solution[PARAMETERS:]

@@ -1,0 +1,142 @@
+"""The public part of a record, and what binds the chips to the asset.
+
+Chips follow from `chip_context`: the digest of the reference and the record id, and the id is a keyed hash of
+the plan (code vectors, carriers, amplitudes, message, copy). Opening a record recomputes both. Whoever makes
+up a reference, or fits a plan to given chips, gets other chips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+import numpy.typing as npt
+
+from engine.errors import MalformedRecordError, WrongKeyError
+from engine.records.codec import pack
+from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
+
+FORMAT_VERSION = 1
+
+HEX_LENGTHS = {
+    "record_id": 32,
+    "owner": 16,
+    "reference_digest": 64,
+    "original_digest": 64,
+    "copy_digest": 32,
+    "key_check": 32,
+}
+TEXT_FIELDS = ("registered_at", "tool_version")
+FIELDS = (*HEX_LENGTHS, *TEXT_FIELDS, "format_version")
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+
+def plan_digest(reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
+    """SHA-256 of all that must be settled before a chip may be drawn: reference, copy and plan."""
+    return sha256(b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)).digest()
+
+
+def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
+    """16-byte id of the record of one copy: a keyed hash of `plan_digest`.
+
+    Parameters
+    ----------
+    key : OwnerKey
+    reference : bytes
+        `reference_digest` of the canonical reference, 32 bytes.
+    copy : str
+        Name of the copy (recipient); may be empty.
+    plan, arrays
+        As given to `Record.make`, equal to the last bit.
+    """
+    return key.derive(RECORD_ID, plan_digest(reference, copy, plan, arrays))[:16]
+
+
+def chip_context(reference: bytes, record_id: bytes) -> bytes:
+    """Context of `OwnerKey.derive` for chips and assignment: reference digest (32), then record id (16).
+
+    The binding makes a forged original useless: "marked model minus a mark of mine" changes the reference,
+    hence the chips, hence the mark that should have been subtracted. It would take a fixed point of the hash.
+    """
+    if len(reference) != 32 or len(record_id) != 16:
+        raise ValueError(f"expected 32 and 16 bytes, got {len(reference)} and {len(record_id)}")
+    return reference + record_id
+
+
+@dataclass(frozen=True)
+class RecordHeader:
+    """The public part of a record. All digests in lower-case hexadecimal.
+
+    Parameters
+    ----------
+    record_id : str
+        32 digits, see `make_record_id`.
+    owner : str
+        Fingerprint of the owner key, 16 digits.
+    reference_digest : str
+        SHA-256 of the canonical reference.
+    original_digest : str
+        SHA-256 of the file the owner registered.
+    registered_at : str
+        As the caller gave it, up to 64 printable ASCII characters; may be empty. No clock is read.
+    copy_digest : str
+        32 digits: keyed hash of the copy's name.
+    tool_version : str
+        Version of the program that made the record.
+    key_check : str
+        32 digits that only the right key reproduces.
+    format_version : int
+        Version of the file format.
+    """
+
+    record_id: str
+    owner: str
+    reference_digest: str
+    original_digest: str
+    registered_at: str
+    copy_digest: str
+    tool_version: str
+    key_check: str
+    format_version: int = FORMAT_VERSION
+
+    def __post_init__(self) -> None:
+        for name, length in HEX_LENGTHS.items():
+            value = getattr(self, name)
+            if not isinstance(value, str) or len(value) != length or not set(value) <= set("0123456789abcdef"):
+                raise MalformedRecordError(f"{name} of a record must be {length} hexadecimal digits: {value!r}")
+        for name in TEXT_FIELDS:
+            value = getattr(self, name)
+            if not (isinstance(value, str) and len(value) <= 64 and value.isascii() and value.isprintable()):
+                raise MalformedRecordError(f"{name} of a record must be up to 64 ASCII characters: {value!r}")
+        if type(self.format_version) is not int or self.format_version != FORMAT_VERSION:
+            raise MalformedRecordError(f"a record of format {self.format_version!r} cannot be made here")
+
+    def chip_context(self) -> bytes:
+        """`chip_context` of this record."""
+        return chip_context(bytes.fromhex(self.reference_digest), bytes.fromhex(self.record_id))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dict of the fields."""
+        return {name: getattr(self, name) for name in FIELDS}
+
+
+def key_check(key: OwnerKey, record_id: bytes) -> str:
+    """32 hexadecimal digits that tell a wrong key from a damaged record."""
+    return key.derive(RECORD_CHECK, record_id)[:16].hex()
+
+
+def copy_digest(key: OwnerKey, copy: str) -> str:
+    """32 hexadecimal digits for the name of a copy: keyed, since names are easily guessed."""
+    return key.derive(COPY_NAME, copy.encode())[:16].hex()
+
+
+def check_key(header: RecordHeader, key: OwnerKey) -> None:
+    """Raise WrongKeyError unless this key made the record."""
+    if header.key_check != key_check(key, bytes.fromhex(header.record_id)):
+        raise WrongKeyError(
+            f"this key did not make this record: the key's fingerprint is {key.fingerprint}, the record names"
+            f" {header.owner}"
+        )

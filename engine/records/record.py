@@ -1,0 +1,173 @@
+"""The record: what the owner keeps of one embedding, and all that verification needs.
+
+`record_header` says how it binds the chips to the asset, `record_file` how it lies in a file.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy.typing as npt
+
+from engine.errors import MalformedRecordError
+from engine.model import GaussianModel
+from engine.records.codec import canonical_json, pack, unpack
+from engine.records.file import MAX_BODY_BYTES, MEDIA_TYPE, read_header, seal, unseal
+from engine.records.header import Arrays, RecordHeader, chip_context, copy_digest, key_check, make_record_id
+from engine.records.reference import decode_reference, reference_digest
+from engine.watermark.keys import OwnerKey
+
+__all__ = ["MEDIA_TYPE", "Record", "RecordHeader", "chip_context", "make_record_id", "read_header"]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A record, opened. Make one with `make` or `from_bytes`; arrays are read-only.
+
+    Parameters
+    ----------
+    header : RecordHeader
+    copy : str
+        Name of the copy.
+    plan : mapping
+        JSON values settled before the chips were drawn (message, sizes, profile, configuration).
+    plan_arrays : mapping of str to ndarray
+        Arrays settled before the chips were drawn (labels, carriers, amplitudes).
+    extra : mapping
+        JSON values that may follow from the mark (strength, fidelity reached, camera sizes).
+    extra_arrays : mapping of str to ndarray
+        Arrays that play no part in decoding, or do not depend on the mark (cameras, landmarks).
+    reference_arrays : mapping of str to ndarray
+        The canonical reference, see `reference_codec`.
+    """
+
+    header: RecordHeader
+    copy: str
+    plan: Mapping[str, Any]
+    plan_arrays: Arrays
+    extra: Mapping[str, Any]
+    extra_arrays: Arrays
+    reference_arrays: Arrays
+
+    def __post_init__(self) -> None:
+        for name in ("plan", "extra"):  # as it will read back: tuples become lists
+            value = MappingProxyType(json.loads(canonical_json(dict(getattr(self, name)))))
+            object.__setattr__(self, name, value)
+        for name in ("plan_arrays", "extra_arrays", "reference_arrays"):
+            arrays = {key: array.view() for key, array in getattr(self, name).items()}
+            for array in arrays.values():
+                array.flags.writeable = False
+            object.__setattr__(self, name, MappingProxyType(arrays))
+
+    @classmethod
+    def make(
+        cls,
+        key: OwnerKey,
+        reference_arrays: Arrays,
+        *,
+        original_digest: str,
+        plan: Mapping[str, Any],
+        plan_arrays: Arrays,
+        extra: Mapping[str, Any] | None = None,
+        extra_arrays: Arrays | None = None,
+        copy: str = "",
+        registered_at: str = "",
+        tool_version: str | None = None,
+    ) -> Record:
+        """A record of one embedding; the header follows from the rest.
+
+        Raises
+        ------
+        MalformedRecordError
+            If a text or digest is not as `RecordHeader` wants it.
+        ValueError, TypeError
+            If plan or extra is no JSON, or an array is of a type that cannot be recorded.
+        """
+        digest = reference_digest(reference_arrays)
+        record_id = make_record_id(key, digest, copy, plan, plan_arrays)
+        header = RecordHeader(
+            record_id=record_id.hex(),
+            owner=key.fingerprint,
+            reference_digest=digest.hex(),
+            original_digest=original_digest,
+            registered_at=registered_at,
+            copy_digest=copy_digest(key, copy),
+            tool_version=_tool_version() if tool_version is None else tool_version,
+            key_check=key_check(key, record_id),
+        )
+        return cls(header, copy, plan, plan_arrays, extra or {}, extra_arrays or {}, reference_arrays)
+
+    def reference(self) -> GaussianModel:
+        """The unmarked reference, decoded."""
+        return decode_reference(self.reference_arrays)
+
+    def to_bytes(self, key: OwnerKey) -> bytes:
+        """The record file. The same record gives the same bytes (with one version of zstd).
+
+        Raises
+        ------
+        WrongKeyError
+            If the key is not the one that made the record.
+        InputError
+            If the record exceeds 2 GiB.
+        """
+        groups = {"plan": self.plan_arrays, "extra": self.extra_arrays, "reference": self.reference_arrays}
+        arrays = {f"{group}/{name}": a for group, members in groups.items() for name, a in members.items()}
+        body = pack({"copy": self.copy, "plan": dict(self.plan), "extra": dict(self.extra)}, arrays)
+        return seal(self.header, body, key)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> Record:
+        """Open a record file.
+
+        Parameters
+        ----------
+        data : bytes
+        key : OwnerKey
+        max_body_bytes : int
+            Refuse records that would unpack to more.
+
+        Raises
+        ------
+        RecordTooNewError
+            If a later version of this program wrote it.
+        WrongKeyError
+            If it is whole, but another key made it.
+        MalformedRecordError
+            If it is no record, was damaged, or its reference or plan is not the one its header names.
+        """
+        header, body = unseal(data, key, max_body_bytes)
+        meta, arrays = unpack(body)
+        if set(meta) != {"copy", "plan", "extra"} or not isinstance(meta["copy"], str):
+            raise MalformedRecordError("the record's body is malformed")
+        if not (isinstance(meta["plan"], dict) and isinstance(meta["extra"], dict)):
+            raise MalformedRecordError("the record's plan is malformed")
+        groups: dict[str, dict[str, npt.NDArray[Any]]] = {"plan": {}, "extra": {}, "reference": {}}
+        for name, array in arrays.items():
+            group, _, rest = name.partition("/")
+            if group not in groups:
+                raise MalformedRecordError(f"the record holds an unknown array {name!r}")
+            groups[group][rest] = array
+        # The chips follow from the header's digest and id: recompute both from what is really inside.
+        digest = reference_digest(groups["reference"])
+        if digest.hex() != header.reference_digest:
+            raise MalformedRecordError("the record's reference is not the one its header names")
+        if make_record_id(key, digest, meta["copy"], meta["plan"], groups["plan"]).hex() != header.record_id:
+            raise MalformedRecordError("the record's plan is not the one its id names")
+        if copy_digest(key, meta["copy"]) != header.copy_digest:
+            raise MalformedRecordError("the record's copy is not the one its header names")
+        return cls(
+            header, meta["copy"], meta["plan"], groups["plan"], meta["extra"], groups["extra"], groups["reference"]
+        )
+
+
+def _tool_version() -> str:
+    try:
+        return importlib.metadata.version("mark3dgs")
+    except importlib.metadata.PackageNotFoundError:  # run from a source tree
+        return ""

@@ -1,0 +1,195 @@
+"""Candidate pairs for the registration: Gaussians that look alike whatever similarity was applied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from engine.model import Float64, GaussianModel, Int64
+from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
+
+TREE_POINTS = 150_000
+"""The feature tree holds at most so many reference Gaussians, the rarest ones."""
+SHAPE_FEATURES = 3
+"""Two size ratios and the opacity come first in a feature vector, then colour, then SH energies."""
+
+
+def sorted_log_scales(model: GaussianModel, index: npt.NDArray[np.int64] | slice) -> Float64:
+    """(n, 3) log scales in ascending order, the flatness limited."""
+    s = np.sort(model.log_scales[index].astype(np.float64), axis=1)
+    return np.maximum(s, s[:, 2:] - FLATNESS_CLIP)
+
+
+def invariant_features(model: GaussianModel, index: npt.NDArray[np.int64] | slice, degree: int) -> Float64:
+    """(n, F) features that no similarity changes: size ratios, opacity logit, DC, energy per SH degree."""
+    s = sorted_log_scales(model, index)
+    logits = np.clip(model.opacity_logits[index].astype(np.float64), -LOGIT_CLIP, LOGIT_CLIP)
+    columns: list[Float64] = [s[:, 2] - s[:, 1], s[:, 2] - s[:, 0], logits]
+    sh = model.sh[index].astype(np.float64)
+    columns += list(np.clip(sh[:, 0], -DC_CLIP, DC_CLIP).T)
+    for l in range(1, degree + 1):
+        band = sh[:, l * l : (l + 1) ** 2]
+        columns.append(np.sqrt(np.square(band).sum(axis=(1, 2))))
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """n pairs of Gaussians that look alike, each suspect and each reference Gaussian at most once.
+
+    Parameters
+    ----------
+    reference, suspect : (n,) int64
+        Indices.
+    x, y : (n, 3) float64
+        Suspect and reference positions.
+    size : (n,) float64
+        Log of the reference's size over the suspect's: a vote for the log of the scale.
+    """
+
+    reference: Int64
+    suspect: Int64
+    x: Float64
+    y: Float64
+    size: Float64
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def take(self, keep: npt.NDArray[np.bool_]) -> Candidates:
+        """The pairs under a mask."""
+        return Candidates(self.reference[keep], self.suspect[keep], self.x[keep], self.y[keep], self.size[keep])
+
+
+def pair_up(reference: GaussianModel, suspect: GaussianModel, ref_index: Int64, sus_index: Int64) -> Candidates:
+    """Candidates from two index lists of equal length."""
+    # The two larger axes: the smallest is often clipped or plain noise.
+    ref_size = sorted_log_scales(reference, ref_index)[:, 1:].mean(axis=1)
+    sus_size = sorted_log_scales(suspect, sus_index)[:, 1:].mean(axis=1)
+    return Candidates(
+        ref_index,
+        sus_index,
+        suspect.means[sus_index].astype(np.float64),
+        reference.means[ref_index].astype(np.float64),
+        ref_size - sus_size,
+    )
+
+
+class FeatureIndex:
+    """The reference's rarest Gaussians in feature space, ready to be asked.
+
+    Parameters
+    ----------
+    reference : GaussianModel
+    degree : int
+        SH degree up to which energies are used.
+    colors : bool
+        Whether DC is used.
+    """
+
+    def __init__(self, reference: GaussianModel, degree: int, *, colors: bool) -> None:
+        self.reference, self.degree, self.colors = reference, degree, colors
+        features = self._columns(invariant_features(reference, slice(None), degree))
+        step = max(1, len(features) // 20_000)
+        sample = features[::step]
+        self.centre = np.median(sample, axis=0)
+        deviation = 1.4826 * np.median(np.abs(sample - self.centre), axis=0)
+        self.scale = np.maximum(np.maximum(deviation, 0.3 * sample.std(axis=0)), 1e-3)
+        white = np.clip((features - self.centre) / self.scale, -5, 5)
+        covariance = np.cov(white[::step].T) if len(sample) > 1 else np.eye(white.shape[1])
+        self.precision = np.linalg.inv(np.atleast_2d(covariance) + 0.01 * np.eye(white.shape[1]))
+        rarity = self._rarity(white)
+        self.all_points = white
+        if len(white) > TREE_POINTS:
+            self.threshold = float(np.partition(rarity, len(white) - TREE_POINTS)[len(white) - TREE_POINTS])
+        else:
+            self.threshold = -np.inf
+        self.rows = np.flatnonzero(rarity >= self.threshold)
+
+    @cached_property
+    def rare_tree(self) -> cKDTree:
+        return cKDTree(self.all_points[self.rows], balanced_tree=False, compact_nodes=False)
+
+    @cached_property
+    def full_tree(self) -> cKDTree:
+        return cKDTree(self.all_points, balanced_tree=False, compact_nodes=False)
+
+    def _columns(self, features: Float64) -> Float64:
+        if self.colors:
+            return features
+        return np.delete(features, np.s_[SHAPE_FEATURES : SHAPE_FEATURES + 3], axis=1)
+
+    def _rarity(self, white: Float64) -> Float64:
+        """Squared Mahalanobis distance from the reference's middle: the rarer a look, the fewer impostors."""
+        rarity: Float64 = np.einsum("ij,ij->i", white @ self.precision, white)
+        return rarity
+
+    def candidates(
+        self, suspect: GaussianModel, count: int, rng: np.random.Generator, *, queries: int, deep: bool
+    ) -> Candidates:
+        """Suspect Gaussians from every region, each with its nearest look: at most `count` pairs.
+
+        Parameters
+        ----------
+        suspect : GaussianModel
+        count : int
+            Pairs kept, those whose look is the least ambiguous.
+        rng : numpy Generator
+        queries : int
+            Gaussians asked for.
+        deep : bool
+            Draw the queries at random instead of taking the rarest: in a large foreign scene that holds a
+            small piece of the reference, the rarest-looking Gaussians are the foreign ones.
+
+        Returns
+        -------
+        Candidates
+        """
+        m, most = len(suspect), 10 * queries
+        pool = np.arange(m) if m <= most else np.sort(rng.choice(m, most, replace=False))
+        features = self._columns(invariant_features(suspect, pool, self.degree))
+        white = np.clip((features - self.centre) / self.scale, -5, 5)
+        rarity = self._rarity(white)
+        tree, rows = self.rare_tree, self.rows
+        # a margin, lest noise carries a query's partner out of the tree
+        rare = np.flatnonzero(rarity >= self.threshold * 1.3) if np.isfinite(self.threshold) else np.arange(len(pool))
+        if len(rare) < min(queries // 8, len(pool)):
+            tree, rows, rare = self.full_tree, np.arange(len(self.all_points)), np.arange(len(pool))
+        priority = rng.random(len(rare)) if deep else rarity[rare]
+        query = rare[by_region(suspect.means[pool[rare]], priority, queries)]
+        k = min(2, len(rows))
+        distance, near = tree.query(white[query], k=k, workers=2)
+        distance, near = distance.reshape(-1, k), near.reshape(-1, k)
+        # Lowe's ratio: a partner that is much nearer than the next is probably the right one.
+        ratio = (distance[:, 0] + 0.01) / (distance[:, -1] + 0.01)
+        order = np.lexsort((distance[:, 0], ratio))
+        _, first = np.unique(near[order, 0], return_index=True)  # each reference once: copies must not vote twice
+        chosen = order[np.sort(first)][:count]
+        return pair_up(
+            self.reference, suspect, rows[near[chosen, 0]].astype(np.int64), pool[query[chosen]].astype(np.int64)
+        )
+
+
+def by_region(means: npt.NDArray[np.float32], priority: Float64, count: int, parts: int = 4) -> Int64:
+    """`count` indices, those of highest priority of each of `parts`^3 regions in turn."""
+    if len(means) <= count:
+        return np.arange(len(means))
+    cell = np.zeros(len(means), np.int64)
+    for a in range(3):
+        edges = np.quantile(means[:, a], np.arange(1, parts) / parts)
+        cell = cell * parts + np.searchsorted(edges, means[:, a])
+    order = np.lexsort((-priority, cell))
+    sizes = np.bincount(cell, minlength=parts**3)
+    rank = np.empty(len(means), np.int64)
+    rank[order] = np.arange(len(means)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.lexsort((-priority, rank))[:count]
+
+
+def sample_rows(m: int, count: int, rng: np.random.Generator) -> Int64:
+    """At most `count` of m indices, in rising order."""
+    rows: Int64 = np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
+    return rows

@@ -1,0 +1,167 @@
+"""Registration of a suspect that no single similarity explains: bent, twisted, squashed, or posed.
+
+It runs only where the similarity leaves whole regions unexplained, or errs by a smooth amount. Patches are found
+where nothing is explained yet, and grown (`registration_patches`, `registration_growth`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
+from engine.numerics.umeyama import Similarity
+from engine.registration.candidates import sample_rows
+from engine.registration.growth import grow
+from engine.registration.index import ReferenceIndex
+from engine.registration.matching import Deviations
+from engine.registration.patches import Patch, find_patches
+
+GLANCE = 4_000
+"""Suspect Gaussians on which is decided whether to look for a deformation."""
+AROUND = 16
+"""Neighbours, of those, that tell what is explained nearby."""
+REGION = 0.05
+"""Share of the suspect that must lie in unexplained regions for a search to be worth its time."""
+SMOOTH = 0.5
+"""Share of the similarity's squared errors that neighbours must have in common: noise has a sixteenth."""
+CYCLES = 3
+"""Rounds of patches and growth: parts that do not hang together are found one after the other."""
+PATCHES = 8
+"""Patches tried in a round."""
+GAIN = 0.02
+"""A field of maps must explain so much more of the suspect than the similarity does, as a share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deformed:
+    """Matches of a deformed suspect.
+
+    Parameters
+    ----------
+    matches : (M,) int32
+        Reference Gaussian of each suspect Gaussian, -1 where there is none.
+    quality : (M,) float32
+        Trust in each match, 0..1.
+    tried : int
+        Alignments weighed.
+    """
+
+    matches: Int32
+    quality: Float32
+    tried: int
+
+
+def unexplained(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    matches: Int32,
+    fit: Similarity,
+    deviations: Deviations | None,
+    floor: Deviations,
+    rng: np.random.Generator,
+) -> npt.NDArray[np.int64]:
+    """Suspect Gaussians, of a sample, for which a similarity is not the whole story; none where it is.
+
+    Parameters
+    ----------
+    reference, suspect : GaussianModel
+    matches : (M,) int32
+        Under the similarity.
+    fit : Similarity
+    deviations : Deviations or None
+        Errors under the similarity, None where nothing was matched.
+    floor : Deviations
+    rng : numpy Generator
+
+    Returns
+    -------
+    (n,) int64
+        Indices of suspect Gaussians in regions that are not explained, or all of the sample where the errors of
+        the similarity vary smoothly over the suspect.
+    """
+    rows = sample_rows(len(suspect), GLANCE, rng)
+    if deviations is None:
+        return rows
+    bare = _bare(suspect, matches, rows)
+    if bare.mean() > REGION:
+        return rows[bare]
+    hit = rows[matches[rows] >= 0]
+    wide = bool((deviations.position > 3.0 * floor.position).any())
+    if wide and len(hit) > 10 * AROUND:
+        error = fit.apply(suspect.means[hit]) - reference.means[matches[hit]]
+        length = np.linalg.norm(error, axis=1)
+        right = length < 4.0 * np.median(length)
+        if _common_share(suspect.means[hit[right]], error[right]) > SMOOTH:
+            return rows
+    return rows[:0]
+
+
+def _common_share(points: Float32, errors: Float64) -> float:
+    """Share of squared errors (n, 3) that neighbours have in common."""
+    beside = np.asarray(cKDTree(points).query(points, k=AROUND)[1])
+    total = float(np.square(errors).sum())
+    return float(np.square(errors[beside].mean(axis=1)).sum()) / max(total, 1e-300)
+
+
+def register_deformed(
+    index: ReferenceIndex, suspect: GaussianModel, todo: Int64, rng: np.random.Generator
+) -> Deformed | None:
+    """Match a deformed suspect piece by piece.
+
+    Parameters
+    ----------
+    index : ReferenceIndex
+    suspect : GaussianModel
+    todo : (n,) int64
+        Suspect Gaussians to begin at, in no order.
+    rng : numpy Generator
+
+    Returns
+    -------
+    Deformed or None
+        None where no patch of the suspect is one of the reference.
+    """
+    reference = index.model
+    looks = index.looks(min(reference.sh_degree, suspect.sh_degree))
+    places = cKDTree(suspect.means.astype(np.float64), balanced_tree=False, compact_nodes=False)
+    patches: list[Patch] = []
+    best: Deformed | None = None
+    tried = 0
+    for _ in range(CYCLES):
+        if len(todo) == 0:
+            break
+        centers = todo[rng.permutation(len(todo))[:PATCHES]]
+        found = find_patches(looks, suspect, places, centers, index.floor, rng)
+        tried += len(centers)
+        if not found:
+            break
+        patches += found
+        pairs = (np.concatenate([p.reference for p in patches]), np.concatenate([p.suspect for p in patches]))
+        middle = sorted(patches, key=lambda p: float(p.deviations.position.max()))[len(patches) // 2]
+        field = grow(reference, suspect, pairs, middle.deviations, index.floor, rng)
+        if field is None:
+            break
+        straight = field.straighten(suspect)
+        neighbours = field.matcher.match(straight, Similarity.identity(), field.deviations)
+        quality = field.matcher.quality(neighbours)
+        matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+        tried += field.rounds
+        best = Deformed(matches, quality, tried)
+        rows = sample_rows(len(suspect), GLANCE, rng)
+        bare = _bare(suspect, matches, rows)
+        if bare.mean() < REGION:
+            break
+        todo = rows[bare]
+    return best
+
+
+def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
+    """Which of some Gaussians lie where hardly any of these is matched."""
+    points = suspect.means[rows].astype(np.float64)
+    k = min(AROUND, len(rows))
+    beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)
+    return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)

@@ -1,0 +1,177 @@
+"""From a few matched pieces of a deformed suspect to all of it: a field of affine maps that grows.
+
+1. Nodes all over the suspect. Those among matched Gaussians get the affine map of their nearest matches.
+2. What lies about these nodes is moved into the reference's frame by their blended maps, and matched there.
+3. A node whose surroundings are explained hands its map on: the next ones start from it. Until nothing is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from engine.model import Bool, Float64, GaussianModel, Int32, Int64
+from engine.numerics.umeyama import Similarity
+from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
+from engine.registration.warp import Affine, blend, fit_affine, unturned, warped
+
+SAMPLE = 24_000
+"""Suspect Gaussians from which the field is grown."""
+NODES = 1_000
+"""Nodes of the field: about 24 of the sample each."""
+PAIRS = 32
+"""Matches from which a node's map is fitted."""
+ROUNDS = 40
+"""A front goes about one node further a round; 1,000 nodes on a surface are 32 across."""
+MEASURED = 4_000
+"""Matches from which the remaining errors are measured."""
+BEND = 0.1
+"""Error of a map one node further on, in distances between nodes."""
+EXPLAINED = 0.2
+"""Share of a node's surroundings that must be matched for it to hand its map on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Where a deformed suspect belongs.
+
+    Parameters
+    ----------
+    nodes : (A, 3) float64
+        Places in the suspect.
+    maps : (A, 3, 4) float64
+        Affine map into the reference's frame at each.
+    explained : (A,) bool
+        Whether the reference explains what lies about each.
+    matcher : Matcher
+        The reference laid out for the errors that remain.
+    deviations : Deviations
+        These errors, and the global change of colour.
+    rounds : int
+        Rounds of growth.
+    """
+
+    nodes: Float64
+    maps: Affine
+    explained: Bool
+    matcher: Matcher
+    deviations: Deviations
+    rounds: int
+
+    def straighten(self, suspect: GaussianModel) -> GaussianModel:
+        """The suspect in the reference's frame."""
+        known = np.flatnonzero(self.explained)
+        return warped(suspect, blend(self.nodes[known], self.maps[known], suspect.means))
+
+
+def grow(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    pairs: tuple[Int64, Int64],
+    deviations: Deviations,
+    floor: Deviations,
+    rng: np.random.Generator,
+) -> Field | None:
+    """Extend matched pairs over the suspect, as far as the reference goes.
+
+    Parameters
+    ----------
+    reference, suspect : GaussianModel
+    pairs : (n,) int64, (n,) int64
+        Reference and suspect index of pairs, nearly all of them right.
+    deviations : Deviations
+        Their errors after local maps.
+    floor : Deviations
+        Errors below which nothing is measured.
+    rng : numpy Generator
+
+    Returns
+    -------
+    Field or None
+        None where not even the pairs hold together.
+    """
+    m = len(suspect)
+    rows = np.arange(m) if m <= SAMPLE else np.sort(rng.choice(m, SAMPLE, replace=False))
+    part = suspect.take(rows)
+    points = part.means.astype(np.float64)
+    nodes = points[np.sort(rng.choice(len(points), min(NODES, len(points)), replace=False))]
+    tree = cKDTree(nodes)
+    home = np.asarray(tree.query(points, workers=2)[1])
+    beside = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)
+    reach = 2.5 * np.median(beside[:, 1:], axis=1) if beside.shape[1] > 1 else np.full(len(nodes), np.inf)
+
+    same = Similarity.identity()
+    deviations = unturned(deviations)
+    source, target = suspect.means[pairs[1]].astype(np.float64), reference.means[pairs[0]].astype(np.float64)
+    first = _first_map(source, target)
+    maps, known = np.broadcast_to(first, (len(nodes), 3, 4)).copy(), np.zeros(len(nodes), dtype=bool)
+    # A map handed on is wrong by the field's bend over one node; the errors in size and look still tell.
+    step = float(np.median(beside)) * float(np.cbrt(abs(np.linalg.det(first[:, :3]))))
+    matcher = Matcher(reference, replace(deviations, position=np.maximum(deviations.position, BEND * step)))
+    members = np.bincount(home, minlength=len(nodes))
+    rounds, last = 0, -1
+    while rounds < ROUNDS:
+        rounds += 1
+        known, maps = _fit_nodes(nodes, maps, known, reach, source, target)
+        if not known.any():
+            return None
+        use = known[home]
+        moved = warped(part.take(use), blend(nodes[known], maps[known], points[use]))
+        neighbours = matcher.match(moved, same, deviations)
+        hit = np.flatnonzero(neighbours.index >= 0)
+        trust = neighbours.probability[hit]
+        asked = np.flatnonzero(use)
+        weight = np.bincount(home[asked[hit]], trust, len(nodes))
+        explained = known & (weight > EXPLAINED * members) & (weight > 2.0)
+        sure = hit[(trust > 0.5) & explained[home[asked[hit]]]]
+        if len(sure) < 16:
+            return None
+        source = points[asked[sure]]
+        target = reference.means[neighbours.index[sure]].astype(np.float64)
+        if len(sure) <= 1.004 * last:
+            break
+        last = len(sure)
+        known = explained
+    measured = _measure(reference, moved, paired(neighbours), floor)
+    return Field(nodes, maps, explained, Matcher(reference, measured), measured, rounds)
+
+
+def _measure(
+    reference: GaussianModel, straight: GaussianModel, pairs: tuple[Int32, Int64], floor: Deviations
+) -> Deviations:
+    """Errors of a straightened suspect. Joints and edges leave a few large ones in position: those count."""
+    step = max(1, len(pairs[0]) // MEASURED)
+    pairs = (pairs[0][::step], pairs[1][::step])
+    usual = unturned(estimate_deviations(reference, straight, pairs, Similarity.identity(), floor))
+    error = np.abs(straight.means[pairs[1]].astype(np.float64) - reference.means[pairs[0]])
+    # 1.645: nine in ten of a normal error are smaller
+    return replace(usual, position=np.maximum(usual.position, np.quantile(error, 0.9, axis=0) / 1.645))
+
+
+def _first_map(source: Float64, target: Float64) -> Affine:
+    """One map for all, as a prior for the first fits: of least squares."""
+    design = np.concatenate([source, np.ones((len(source), 1))], axis=1)
+    solution = np.linalg.lstsq(design, target, rcond=None)[0]
+    out: Affine = solution.T
+    return out
+
+
+def _fit_nodes(
+    nodes: Float64, maps: Affine, known: Bool, reach: Float64, source: Float64, target: Float64
+) -> tuple[Bool, Affine]:
+    """Maps of all nodes that have matches within reach, from their nearest ones; others keep what they had."""
+    k = min(PAIRS, len(source))
+    distance, index = cKDTree(source).query(nodes, k=k, workers=2)
+    distance, index = distance.reshape(-1, k), index.reshape(-1, k)
+    near = distance[:, min(7, k - 1)] < reach
+    prior = maps[near]
+    fresh = ~known[near]
+    if fresh.any() and known.any():
+        old = np.flatnonzero(known)
+        prior[fresh] = maps[old[np.asarray(cKDTree(nodes[old]).query(nodes[near][fresh])[1])]]
+    chosen = index[near]
+    out = maps.copy()
+    out[near] = fit_affine(source[chosen], target[chosen], prior)
+    return near, out

@@ -1,0 +1,200 @@
+"""Is a proposed similarity right? It is refined, its errors are learnt, and it must beat decoys of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
+
+from engine.model import Float32, GaussianModel
+from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
+
+ROUNDS = 8
+"""Rounds of match, fit and re-measure; exact suspects need one, noisy ones four or five."""
+ORDER_SAMPLE = 4000
+"""Pairs looked at to tell whether the order was kept."""
+GLANCE = 250
+"""Suspect Gaussians on which a proposal is dismissed without further work."""
+DECOYS = 3
+"""The right similarity must explain more than wrong ones of the same scale at the same place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """A similarity that was found right.
+
+    Parameters
+    ----------
+    fit : Similarity
+    matcher : Matcher or None
+        The reference laid out for the errors that were measured; None where the order tells the pairs.
+    deviations : Deviations
+        The measured errors and the global change of colour.
+    order_quality : (M,) float32 or None
+        If suspect Gaussian i is reference Gaussian i: trust in each pair.
+    """
+
+    fit: Similarity
+    matcher: Matcher | None
+    deviations: Deviations
+    order_quality: Float32 | None = None
+
+
+def judge(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    fit: Similarity,
+    inliers: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None,
+    rows: npt.NDArray[np.int64],
+    floor_matcher: Matcher,
+    rng: np.random.Generator,
+    *,
+    min_matches: int,
+) -> Verdict | None:
+    """Refine a proposal and accept or refuse it.
+
+    Parameters
+    ----------
+    reference, suspect : GaussianModel
+    fit : Similarity
+        The proposal.
+    inliers : (k,) int, (k,) int, optional
+        Reference and suspect index of pairs that speak for it; they tell how noisy the suspect is.
+    rows : (s,) int
+        Suspect Gaussians to look at.
+    floor_matcher : Matcher
+        The reference laid out for the smallest errors.
+    rng : numpy Generator
+        Of the decoys.
+    min_matches : int
+        Fewest distinct reference Gaussians that `rows` must be matched to.
+
+    Returns
+    -------
+    Verdict or None
+        None if the proposal explains no more than its decoys.
+    """
+    floor = floor_matcher.deviations
+    matcher, deviations = floor_matcher, floor
+    if inliers is not None:
+        measured = estimate_deviations(reference, suspect, inliers, fit, floor)
+        if measured.much_above(floor, 1.5):
+            # Candidates are pairs that look alike: their errors are too small by selection.
+            deviations = measured
+            matcher = Matcher(reference, deviations)
+    spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
+    if not _tells(deviations, spread):
+        return None
+    part = suspect.take(rows)
+    if inliers is not None and len(rows) > 4 * GLANCE:
+        glance = part.take(np.arange(0, len(rows), len(rows) // GLANCE))
+        if not beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
+            return None
+    pairs = paired(matcher.match(part, fit, deviations))
+    for _ in range(ROUNDS):
+        if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian are one witness
+            return None
+        better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
+        if better is None:
+            return None
+        fit = better
+        measured = estimate_deviations(reference, part, pairs, fit, floor)
+        if not _tells(measured, spread):
+            return None
+        settled = not (measured.much_above(matcher.deviations, 1.25) or matcher.deviations.much_above(measured, 2.0))
+        deviations = measured
+        if not settled:
+            matcher = Matcher(reference, deviations)
+        pairs = paired(matcher.match(part, fit, deviations))
+        if settled:
+            break
+    if len(np.unique(pairs[0])) < min_matches or not beats_decoys(
+        reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0
+    ):
+        return None
+    return Verdict(fit, matcher, deviations)
+
+
+def fit_suspect(
+    suspect: npt.NDArray[Any], reference: npt.NDArray[Any], start: Similarity | None = None
+) -> Similarity | None:
+    """Robust similarity from suspect to reference points, (n, 3) each, or None if it is not determined.
+
+    Fitted the other way round and inverted: the noise is in the suspect, and least squares with noise in the
+    source shrinks the scale (by 1 % for noise of a tenth of the spread).
+    """
+    back = robust_umeyama(reference, suspect, None if start is None else start.inverse())
+    return None if back is None else back.inverse()
+
+
+def _tells(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
+    """Whether errors this large still tell one place from another; random pairs have the spread itself."""
+    share = deviations.position / np.maximum(spread, deviations.position)
+    return bool(np.exp(np.log(share).mean()) < 0.3)
+
+
+def beats_decoys(
+    reference: GaussianModel,
+    part: GaussianModel,
+    matcher: Matcher,
+    fit: Similarity,
+    deviations: Deviations,
+    rng: np.random.Generator,
+    factor: float,
+    margin: float,
+) -> bool:
+    """Whether the similarity explains clearly more than others, turned wrongly about its middle."""
+    right = matcher.match(part, fit, deviations)
+    explained = float(right.probability.sum())
+    if explained <= margin:
+        return False
+    middle = np.median(reference.means[right.index[right.index >= 0]].astype(np.float64), axis=0)
+    for _ in range(DECOYS):
+        axis = rng.normal(size=3)
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.5, 2.5)).as_matrix()
+        decoy = Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)
+        by_chance = float(matcher.match(part, decoy, deviations).probability.sum())
+        if explained < factor * by_chance + margin:
+            return False
+    return True
+
+
+def same_order(
+    reference: GaussianModel, suspect: GaussianModel, floor: Deviations, rng: np.random.Generator
+) -> Verdict | None:
+    """Whether Gaussian i of the suspect is Gaussian i of the reference, however noisy.
+
+    Two scenes sorted along the same space-filling curve agree roughly in position by accident. So the pairs
+    must agree in size, opacity and colour, too, by far better than shuffled pairs do.
+    """
+    n = len(reference)
+    rows = np.arange(n) if n <= ORDER_SAMPLE else np.sort(rng.choice(n, ORDER_SAMPLE, replace=False))
+    ref, sus = reference.take(rows), suspect.take(rows)
+    fit = fit_suspect(sus.means, ref.means)
+    if fit is None:
+        return None
+    deviations = estimate_deviations(reference, suspect, (rows, rows), fit, floor)
+    origin = np.zeros(3)
+    a = joint_vectors(ref, Similarity.identity(), deviations, origin, suspect=False)
+    b = joint_vectors(sus, fit, deviations, origin)
+    right = np.median(np.abs(a - b), axis=0)
+    wrong = np.median(np.abs(a - b[rng.permutation(len(rows))]), axis=0)
+    groups = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10))
+    # 2: a group whose shuffled pairs lie as close as the smallest errors tells nothing either way
+    tells = [float(wrong[g].max()) > 2.0 for g in groups]
+    agrees = [float(right[g].mean()) < 0.5 * float(wrong[g].mean()) for g in groups]
+    looks = [yes for yes, told in zip(agrees[1:], tells[1:], strict=True) if told]
+    if not (tells[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
+        return None
+    a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
+    b = joint_vectors(suspect, fit, deviations, origin)
+    error2 = np.square(a - b)
+    usual, limit = float(chdtri(10, 0.5)), 4.0 * float(chdtri(10, 1e-3))
+    distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
+    quality = np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32)
+    return Verdict(fit, None, deviations, quality)

@@ -1,0 +1,256 @@
+"""Small patches of a deformed suspect, each laid over the reference by an affine map of its own.
+
+Where no similarity holds, what a deformation leaves alone still tells Gaussians apart: opacity, base colour, and the
+energy of each SH degree. Neighbours in the suspect whose look-alikes are neighbours in the reference, and lie there
+as one affine map says, are no accident.
+
+1. A patch: the Gaussians nearest to one of the suspect's.
+2. Look-alikes of each of them in the reference; pairs whose look-alikes crowd together.
+3. Four pairs make an affine map; the one that explains most of the crowd is refined.
+4. The map must explain the patch in position, size, opacity and colour, far better than the same map turned does.
+
+Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from engine.model import Float64, GaussianModel, Int64
+from engine.numerics.umeyama import Similarity
+from engine.registration.judge import beats_decoys
+from engine.registration.matching import DC_CLIP, LOGIT_CLIP, Deviations, Matcher, estimate_deviations, paired
+from engine.registration.warp import Affine, fit_affine, unturned, warped
+
+PATCH = 400
+"""Gaussians of a patch: few enough that the deformation is affine across it, enough to be no accident."""
+LOOK_ALIKES = 3
+"""Reference Gaussians considered for each suspect one."""
+CROWDS, DRAWS = 6, 400
+"""Crowds of pairs examined in a patch, and affine maps drawn in each."""
+TOLERANCE = 0.05
+"""Error of a pair that an affine map explains, in radii of its crowd: a 90 degree bend curves a patch by half that."""
+MOST_SKEWED = 8.0
+"""Largest ratio of the stretches of a believable map along its axes."""
+LEAST_PAIRS = 16
+"""Pairs that must agree beyond the four that made the map."""
+LEAST_SHARE = 0.15
+"""Share of a patch that its map must explain in the end."""
+
+
+COUNTED = 600
+"""Reference Gaussians counted for the radius of a crowd: a sample tells it within a few per cent."""
+
+
+class Looks:
+    """The reference laid out by what deformations leave alone.
+
+    Parameters
+    ----------
+    reference : GaussianModel
+    degree : int
+        SH degree up to which energies are used.
+    """
+
+    def __init__(self, reference: GaussianModel, degree: int) -> None:
+        self.reference, self.degree = reference, degree
+        self._sparse: dict[int, cKDTree] = {}
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        return cKDTree(_looks(self.reference, self.degree), balanced_tree=False, compact_nodes=False)
+
+    def radii(self, places: Float64, count: int) -> Float64:
+        """(n,) about how far around each of `places` (n, 3) the nearest `count` reference Gaussians reach."""
+        step = max(1, count // COUNTED)
+        if step not in self._sparse:
+            some = self.reference.means[::step].astype(np.float64)
+            self._sparse[step] = cKDTree(some, balanced_tree=False, compact_nodes=False)
+        tree = self._sparse[step]
+        return np.asarray(tree.query(places, k=[min(max(1, count // step), tree.n)], workers=2)[0]).reshape(-1)
+
+
+def _looks(model: GaussianModel, degree: int) -> Float64:
+    """(n, F) opacity logit, DC and energy of each SH degree, each over about its error after a re-export and a mark."""
+    logits = np.clip(model.opacity_logits.astype(np.float64), -LOGIT_CLIP, LOGIT_CLIP)
+    sh = model.sh.astype(np.float64)
+    columns = [logits / 0.15, *(np.clip(sh[:, 0], -DC_CLIP, DC_CLIP).T / 0.05)]
+    for l in range(1, degree + 1):
+        columns.append(np.sqrt(np.square(sh[:, l * l : (l + 1) ** 2]).sum(axis=(1, 2))) / 0.05)
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A piece of the suspect and where it belongs.
+
+    Parameters
+    ----------
+    suspect, reference : (n,) int64
+        Pairs that the map explains.
+    map : (3, 4) float64
+        x_reference = map[:, :3] @ x_suspect + map[:, 3].
+    deviations : Deviations
+        Errors of these pairs.
+    """
+
+    suspect: Int64
+    reference: Int64
+    map: Affine
+    deviations: Deviations
+
+
+def find_patches(
+    looks: Looks,
+    suspect: GaussianModel,
+    places: cKDTree,
+    centers: npt.NDArray[np.int64],
+    floor: Deviations,
+    rng: np.random.Generator,
+) -> list[Patch]:
+    """Patches about the given Gaussians that have a place in the reference.
+
+    Parameters
+    ----------
+    looks : Looks
+        Of the reference.
+    suspect : GaussianModel
+    places : cKDTree
+        Of the suspect's centres.
+    centers : (c,) int
+        Suspect Gaussians about which patches are taken.
+    floor : Deviations
+        Errors below which nothing is measured.
+    rng : numpy Generator
+
+    Returns
+    -------
+    list of Patch
+        Empty where the suspect is another scene.
+    """
+    count = min(PATCH, len(suspect))
+    found = []
+    for center in centers:
+        rows = np.asarray(places.query(suspect.means[center], k=count)[1], dtype=np.int64).reshape(-1)
+        patch = _find_patch(looks, suspect, np.sort(rows), floor, rng)
+        if patch is not None:
+            found.append(patch)
+    return found
+
+
+def _find_patch(
+    looks: Looks, suspect: GaussianModel, rows: Int64, floor: Deviations, rng: np.random.Generator
+) -> Patch | None:
+    part = suspect.take(rows)
+    reference = looks.reference
+    k = min(LOOK_ALIKES, len(reference))
+    near = np.asarray(looks.tree.query(_looks(part, looks.degree), k=k)[1]).reshape(len(rows), k)
+    who = np.repeat(np.arange(len(rows)), k)
+    target = near.reshape(-1).astype(np.int64)
+    x, y = part.means[who].astype(np.float64), reference.means[target].astype(np.float64)
+    # As many reference Gaussians as the patch has, were the models equally dense: no scale needs to be known.
+    crowd = min(int(1.5 * len(rows) * max(1.0, len(reference) / len(suspect))), len(reference))
+    best: tuple[int, Affine, float, npt.NDArray[np.bool_]] | None = None
+    for friends, radius in _crowds(looks, y, who, crowd):
+        candidate = _draw(x, y, who, friends, TOLERANCE * radius, rng)
+        if candidate is not None and (best is None or candidate[0] > best[0]):
+            best = (*candidate[:2], radius, candidate[2])
+    if best is None or best[0] < LEAST_PAIRS + 4:
+        return None
+    _, map_, radius, inlying = best
+    return _verify(reference, suspect, rows, map_, (target[inlying], who[inlying]), radius, floor, rng)
+
+
+def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int64, float]]:
+    """Where look-alikes crowd together: the pairs there, and the radius of the reference about them."""
+    first = np.flatnonzero(np.diff(who, prepend=-1))  # the best look-alike of each Gaussian
+    middles = y[first]
+    radii = looks.radii(middles, crowd)
+    distance2 = np.square(middles).sum(axis=1)[:, None] + np.square(y).sum(axis=1) - 2.0 * (middles @ y.T)
+    near = distance2 <= np.square(radii)[:, None]  # (Q, P)
+    # pairs of one Gaussian are one witness
+    support = near.reshape(len(first), len(first), -1).any(axis=2).sum(axis=1)
+    chosen: list[tuple[Int64, float]] = []
+    taken = np.zeros(len(first), dtype=bool)
+    for i in np.argsort(-support, kind="stable"):
+        if support[i] < LEAST_PAIRS + 4 or len(chosen) == CROWDS:
+            break
+        if not taken[i] and radii[i] > 0:
+            chosen.append((np.flatnonzero(near[i]), float(radii[i])))
+            taken |= near[i, first]
+    return chosen
+
+
+def _draw(
+    x: Float64, y: Float64, who: Int64, friends: Int64, tolerance: float, rng: np.random.Generator
+) -> tuple[int, Affine, npt.NDArray[np.bool_]] | None:
+    """The affine map of four pairs of a crowd that explains most of it, after a refinement on those."""
+    a, b, names = x[friends], y[friends], who[friends]
+    picks = rng.integers(len(friends), size=(DRAWS, 4))
+    edges = a[picks[:, 1:]] - a[picks[:, :1]]  # (D, 3, 3)
+    spread = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
+    # flatter tetrahedra than this determine nothing across them
+    fit = np.abs(np.linalg.det(edges)) > 1e-3 * spread**3
+    edges, base = edges[fit], picks[fit]
+    if not len(edges):
+        return None
+    A = np.swapaxes(np.linalg.solve(edges, b[base[:, 1:]] - b[base[:, :1]]), 1, 2)  # (D, 3, 3)
+    stretch = np.linalg.svd(A, compute_uv=False)
+    believable = (np.linalg.det(A) > 0) & (stretch[:, 0] < MOST_SKEWED * stretch[:, 2])
+    A, base = A[believable], base[believable]
+    if not len(A):
+        return None
+    t = b[base[:, 0]] - np.einsum("dij,dj->di", A, a[base[:, 0]])
+    error2 = np.square(np.einsum("dij,nj->dni", A, a) + t[:, None] - b).sum(axis=2)  # (D, n)
+    best = int(np.argmax((error2 < tolerance**2).sum(axis=1)))
+    map_: Affine = np.concatenate([A[best], t[best][:, None]], axis=1)
+    for _ in range(3):
+        inlying = np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
+        if len(np.unique(names[inlying])) < 8:
+            return None
+        map_ = fit_affine(a[inlying][None], b[inlying][None], map_[None])[0]
+    inlying = np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
+    everyone = np.zeros(len(x), dtype=bool)
+    everyone[friends[inlying]] = True
+    return len(np.unique(names[inlying])), map_, everyone
+
+
+def _verify(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    rows: Int64,
+    map_: Affine,
+    pairs: tuple[Int64, Int64],
+    radius: float,
+    floor: Deviations,
+    rng: np.random.Generator,
+) -> Patch | None:
+    """The patch, if its map explains far more of it in every respect than the same map turned about does."""
+    same = Similarity.identity()
+    part = suspect.take(rows)
+    around = np.flatnonzero(
+        np.square(reference.means - reference.means[pairs[0]].mean(axis=0)).sum(axis=1) < (3.0 * radius) ** 2
+    )
+    nearby = reference.take(around)
+    local = np.searchsorted(around, pairs[0])
+    inside = (local < len(around)) & (around[np.minimum(local, len(around) - 1)] == pairs[0])
+    pairs = (local[inside], pairs[1][inside])
+    for _ in range(2):
+        moved = warped(part, np.broadcast_to(map_, (len(rows), 3, 4)))
+        deviations = unturned(estimate_deviations(nearby, moved, pairs, same, floor))
+        matcher = Matcher(nearby, deviations)
+        hit = paired(matcher.match(moved, same, deviations))
+        pairs = (hit[0].astype(np.int64), hit[1])
+        if len(np.unique(pairs[0])) < max(LEAST_PAIRS, LEAST_SHARE * len(rows)):
+            return None
+        x, y = part.means[pairs[1]].astype(np.float64), nearby.means[pairs[0]].astype(np.float64)
+        map_ = fit_affine(x[None], y[None], map_[None])[0]
+    moved = warped(part, np.broadcast_to(map_, (len(rows), 3, 4)))
+    if not beats_decoys(nearby, moved, matcher, same, deviations, rng, 3.0, float(LEAST_PAIRS)):
+        return None
+    return Patch(rows[pairs[1]], around[pairs[0]].astype(np.int64), map_, deviations)

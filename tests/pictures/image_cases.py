@@ -1,0 +1,112 @@
+"""A picture with texture at every scale, a weak keyed pattern on it, and what happens to pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy import ndimage
+
+from engine.sim import image_attacks as attacks
+
+BLOCK = 5
+SIDE = 300
+
+
+@cache
+def picture(seed: int = 0, side: int = SIDE) -> np.ndarray:
+    """Shapes with sharp and soft edges, (side, side, 3), values 0.05 to 0.85."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:side, :side]
+    image = np.full((side, side, 3), 0.35)
+    for _ in range(160):
+        cx, cy, radius = *rng.uniform(0, side, 2), rng.uniform(3, 40)
+        angle, ratio = rng.uniform(0, np.pi), rng.uniform(0.3, 1)
+        u = (x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)
+        v = -(x - cx) * np.sin(angle) + (y - cy) * np.cos(angle)
+        cover = 1 / (1 + np.exp(np.clip((np.hypot(u, v / ratio) - radius) / rng.uniform(0.5, 2), -30, 30)))
+        image += cover[..., None] * (rng.uniform(0.05, 0.85, 3) - image)
+    for sigma, strength in ((1.0, 0.03), (3.0, 0.03)):
+        grain = ndimage.gaussian_filter(rng.normal(size=(side, side)), sigma)
+        image += (strength * grain / grain.std())[..., None]
+    return np.clip(image, 0.02, 0.9).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A picture with keyed signs on square blocks, and how the signs are read back."""
+
+    plain: np.ndarray
+    image: np.ndarray
+    chips: np.ndarray
+
+    def read(self, cotangent: np.ndarray) -> np.ndarray:
+        """Sum of a cotangent over each block: what the rasterizer's VJP and the cells do for a model."""
+        n = len(self.plain) // BLOCK
+        return cotangent.sum(axis=2, dtype=np.float64).reshape(n, BLOCK, n, BLOCK).sum(axis=(1, 3)).ravel()
+
+
+@cache
+def marked(seed: int = 0, amplitude: float = 0.005) -> Marked:
+    """About 46 dB."""
+    plain = picture(seed)
+    n = len(plain) // BLOCK
+    chips = np.random.default_rng(100 + seed).choice([-1.0, 1.0], n * n)
+    pattern = np.kron(chips.reshape(n, n), np.ones((BLOCK, BLOCK)))[..., None]
+    return Marked(plain, np.clip(plain + amplitude * pattern, 0, 1).astype(np.float32), chips)
+
+
+def z_score(y: np.ndarray, chips: np.ndarray) -> float:
+    """The claim's statistic, DESIGN 4.9."""
+    return float(y @ chips / max(float(np.linalg.norm(y)), 1e-30))
+
+
+def turn(degrees: float) -> np.ndarray:
+    """Pixel matrix of `attacks.rotate_image`: counter-clockwise about the middle."""
+    a, c = np.radians(degrees), SIDE / 2
+    about = np.array([[1, 0, c], [0, 1, c], [0, 0, 1.0]])
+    spin = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return np.asarray(about @ spin @ np.linalg.inv(about))
+
+
+def attack(name: str, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The attacked picture, and the true matrix from reference pixel to its pixel."""
+    rng = np.random.default_rng(7)
+    size = np.eye(3)
+    match name:
+        case "none":
+            return image, size
+        case "jpeg10":
+            return attacks.jpeg(image, 10, rng), size
+        case "jpeg50":
+            return attacks.jpeg(image, 50, rng), size
+        case "noise 0.1":
+            return attacks.noise_image(image, 0.1, rng), size
+        case "noise 0.01":
+            return attacks.noise_image(image, 0.01, rng), size
+        case "blur 1":
+            return attacks.blur(image, 1.0, rng), size
+        case "brightness 0.5":
+            return attacks.brightness(image, 0.5, rng), size
+        case "brightness 1.5":
+            return attacks.brightness(image, 1.5, rng), size
+        case "rotation 30":
+            return attacks.rotate_image(image, 30.0, rng), turn(30.0)
+        case "scale 0.75":
+            return attacks.scale_image(image, 0.75, rng), np.diag([0.75, 0.75, 1])
+        case "scale 1.5":
+            return attacks.scale_image(image, 1.5, rng), np.diag([1.5, 1.5, 1])
+        case "squeezed":
+            import cv2
+
+            small = cv2.resize(image, (SIDE, 240), interpolation=cv2.INTER_AREA)
+            return small, np.diag([1.0, 0.8, 1])
+        case "crop":
+            return np.ascontiguousarray(image[40:270, 25:255]), np.array([[1, 0, -25], [0, 1, -40], [0, 0, 1.0]])
+        case "rotation, scale, jpeg50":
+            turned = attacks.scale_image(attacks.rotate_image(image, -17.0, rng), 0.8, rng)
+            return attacks.jpeg(turned, 50, rng), np.diag([0.8, 0.8, 1]) @ turn(-17.0)
+        case "rotation, noise 0.1":
+            return attacks.noise_image(attacks.rotate_image(image, 10.0, rng), 0.1, rng), turn(10.0)
+    raise ValueError(name)

@@ -1,0 +1,129 @@
+"""A picture laid over its reference: the motion is found to a few hundredths of a pixel, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.numerics.resampling import map_points
+from engine.pictures import alignment as image_alignment
+from engine.pictures.alignment import AlignmentConfig, align_image
+from engine.pictures.brightness_fit import Fit, fit_warp
+from tests.pictures.image_cases import SIDE, attack, marked, picture, turn
+
+EXACT = ["none", "jpeg10", "noise 0.01", "noise 0.1", "blur 1", "brightness 0.5", "brightness 1.5"]
+MOVED = ["rotation 30", "scale 0.75", "scale 1.5", "crop", "rotation, scale, jpeg50", "squeezed"]
+
+
+def error_pixels(found: np.ndarray, true: np.ndarray, size: tuple[int, int]) -> float:
+    """Largest error over the reference's pixels that are in the picture, in pixels of the reference."""
+    axis = np.linspace(0, SIDE, 13)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    wanted, got = map_points(true, grid), map_points(found, grid)
+    inside = ((wanted >= 0) & (wanted <= [size[1], size[0]])).all(axis=1)
+    return float(np.linalg.norm(wanted - got, axis=1)[inside].max() / np.sqrt(np.linalg.det(true[:2, :2])))
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_a_picture_in_place_is_used_without_resampling(name: str) -> None:
+    case = marked()
+    suspect, _ = attack(name, case.image)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    np.testing.assert_array_equal(alignment.matrix, np.eye(3))
+    np.testing.assert_array_equal(alignment.warped, suspect)
+    assert alignment.mask.mean() > 0.9
+
+
+@pytest.mark.parametrize(("name", "limit"), [*((name, 0.06) for name in MOVED), ("rotation, noise 0.1", 0.15)])
+def test_motion_is_undone(name: str, limit: float) -> None:
+    case = marked()
+    suspect, true = attack(name, case.image)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    assert error_pixels(alignment.matrix, true, suspect.shape[:2]) < limit
+    assert alignment.warped.shape == case.plain.shape
+    inside = np.abs(alignment.warped - case.plain)[alignment.mask]
+    assert np.median(inside) < 0.08
+    assert alignment.inliers > 1000
+
+
+def test_a_rival_that_looks_alike_does_not_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Smooth stone: a cut piece, enlarged to the whole, correlated to 0.92 and was taken for it."""
+    case = marked()
+    suspect, true = np.ascontiguousarray(case.image[40:220, 60:240]), np.eye(3)
+    true[:2, 2] = -60.0, -40.0
+
+    def fit(*arguments: Any, **more: Any) -> Fit | None:
+        found = fit_warp(*arguments, **more)
+        first = more["levels"] == (8, 4) and abs(arguments[2][0, 0] - 1.0) > 0.1
+        return replace(found, matrix=arguments[2], correlation=0.92) if found and first else found
+
+    monkeypatch.setattr(image_alignment, "fit_warp", fit)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    assert error_pixels(alignment.matrix, true, suspect.shape[:2]) < 0.06
+
+
+def test_perspective_is_undone() -> None:
+    from engine.numerics.resampling import warp
+
+    case = marked()
+    true = turn(4.0) @ np.array([[1.02, 0.01, 3], [0.0, 0.99, -2], [2e-4, -1e-4, 1.0]])
+    suspect, _ = warp(case.image, np.linalg.inv(true), SIDE, SIDE)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    axis = np.linspace(60, SIDE - 60, 5)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    assert np.abs(map_points(alignment.matrix, grid) - map_points(true, grid)).max() < 0.1
+
+
+def test_mask_leaves_out_black_corners_and_captions() -> None:
+    case = marked()
+    suspect, _ = attack("rotation 30", case.image)
+    alignment = align_image(case.plain, suspect)
+    assert alignment is not None
+    # Four corners of the picture lie in the cut-off triangles of a square turned by 30 degrees.
+    assert not alignment.mask[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+    assert alignment.mask.mean() > 0.7
+    captioned = case.image.copy()
+    captioned[200:240, 60:180] = 1.0
+    alignment = align_image(case.plain, captioned)
+    assert alignment is not None
+    assert not alignment.mask[200:240, 60:180].any()
+    assert alignment.mask[:180].mean() > 0.95
+
+
+def test_another_picture_does_not_fit() -> None:
+    assert align_image(picture(0), picture(1)) is None
+    assert align_image(picture(0), np.random.default_rng(0).random((200, 240, 3)).astype(np.float32)) is None
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (3, 5, 3), (40, 2, 3)])
+def test_tiny_and_empty_pictures_are_answered(shape: tuple[int, ...]) -> None:
+    align_image(picture(0), np.zeros(shape, dtype=np.float32))
+    align_image(np.zeros(shape, dtype=np.float32), picture(0))
+    assert align_image(np.zeros((64, 64, 3), np.float32), np.zeros((64, 64, 3), np.float32)) is None
+
+
+def test_same_input_same_answer() -> None:
+    case = marked()
+    suspect, _ = attack("rotation, scale, jpeg50", case.image)
+    a, b = align_image(case.plain, suspect), align_image(case.plain, suspect)
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.matrix, b.matrix)
+    np.testing.assert_array_equal(a.warped, b.warped)
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(InputError, match=r"\(300, 300\)"):
+        align_image(picture(0), picture(0)[..., 0])
+    broken = picture(0).copy()
+    broken[0, 0, 0] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        align_image(picture(0), broken, AlignmentConfig())

@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.errors import InputError
+from engine.formats import read_model
+from engine.model import Camera, GaussianModel, look_at
+from engine.pictures.camera_finding import CameraConfig, find_camera
+from engine.pictures.camera_hypotheses import fit_camera, hypothesize
+from engine.pictures.camera_motion import moved, normalized, point_columns, project
+from engine.pictures.landmarks import Landmarks, lift, make_landmarks
+from engine.pictures.pose_refinement import Acceleration, refine_level
+from engine.raster import render, render_depth
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def around(model: GaussianModel, azimuth: float, elevation: float, distance: float, focal: float) -> Camera:
+    """A view of 480 x 360 pixels; angles in degrees, distance in sizes of the model, focal length in widths."""
+    a, e = np.radians(azimuth), np.radians(elevation)
+    low, high = np.quantile(model.means.astype(np.float64), [0.1, 0.9], axis=0)
+    toward = np.array([np.cos(a) * np.cos(e), -np.sin(e), np.sin(a) * np.cos(e)])
+    center, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    up = UP + 0.06 * np.array([np.sin(7 * a), 0.0, np.cos(5 * a)])
+    return look_at(center + distance * size * toward, center, up, 480 * focal, 480, 360)
+
+
+def jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    buffer = io.BytesIO()
+    Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
+    return np.asarray(Image.open(buffer), dtype=np.float32) / 255
+
+
+def reprojection(model: GaussianModel, true: Camera, found: Camera) -> float:
+    """Root mean square distance of surface points between two cameras' pictures, pixels."""
+    _, alpha, depth = render_depth(model, true)
+    row, column = np.nonzero(alpha > 0.7)
+    pixels = np.stack([column + 0.5, row + 0.5], axis=1)
+    points = lift(pixels, depth[row, column].astype(np.float64), true)
+    return float(np.sqrt(np.mean(np.sum((project(points, found) - pixels) ** 2, axis=1))))
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return read_model(Path(__file__).parents[1] / "data" / "plant.splat").model
+
+
+@pytest.fixture(scope="module")
+def bank(plant: GaussianModel) -> Landmarks:
+    views = [around(plant, 30.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(12)]
+    return make_landmarks(plant, views)
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(before)
+
+
+def test_landmarks_lie_on_the_surface(plant: GaussianModel, bank: Landmarks) -> None:
+    camera = around(plant, 0.0, 20.0, 1.3, 1.1)
+    mine = bank.points[bank.views == 0].astype(np.float64)
+    assert len(mine) > 100
+    _, depths = normalized(mine, camera)
+    column, row = np.floor(project(mine, camera)).astype(int).T
+    _, alpha, depth = render_depth(plant, camera)
+    assert (alpha[row, column] > 0.7).all()
+    np.testing.assert_allclose(depths, depth[row, column], rtol=2e-3)
+
+
+def test_landmarks_are_few_bytes_and_the_same_on_any_number_of_threads(
+    plant: GaussianModel, bank: Landmarks, one_thread: None
+) -> None:
+    again = make_landmarks(plant, [around(plant, 30.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(3)])
+    for name in ("points", "descriptors", "views"):
+        first = getattr(bank, name)[: len(again)]
+        assert first.tobytes() == getattr(again, name).tobytes()
+    assert 144 * len(bank) < 12 * 450 * 144 + 1
+
+
+def test_progress_ends_at_one_and_nothing_seen_is_no_landmark(plant: GaussianModel) -> None:
+    told: list[float] = []
+    away = look_at((0.0, 0.0, -100.0), (0.0, 0.0, -200.0), UP, 300.0, 64, 48)
+    empty = make_landmarks(plant, [away, away], told.append)
+    assert len(empty) == 0
+    assert told == [0.5, 1.0]
+    assert find_camera(empty, plant, np.zeros((48, 64, 3), dtype=np.float32)) is None
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "distance", "focal", "quality"),
+    [
+        (17.0, 30.0, 1.2, 0.75, 80),
+        (100.0, 25.0, 1.5, 1.4, 80),
+        (222.0, 45.0, 1.1, 1.0, 40),
+        (311.0, 35.0, 2.0, 1.2, 80),
+    ],
+)
+def test_camera_of_a_jpeg_is_found_to_hundredths_of_a_pixel(
+    plant: GaussianModel, bank: Landmarks, azimuth: float, elevation: float, distance: float, focal: float, quality: int
+) -> None:
+    true = around(plant, azimuth, elevation, distance, focal)
+    found = find_camera(bank, plant, jpeg(render(plant, true), quality))
+    assert found is not None
+    assert reprojection(plant, true, found.camera) < 0.02
+    assert (found.camera.width, found.camera.height) == (480, 360)
+    assert found.camera.K[0, 0] == found.camera.K[1, 1]
+    assert found.correlation > 0.99
+    assert set(found.seconds_by_stage) == {"keypoints", "match", "pose", "refine"}
+
+
+def test_exposure_and_another_background_do_not_mislead(plant: GaussianModel, bank: Landmarks) -> None:
+    true = around(plant, 60.0, 30.0, 1.3, 1.0)
+    picture = jpeg(0.7 * render(plant, true, background=1.0) + 0.1, 80)
+    found = find_camera(bank, plant, picture)
+    assert found is not None
+    assert reprojection(plant, true, found.camera) < 0.1
+
+
+def test_large_picture_is_found_too(plant: GaussianModel, bank: Landmarks) -> None:
+    true = around(plant, 75.0, 30.0, 1.3, 1.0).resized(1440, 1080)
+    found = find_camera(bank, plant, jpeg(render(plant, true), 80))
+    assert found is not None
+    assert reprojection(plant, true, found.camera) < 0.03
+
+
+def test_same_camera_on_any_number_of_threads(plant: GaussianModel, bank: Landmarks) -> None:
+    picture = jpeg(render(plant, around(plant, 17.0, 30.0, 1.2, 0.75)), 80)
+    cameras = []
+    for threads in (1, 2):
+        before = numba.get_num_threads()
+        numba.set_num_threads(min(threads, before))
+        found = find_camera(bank, plant, picture)
+        numba.set_num_threads(before)
+        assert found is not None
+        cameras.append(found.camera)
+    assert cameras[0].viewmat.tobytes() == cameras[1].viewmat.tobytes()
+    assert cameras[0].K.tobytes() == cameras[1].K.tobytes()
+
+
+def test_other_pictures_are_not_recognised(plant: GaussianModel, bank: Landmarks) -> None:
+    rng = np.random.default_rng(0)
+    blocks = np.kron(rng.random((30, 40, 3)), np.ones((12, 12, 1))).astype(np.float32)
+    turned = plant.with_(means=plant.means[:, ::-1].copy() * np.float32([1, -1, 1]))  # leaves in other places
+    other = render(turned, around(turned, 40.0, 30.0, 1.3, 1.0))
+    for picture in (np.zeros((360, 480, 3), np.float32), rng.random((360, 480, 3), dtype=np.float32), blocks, other):
+        assert find_camera(bank, plant, picture) is None
+
+
+@pytest.mark.parametrize("shape", [(360, 480), (360, 480, 4), (8, 480, 3)])
+def test_unusable_pictures_are_refused(plant: GaussianModel, bank: Landmarks, shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="a picture is"):
+        find_camera(bank, plant, np.zeros(shape, dtype=np.float32))
+
+
+def test_pictures_that_are_not_finite_are_refused(plant: GaussianModel, bank: Landmarks) -> None:
+    picture = np.zeros((48, 64, 3), dtype=np.float32)
+    picture[3, 4, 1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        find_camera(bank, plant, picture)
+
+
+def test_landmarks_that_do_not_fit_together_are_refused() -> None:
+    points, words, views = np.zeros((3, 3), np.float32), np.zeros((3, 128), np.uint8), np.zeros(3, np.int32)
+    Landmarks(points, words, views)
+    for wrong in (
+        (points[:2], words, views),
+        (points, words[:, :64], views),
+        (points, words, views[:1]),
+        (points, words.astype(np.float32), views),
+        (np.full_like(points, np.nan), words, views),
+    ):
+        with pytest.raises(InputError):
+            Landmarks(*wrong)
+
+
+def test_refinement_gives_up_where_nothing_is_seen(plant: GaussianModel) -> None:
+    away = look_at((0.0, 0.0, -100.0), (0.0, 0.0, -200.0), UP, 300.0, 64, 48)
+    assert refine_level(plant, np.zeros((48, 64), np.float32), away, 3, 0.01) is None
+
+
+def cloud(rng: np.random.Generator, count: int) -> tuple[np.ndarray, Camera]:
+    camera = look_at((0.5, -1.0, -4.0), (0.0, 0.1, 0.0), UP, 500.0, 640, 480)
+    return rng.uniform(-1.0, 1.0, (count, 3)), camera
+
+
+def test_columns_are_the_derivative_of_the_motion() -> None:
+    points, camera = cloud(np.random.default_rng(1), 20)
+    rays, depth = normalized(points, camera)
+    columns = point_columns(rays, depth / 3.0, camera.K[0, 0])
+    for k in range(7):
+        step = np.zeros(7)
+        step[k] = 1e-6
+        ahead, behind = (project(points, moved(camera, s * step, 3.0)) for s in (1.0, -1.0))
+        np.testing.assert_allclose(columns[:, :, k], (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("focal", [0.55, 0.9, 1.3, 1.9])
+def test_camera_is_found_among_wrong_matches(focal: float) -> None:
+    rng = np.random.default_rng(2)
+    points, camera = cloud(rng, 200)
+    camera = look_at(
+        camera.position * focal / 0.8, (0.0, 0.1, 0.0), UP + np.array([0.3, 0.0, 0.1]), 640 * focal, 640, 480
+    )
+    pixels = project(points, camera) + rng.normal(0.0, 0.5, (200, 2))
+    wrong = rng.random(200) < 0.6
+    pixels[wrong] = rng.uniform(0.0, 480.0, (int(wrong.sum()), 2))
+    found = hypothesize(points, pixels, 640, 480, 3.0, 12)
+    assert found is not None
+    assert found.support >= 0.9 * (~wrong).sum()
+    assert np.sqrt(np.mean((project(points, found.camera) - project(points, camera)) ** 2)) < 0.3
+    assert found.camera.K[0, 0] == pytest.approx(640 * focal, rel=0.05)
+
+
+def test_no_camera_among_random_matches() -> None:
+    rng = np.random.default_rng(3)
+    for count in (0, 3, 60):
+        pixels = rng.uniform(0.0, 480.0, (count, 2))
+        assert hypothesize(rng.normal(size=(count, 3)), pixels, 640, 480, 3.0, 12) is None
+    assert hypothesize(np.ones((60, 3)), rng.uniform(0.0, 480.0, (60, 2)), 640, 480, 3.0, 12) is None
+
+
+def test_fit_never_puts_the_scene_behind_the_camera() -> None:
+    points, camera = cloud(np.random.default_rng(4), 50)
+    behind = look_at(camera.position, 2 * camera.position, UP, 500.0, 640, 480)
+    fitted = fit_camera(points, project(points, camera), behind, 3.0)
+    assert fitted is None or np.isfinite(fitted.camera.viewmat).all()
+
+
+def test_acceleration_shortens_a_slow_iteration() -> None:
+    rates = np.array([0.9, 0.8, 0.3, 0.2, 0.1, 0.05, 0.5])  # share of the error that a step leaves
+    flow = np.eye(7)
+    errors = {}
+    for accelerated in (False, True):
+        state, memory = 0.1 * np.ones(7), Acceleration()
+        for _ in range(8):
+            motion = -(1.0 - rates) * state
+            step = float(np.linalg.norm(motion))
+            state = state + (memory.improve(motion, flow, step) if accelerated else motion)
+        errors[accelerated] = float(np.linalg.norm(state))
+    assert errors[True] < 0.2 * errors[False]
+
+
+def test_acceleration_leaves_long_steps_alone() -> None:
+    memory = Acceleration()
+    for scale in (4.0, 3.0, 2.0):
+        motion = scale * np.ones(7)
+        assert memory.improve(motion, np.eye(7), float(np.linalg.norm(motion))) is motion
+
+
+def test_knobs_are_within_reason() -> None:
+    config = CameraConfig()
+    assert config.least_start <= config.least_inliers
+    assert config.least_correlation < config.sure_correlation < 1.0

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import integrate
+from scipy.stats import norm
+
+from engine.pictures.jpeg_score import (
+    LUMA,
+    _truncated_mean,
+    block_spread,
+    blocks_of,
+    find_quality,
+    jpeg_cotangent,
+    luma_table,
+)
+
+
+def picture(seed: int = 0, size: int = 160) -> np.ndarray:
+    """A smooth, colourful picture away from black and white."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.uniform(0.2, 0.8, (size // 7, size // 7, 3))
+    big = np.asarray(Image.fromarray((coarse * 255).astype(np.uint8)).resize((size, size), Image.Resampling.BICUBIC))
+    return (big / 255.0 + 0.02 * rng.standard_normal((size, size, 3))).clip(0.05, 0.95).astype(np.float32)
+
+
+def save(image: np.ndarray, quality: int) -> np.ndarray:
+    buffer = io.BytesIO()
+    Image.fromarray((image * 255 + 0.5).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
+    return (np.asarray(Image.open(buffer)) / 255.0).astype(np.float32)
+
+
+def test_tables_are_those_that_pillow_writes() -> None:
+    for quality in (10, 50, 75, 90):
+        buffer = io.BytesIO()
+        Image.new("RGB", (16, 16)).save(buffer, "JPEG", quality=quality)
+        written = sorted(Image.open(buffer).quantization[0])
+        assert written == sorted(luma_table(quality).reshape(-1).astype(int).tolist())
+
+
+@pytest.mark.parametrize("quality", [10, 30, 50, 75, 88])
+def test_quality_is_found(quality: int) -> None:
+    found = find_quality(save(picture(), quality))
+    assert found is not None
+    assert np.abs(luma_table(found) - luma_table(quality)).max() <= 2
+
+
+def test_uncompressed_and_shifted_pictures_have_no_quality() -> None:
+    assert find_quality(picture()) is None
+    assert find_quality((np.round(picture() * 255) / 255).astype(np.float32)) is None
+    assert find_quality(save(picture(), 30)[3:, 5:]) is None  # cropped off the 8x8 grid
+    assert find_quality(np.zeros((64, 64, 3), np.float32)) is None
+    assert find_quality(np.zeros((5, 5, 3), np.float32)) is None
+
+
+def test_truncated_mean_against_the_integral() -> None:
+    for low, high in [(-1.0, 2.0), (0.5, 0.7), (-9.0, -7.0), (6.0, 30.0), (-40.0, 40.0)]:
+        mass = norm.cdf(high) - norm.cdf(low) if low < 5 else norm.sf(low) - norm.sf(high)
+        value, _ = integrate.quad(lambda t: t * norm.pdf(t), max(low, -12), min(high, 12))
+        got = float(_truncated_mean(np.array([low]), np.array([high]))[0])
+        assert got == pytest.approx(value / mass, rel=1e-3, abs=1e-6)
+        assert low <= got <= high
+
+
+def test_the_score_finds_a_faint_pattern_that_the_residual_loses() -> None:
+    """Pattern of less than half a grey level under quality 10: matched filter on the residual against the score."""
+    rng = np.random.default_rng(1)
+    base = picture(2, 320)
+    residual, score = [], []
+    for _ in range(12):
+        coarse = rng.choice([-1.0, 1.0], (40, 40)) * 0.4 / 255.0
+        pattern = np.kron(coarse, np.ones((8, 8)))[:, :, None].astype(np.float32) * np.ones(3, np.float32)
+        suspect = save(np.clip(base + pattern, 0, 1), 10)
+        quality = find_quality(suspect)
+        assert quality is not None
+        mask = np.ones(base.shape[:2], bool)
+        cotangent = jpeg_cotangent(base, suspect, mask, block_spread(pattern), quality)
+        for cells, image in ((residual, suspect - base), (score, cotangent)):
+            y = (image @ LUMA).reshape(40, 8, 40, 8).sum(axis=(1, 3)) * np.sign(coarse)
+            cells.append(y.sum() / np.sqrt((y**2).sum()))
+    assert np.mean(score) > 1.15 * np.mean(residual)
+
+
+def test_unmarked_pictures_score_nothing() -> None:
+    base = picture(3, 240)
+    suspect = save(base, 30)
+    quality = find_quality(suspect)
+    assert quality is not None
+    spread = np.full((8, 8), 1.0)
+    image = jpeg_cotangent(base, suspect, np.ones((240, 240), bool), spread, quality)
+    cells = (image @ LUMA).reshape(30, 8, 30, 8).sum(axis=(1, 3)).reshape(-1)
+    for seed in range(200):
+        signs = np.random.default_rng(seed).choice([-1.0, 1.0], len(cells))
+        assert abs(float(signs @ cells)) / np.sqrt(float(cells @ cells)) < 5.0
+
+
+def test_masked_blocks_are_left_out() -> None:
+    base = picture(4)
+    suspect = save(base, 30)
+    mask = np.ones((160, 160), bool)
+    mask[:80] = False
+    cotangent = jpeg_cotangent(base, suspect, mask, np.ones((8, 8)), 30)
+    assert not cotangent[:80].any()
+    assert cotangent[80:].any()
+
+
+def test_blocks_are_an_orthonormal_transform() -> None:
+    luma = 255.0 * picture(5) @ LUMA
+    energy = float(((luma - 128.0) ** 2).sum())
+    assert float((blocks_of(luma) ** 2).sum()) == pytest.approx(energy, rel=1e-6)

@@ -1,0 +1,106 @@
+"""What happened to the colours of a picture is found and taken off: uneven light, strong tone curves, both."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from engine.pictures.alignment import align_image
+from engine.pictures.brightness_curve import predict_brightness
+from engine.pictures.color_fit import fit_colors
+from engine.pictures.light_field import fit_light
+from engine.pictures.residual import image_cotangent
+from engine.sim.attacks import image_attack
+from tests.pictures.image_cases import marked, picture, z_score
+
+LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+WHOLE = np.ones(picture().shape[:2], dtype=bool)
+
+
+@cache
+def uneven(kind: str) -> np.ndarray:
+    height, width = WHOLE.shape
+    y, x = np.mgrid[:height, :width] / float(height) - 0.5
+    if kind == "vignette":
+        return (1.0 - 0.8 * (x**2 + y**2)).astype(np.float32)
+    if kind == "rolling":
+        return (0.75 + 0.4 * y).astype(np.float32) + 0 * x.astype(np.float32)
+    return (1.0 + 0.15 * np.sin(2 * np.pi * 5 * y)).astype(np.float32)  # flicker
+
+
+@pytest.mark.parametrize("kind", ["vignette", "rolling", "flicker"])
+def test_the_gain_is_found_up_to_a_constant(kind: str) -> None:
+    plain, gain = picture() @ LUMA, uneven(kind)
+    noise = np.random.default_rng(0).normal(0.0, 0.01, plain.shape).astype(np.float32)
+    found = fit_light(plain, plain * gain + noise, WHOLE)
+    assert found is not None
+    ratio = found / gain
+    assert ratio.std() / ratio.mean() < 0.4 * gain.std() / gain.mean()  # the rest in the next round, after the tone
+
+
+def test_even_light_is_left_alone() -> None:
+    plain = picture() @ LUMA
+    noise = np.random.default_rng(0).normal(0.0, 0.02, plain.shape).astype(np.float32)
+    assert fit_light(plain, plain + noise, WHOLE) is None
+    assert fit_light(plain, plain, np.zeros_like(WHOLE)) is None
+
+
+def test_over_a_small_object_the_light_does_not_run_away() -> None:
+    """There the smooth functions add up to a constant, which gain and tone could trade for ever."""
+    plain = np.zeros_like(picture())
+    plain[60:110, 70:120] = 0.2 + 0.6 * picture()[60:110, 70:120]
+    lit = plain.max(axis=2) > 0
+    y, x = np.mgrid[: plain.shape[0], : plain.shape[1]] / 12.0
+    seen = plain * (1.0 + 0.03 * np.sin(x) * np.cos(y))[..., None].astype(np.float32)
+    toned = fit_colors(plain, seen, WHOLE)
+    assert np.abs(toned.slope[lit] - 1.0).max() < 0.3
+    assert np.abs(toned.predicted - seen)[lit].max() < np.abs(plain - seen)[lit].max() + 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [("gamma", 2.2), ("gamma", 0.33), ("filmic", 4.0), ("viewer_color", "srgb_twice"), ("vignette", 0.7)],
+)
+def test_colours_are_predicted(name: str, strength: float | str) -> None:
+    plain = picture()
+    seen = image_attack(name).apply(plain, strength)
+    change = np.sqrt(np.mean((seen - plain) ** 2))
+    left = np.sqrt(np.mean((fit_colors(plain, seen, WHOLE).predicted - seen) ** 2))
+    assert left < 0.06 * change
+
+
+def test_a_caption_does_not_move_the_brightness() -> None:
+    """Judging what is evidence: the curve and the light are found under a painted tenth of the picture."""
+    plain = picture() @ LUMA
+    lit = (plain**0.5 * uneven("vignette")).astype(np.float32)
+    seen = lit.copy()
+    seen[:60, :150] = 1.0
+    predicted = predict_brightness(plain, seen, WHOLE)
+    rest = np.ones_like(WHOLE)
+    rest[:60, :150] = False
+    assert np.abs(predicted - lit)[rest].mean() < 0.02
+    assert np.median(np.abs(predicted - seen)[~rest]) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "strength", "least"),
+    [
+        ("vignette", 0.7, 38),
+        ("rolling_exposure", 0.8, 33),
+        ("flicker", 0.2, 36),
+        ("gamma", 2.2, 24),
+        ("gamma", 0.33, 38),
+    ],
+)
+def test_the_mark_is_read_through_it(name: str, strength: float, least: float) -> None:
+    case = marked()
+    seen = np.round(image_attack(name).apply(case.image, strength) * 255).astype(np.float32) / 255
+    alignment = align_image(case.plain, seen)
+    assert alignment is not None
+    y = case.read(image_cotangent(case.plain, alignment.warped, alignment.mask))
+    z = z_score(y, case.chips)
+    assert z > least, z
+    chips = np.random.default_rng(5).choice([-1.0, 1.0], (5_000, len(y)))
+    assert (chips @ y / np.linalg.norm(y)).max() < 6

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import FormatError
+from engine.formats import read_model
+from engine.model import GaussianModel
+from engine.registration.sketch import ALIKE, CROWD, POINTS, Sketch, SuspectIndex, make_sketch
+from engine.sim.attacks import model_attack
+from engine.sim.model_placement import foreign_scene
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return read_model(DATA / "plant.splat").model
+
+
+@pytest.fixture(scope="module")
+def sketch(plant: GaussianModel) -> Sketch:
+    return Sketch.from_bytes(make_sketch(plant).to_bytes())
+
+
+@pytest.mark.parametrize(
+    ("name", "strength", "least"),
+    [
+        ("similarity", 10.0, 400),
+        ("shuffle", 1.0, 400),
+        ("crop", 0.1, 100),
+        ("crop", 0.02, 15),
+        ("prune_random", 0.9, 100),
+        ("prune_opacity", 0.5, 400),
+        ("clone", 0.5, 300),
+        ("noise_all", 0.1, 200),
+        ("convert", "spz", 400),
+        ("convert", "sog", 400),
+        ("convert", "compressed.ply", 400),
+        ("merge_into", 3.0, 400),
+    ],
+)
+def test_derivatives_resemble_their_source(
+    plant: GaussianModel, sketch: Sketch, name: str, strength: float | str, least: int
+) -> None:
+    suspect = model_attack(name).apply(plant, strength, rng=4)
+    resemblance = SuspectIndex(suspect).resemblance(sketch)
+    assert resemblance >= least
+    assert least > 2 * ALIKE  # far from the threshold
+
+
+def test_a_retouched_and_moved_model_resembles_its_source(plant: GaussianModel, sketch: Sketch) -> None:
+    moved = model_attack("similarity").apply(plant, 3.0, rng=1)
+    tinted = moved.with_dc(0.9 * moved.sh[:, 0] + np.float32([0.1, 0.0, -0.1]))
+    assert SuspectIndex(tinted).resemblance(sketch) > 10 * ALIKE
+
+
+def test_foreign_models_do_not(plant: GaussianModel, sketch: Sketch) -> None:
+    foreign = foreign_scene(plant, len(plant), np.random.default_rng(0))
+    train = read_model(DATA / "train_1000.ply").model
+    assert SuspectIndex(foreign).resemblance(sketch) < ALIKE
+    assert SuspectIndex(train).resemblance(sketch) < ALIKE
+    assert SuspectIndex(plant).resemblance(make_sketch(train)) < ALIKE
+    assert SuspectIndex(plant).resemblance(make_sketch(foreign)) < ALIKE
+
+
+def test_agreement_counts_and_not_looks_alone(plant: GaussianModel, sketch: Sketch) -> None:
+    """The same Gaussians, thrown about: every look is found, no two agree."""
+    rng = np.random.default_rng(0)
+    scattered = plant.with_(means=rng.permutation(plant.means), quats=rng.permutation(plant.quats))
+    assert SuspectIndex(scattered).resemblance(sketch) < 4 * ALIKE
+
+
+def test_a_sketch_is_small_and_reads_back(sketch: Sketch) -> None:
+    data = sketch.to_bytes()
+    assert len(sketch) == POINTS
+    assert len(data) <= 64_000
+    np.testing.assert_array_equal(Sketch.from_bytes(data).means, sketch.means)
+    for bad in (b"", data[:-1], data + b"\0", b"X" + data[1:]):
+        with pytest.raises(FormatError, match="no sketch"):
+            Sketch.from_bytes(bad)
+
+
+@pytest.mark.parametrize("count", [1, 2, 70])
+def test_tiny_models_are_compared_too(plant: GaussianModel, count: int) -> None:
+    tiny = plant.take(np.arange(count))
+    sketch = make_sketch(tiny)
+    assert len(sketch) <= count
+    assert 0 <= SuspectIndex(tiny).resemblance(sketch) < count
+
+
+def test_thousands_of_one_look_cost_no_more_than_a_few(plant: GaussianModel, sketch: Sketch) -> None:
+    one = plant.take(np.zeros(30_000, np.int64)).with_(means=plant.means[:30_000])
+    crowd = SuspectIndex(one)
+    assert len(crowd._rows) == CROWD
+    assert crowd.resemblance(sketch) < ALIKE
+    # Discs of one size and opacity, as made from point clouds: colours tell them apart well enough.
+    flat = plant.with_(
+        log_scales=np.full_like(plant.log_scales, -4.0), opacity_logits=np.full(len(plant), 2.0, np.float32)
+    )
+    moved = model_attack("similarity").apply(flat, 3.0, rng=1)
+    assert SuspectIndex(moved).resemblance(make_sketch(flat)) > 2 * ALIKE
