@@ -18,7 +18,6 @@ def candidates(core: Service, rows: Sequence[Any], folder: Path) -> list[dict[st
 
     Parameters
     ----------
-    core : Service
     rows : sequence of rows of the table `assets`
     folder : Path
         For copies of blobs that are not on this machine.

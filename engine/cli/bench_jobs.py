@@ -32,7 +32,6 @@ class Job:
         Random pictures, epochs, wrong keys or innocent copies; None for what the bars ask.
     size : (int, int)
         Width and height of rastered images, pixels.
-    seed : int
     advance : callable
         Told the fraction done.
     settings : list of str

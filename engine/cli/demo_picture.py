@@ -34,7 +34,6 @@ def draw_demo(path: Path, original: Panel, marked: Panel, suspect: Panel, headli
 
     Parameters
     ----------
-    path : Path
     original, marked : Panel
         The same view; their difference is drawn beside them.
     suspect : Panel

@@ -31,7 +31,6 @@ def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
     Parameters
     ----------
-    target : Path
     overwrite : bool
         With False, an existing target makes it fail.
 
@@ -168,7 +167,6 @@ def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_
     ----------
     image : (H, W, 3) float32
         Clipped to 0..1, stored with 8 bits.
-    path, target : Path
     quality : int
         Of a JPEG; the other formats lose nothing.
     """

@@ -71,12 +71,10 @@ def quantize(
 
     Parameters
     ----------
-    model : GaussianModel
     weights : (N,) float64
         How much an error in each Gaussian's colour is seen (W^freq, divided by its uncertainty).
     radius : float
         Radius of the scene, scene units.
-    config : HvqConfig, optional
 
     Returns
     -------

@@ -51,15 +51,10 @@ def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence
 
     Parameters
     ----------
-    model : GaussianModel
     views : sequence of View
         Prepared views of this model.
     images : sequence of (H, W, 3) float32
         Renders of those views.
-
-    Returns
-    -------
-    Impact
     """
     n = len(model)
     per_view = np.zeros((len(views), n), dtype=np.float32)

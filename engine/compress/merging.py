@@ -28,7 +28,6 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
 
     Parameters
     ----------
-    model : GaussianModel
     distance : float
         Largest squared Mahalanobis distance (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
 

@@ -66,7 +66,6 @@ def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float)
     rank : (N,) in (0, 1]
         Impact as its rank, so that thresholds are fractions of the scene whatever its units.
     clusters : (N,) int32
-    tau_base, gamma : float
 
     Returns
     -------
@@ -88,14 +87,12 @@ def prune(
 
     Parameters
     ----------
-    model : GaussianModel
     impact : (N,) float64
         What to rank by.
     worst_psnr : callable
         Worst view's PSNR of a candidate against the original renders, dB.
     radius : float
         Scene radius, for the clusters.
-    config : PruneConfig
 
     Returns
     -------
@@ -153,7 +150,6 @@ def drop_unseen_bands(
 
     Parameters
     ----------
-    model : GaussianModel
     curvature : (N, K) float32
         H of `sh_curvature`: to second order, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2.
     pixels : int

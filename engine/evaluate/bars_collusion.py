@@ -43,7 +43,6 @@ def bench_collusion(
 
     Parameters
     ----------
-    path : Path
     innocents : int
         Records of copies that took no part.
     copies : sequence of int
@@ -104,7 +103,6 @@ def innocent_copies(record: OpenedRecord, key: OwnerKey, count: int) -> Iterator
         Of a copy without landmarks, with a message derived from its name.
     key : OwnerKey
         Its key.
-    count : int
     """
     reference = bytes.fromhex(record.header.reference_digest)
     for number in range(count):

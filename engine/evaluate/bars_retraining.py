@@ -46,7 +46,6 @@ def bench_retraining(
         Steps of a training after which its model is verified, rising.
     size : int
         Pixels a side of the thief's renders.
-    config : RetrainConfig, optional
     seed : int
         Of the thief's views.
     advance : callable, optional

@@ -33,7 +33,6 @@ def bench_suite(
 
     Parameters
     ----------
-    path : Path
     named_profile : str
         Of the embeddings.
     other : GaussianModel, optional

@@ -48,7 +48,6 @@ def bench_embed(
     ----------
     scenes : sequence of path
         Model files.
-    profile : str
     repeats : int
         Timed runs, after one that is not.
     seed : int

@@ -128,7 +128,6 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
 
     Parameters
     ----------
-    model : GaussianModel
     width, height : int
         Size of the image, pixels.
     repeats : int

@@ -15,17 +15,12 @@ class Published:
 
     Parameters
     ----------
-    method, venue : str
-    year : int
     what : str
         "bit accuracy", "PSNR", "embedding time", ...
-    value : float
-    unit : str
     conditions : str
         Message length, attack, reference.
     blind : bool
         Whether reading goes without the unmarked original.
-    hardware, source : str
     """
 
     method: str

@@ -35,7 +35,6 @@ class Options:
         Paths of models; the first one is the study's main scene.
     quick : bool
         A few cells of each kind: tells in a minute or so that everything runs, not how well.
-    seed : int
     lpips_weights : str or None
         File with the weights of LPIPS, for studies that can use them.
     """
@@ -87,7 +86,6 @@ class Bar:
 
     Parameters
     ----------
-    what : str
     wanted : str
         In words and numbers: ``">= 99.9 %"``.
     measured : str
@@ -110,7 +108,6 @@ class Table:
     ----------
     columns : sequence of str
     rows : sequence of sequence
-    title : str
     """
 
     columns: Sequence[str]
@@ -128,7 +125,6 @@ class Drawing:
         Of its files.
     make : callable
         Gives a matplotlib Figure (see `engine.evaluate.drawing`).
-    caption : str
     """
 
     name: str

@@ -28,7 +28,6 @@ class LoadedModel:
 
     Parameters
     ----------
-    model : GaussianModel
     format : str
         One of `FORMATS`.
     repairs : tuple of Repair
@@ -63,10 +62,6 @@ def read_model(
         What to call the input in messages; the path by default. Never opened.
     spz_frame : str, default "auto"
         Axes of an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
-
-    Returns
-    -------
-    LoadedModel
 
     Raises
     ------

@@ -81,10 +81,6 @@ def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, t
 def write_splat(model: GaussianModel) -> bytes:
     """The file; spherical harmonics beyond degree 0 are lost, colors are clipped to 0..1.
 
-    Parameters
-    ----------
-    model : GaussianModel
-
     Returns
     -------
     bytes

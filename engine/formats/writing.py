@@ -26,10 +26,6 @@ def encode_model(model: GaussianModel, format: str) -> bytes:
     format : str
         One of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     InputError

@@ -58,7 +58,6 @@ def adam_step(
         Written to, as are the moments.
     gradient : float32
         dL/dparameter, in its shape.
-    moments : AdamMoments
     rate : float
         Step size.
     step : int

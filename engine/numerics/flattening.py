@@ -15,10 +15,6 @@ _TURNS = np.array([[0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5], [1.0, 0.0, 0.0
 def flatten(model: GaussianModel) -> GaussianModel:
     """The Gaussians as discs of 2DGS: their smallest axis becomes the third one, `DISC_THICKNESS` thin.
 
-    Parameters
-    ----------
-    model : GaussianModel
-
     Returns
     -------
     GaussianModel

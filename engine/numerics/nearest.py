@@ -89,10 +89,6 @@ class WhitenedGrid:
             Largest deviation in each of the grid's five coordinates.
         limit2 : float
             Largest squared distance.
-
-        Returns
-        -------
-        Neighbours
         """
         with parallel_section():
             cell = _cells(points, self.axes, self.edges)

@@ -57,7 +57,6 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
 
     Parameters
     ----------
-    model : GaussianModel
     scale : float
         Positive.
     R : (3, 3)

@@ -106,7 +106,6 @@ def align_image(
         Render of the unmarked reference, 0..1.
     suspect_image : (h, w, 3) float32
         The picture, 0..1, of any size.
-    config : AlignmentConfig
 
     Returns
     -------

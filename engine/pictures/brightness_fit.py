@@ -27,7 +27,6 @@ class Fit:
     ----------
     matrix : (3, 3) float64
         Reference pixel to suspect pixel coordinates.
-    gain, offset : float
     inliers : int
         Samples within 2.5 robust standard deviations.
     rms : float

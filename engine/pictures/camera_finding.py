@@ -128,7 +128,6 @@ def find_camera(
         The unmarked reference.
     image : (h, w, 3) float32
         The picture, range 0 to 1.
-    config : CameraConfig
 
     Returns
     -------

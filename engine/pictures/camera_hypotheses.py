@@ -27,7 +27,6 @@ class Hypothesis:
 
     Parameters
     ----------
-    camera : Camera
     inliers : (M,) bool
     rms : float
         Reprojection error of the inliers, pixels.

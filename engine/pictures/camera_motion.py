@@ -20,7 +20,6 @@ def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
 
     Parameters
     ----------
-    camera : Camera
     motion : (7,)
     depth : float
         Unit of the shift, scene units.

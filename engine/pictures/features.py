@@ -70,10 +70,6 @@ def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = 
         At most this many.
     mask : (H, W) bool, optional
         Where keypoints may lie.
-
-    Returns
-    -------
-    Keypoints
     """
     import cv2
 

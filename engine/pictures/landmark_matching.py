@@ -78,7 +78,6 @@ def match_landmarks(
     ----------
     keypoints : Keypoints
         P of a picture.
-    landmarks : Landmarks
     ratios : (float, float)
         Largest accepted ratio of the distances to best match and rival, 0..1; over the bank and within a view.
     radius : float
@@ -138,7 +137,6 @@ def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, 
     ----------
     keypoints : Keypoints
         In pixels of the camera's picture.
-    landmarks : Landmarks
     camera : Camera
         Roughly right.
     radius : float

@@ -64,7 +64,6 @@ class Refined:
         Of picture and render on the pixels used, -1..1.
     step : float
         Root mean square flow of the last motion, pixels of the level.
-    iterations : int
     """
 
     camera: Camera

@@ -81,7 +81,6 @@ def image_cotangent(
         The picture in the same pixels, 0..1.
     mask : (H, W) bool
         Pixels that carry evidence.
-    config : ResidualConfig
 
     Returns
     -------

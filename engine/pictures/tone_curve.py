@@ -88,10 +88,6 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
         Pixels to fit on.
     knots : int
         Of the tone curve.
-
-    Returns
-    -------
-    Toned
     """
     where = np.nonzero(mask.ravel())[0]
     where = where[:: max(1, len(where) // _SAMPLES)]

@@ -86,10 +86,8 @@ class Choice:
 
     Parameters
     ----------
-    config : EmbedConfig
     rehearsal : Rehearsal
         Of these settings.
-    wanted_z : float
     met : bool
         Whether one bad picture is predicted to show all bits and a claim. Where nothing meets that, the choice is the
         strongest; better pictures, several, or the model itself may still show everything.
@@ -144,10 +142,8 @@ def choose(
 
     Parameters
     ----------
-    model : GaussianModel
     key : OwnerKey
         Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
-    bits : int
     asked : EmbedConfig
         Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew. The number of
         cells is not: fewer save no time, more show no better.
@@ -157,7 +153,6 @@ def choose(
         The owner's own.
     keep_psnr : bool
         The owner named this fidelity: evidence may not be bought with it.
-    clock : Clock, optional
 
     Returns
     -------
@@ -199,13 +194,8 @@ def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_
         Before any pruning.
     key : OwnerKey
         Draws the key views.
-    config : EmbedConfig
     original_sha256 : str
         Hex digest of the owner's file.
-
-    Returns
-    -------
-    Rehearsal
     """
     small = replace(config, view_size=VIEW_SIZE)
     return _Rehearsing(lay_groundwork(model, key, original_sha256, small), None).at(small)

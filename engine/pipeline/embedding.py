@@ -76,30 +76,22 @@ def embed(
 
     Parameters
     ----------
-    model : GaussianModel
-    key : OwnerKey
     original_sha256 : str
         Hex digest of the owner's file; the record commits to it.
     message : (B,) signs, optional
         Derived from the key where not given.
     bits : int
         Length of a derived message.
-    config : EmbedConfig, optional
     cameras : sequence of Camera, optional
         The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
     copy : str
         Name of the recipient; every copy has a message and chips of its own.
     registered_at : str
         Time of registration as the caller knows it; no clock is read here.
-    progress : callable, optional
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
     ground : Groundwork, optional
         Already laid for this model, key, configuration and these cameras (`Choice.ground`): nothing is looked at twice.
-
-    Returns
-    -------
-    Embedding
 
     Raises
     ------

@@ -40,10 +40,8 @@ class Groundwork:
         Of the model as it came.
     views : ViewSet
         With the model and the cameras.
-    impact : Impact
     config : EmbedConfig
         Under which it was made.
-    variant : Variant
     """
 
     extent: Extent
@@ -100,16 +98,12 @@ def lay_groundwork(
 
     Parameters
     ----------
-    model : GaussianModel
-    key : OwnerKey
     original_sha256 : str
         Hex digest of the owner's file.
     config : EmbedConfig
         Number and size of the key views; the quantiser.
     cameras : sequence of Camera, optional
         The owner's own; key views are chosen among them. Generated from the model otherwise.
-    variant : Variant
-    clock : Clock, optional
 
     Raises
     ------

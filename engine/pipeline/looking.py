@@ -105,7 +105,6 @@ def place_by_looking(
 
     Parameters
     ----------
-    suspect : GaussianModel
     reference : GaussianModel
         The unmarked reference.
     landmarks : Landmarks

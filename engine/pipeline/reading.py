@@ -68,17 +68,6 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
     alignment. A model that shares no Gaussian with the reference is placed by what it looks like; then each view's
     camera is refined on its picture, and the views by which the model was recognised are read, too.
-
-    Parameters
-    ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
-    registration : Registration
-    clock : Clock
-
-    Returns
-    -------
-    Seen
     """
     if registration.found and not registration.deformed:
         moved = transform_model(suspect, registration.scale, registration.R, registration.t)
@@ -135,10 +124,8 @@ def read_pictures(
     ----------
     images : sequence of (h, w, 3) float32
         At least one; range 0 to 1.
-    opened : OpenedRecord
     cameras : sequence of Camera, optional
         One for each picture; found from the record's landmarks where not given.
-    clock : Clock
 
     Returns
     -------

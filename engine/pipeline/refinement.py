@@ -80,14 +80,11 @@ def refine(
         Closed-form mark at its final strength, SH units.
     cameras : list of Camera
         Key views.
-    layout : Layout
     signed : (C,) float64
         Planned amplitude times chip times message sign: the matched filter.
     bit_of : (C,) int32
-    bits : int
     uncertainty : (N,) float64
         Laplace uncertainty of the DC colour; scales each Gaussian's step.
-    config : RefineConfig
     advance : callable
         Told the fraction done.
     seed : int

@@ -84,7 +84,6 @@ def make_rig(
 
     Parameters
     ----------
-    model : GaussianModel
     count : int
         Number of cameras.
     width, height : int
@@ -94,10 +93,6 @@ def make_rig(
         seed. Without it the rig is the plain, regular one.
     extent : Extent, optional
         Where the model is, when already measured.
-
-    Returns
-    -------
-    list of Camera
     """
     extent = extent or measure_extent(model)
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)

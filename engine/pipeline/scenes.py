@@ -19,7 +19,6 @@ class ViewSet:
 
     Parameters
     ----------
-    model : GaussianModel
     cameras : sequence of Camera
     views : sequence of View
     frames : sequence of GaussianModel

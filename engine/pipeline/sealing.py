@@ -32,7 +32,6 @@ class OpenedRecord:
 
     Parameters
     ----------
-    header : RecordHeader
     copy : str
         Name of the recipient.
     reference : GaussianModel
@@ -46,7 +45,6 @@ class OpenedRecord:
         Bits and chips, drawn anew from the key and the digests of what was opened.
     cameras : list of Camera
         Key views.
-    landmarks : Landmarks or None
     settings : dict
         Profile and configuration of the embedding.
     commitments : dict of str to str

@@ -42,7 +42,6 @@ def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) ->
     energies : (V, C)
         Of `Plan`.
     cameras : sequence of Camera
-    psnr_db : float
     """
     pixels = 3.0 * cameras[0].width * cameras[0].height
     most = max(float(energies.sum(axis=1).max()), 1e-30)

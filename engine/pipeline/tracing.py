@@ -38,7 +38,6 @@ class CopyFinding:
     ----------
     copy : str
         Name of the recipient.
-    record_id : str
     named : bool
         The copy took part: its false-claim bound, all tries counted, is at most the rate asked for.
     z : float
@@ -75,7 +74,6 @@ class Tracing:
     false_claim_rate : float
         Largest probability that any innocent copy is named, fixed before the evidence was seen.
     notes : tuple of str
-    seconds : float
     seconds_by_stage : dict of str to float
     """
 
@@ -115,16 +113,10 @@ def trace_model(
 
     Parameters
     ----------
-    suspect : GaussianModel
     records : iterable of OpenedRecord
         Any number; only one of each asset and layout is kept in memory.
     config : VerifyConfig, optional
         Route "auto" reads the Gaussians, and looks at renders of the pose key only where they name nobody.
-    progress : callable, optional
-
-    Returns
-    -------
-    Tracing
 
     Raises
     ------
@@ -175,10 +167,8 @@ def trace_images(
     images : sequence of (h, w, 3) float32
         Range 0 to 1; any size, possibly rotated, scaled or cropped.
     records : iterable of OpenedRecord
-    config : VerifyConfig, optional
     cameras : sequence of Camera, optional
         One for each picture, where known; found from the landmarks of the records otherwise.
-    progress : callable, optional
 
     Returns
     -------

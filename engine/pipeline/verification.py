@@ -44,15 +44,8 @@ def verify_model(
 
     Parameters
     ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
     config : VerifyConfig, optional
         Route "auto" reads the Gaussians, and looks at renders of the pose key only when that is not conclusive.
-    progress : callable, optional
-
-    Returns
-    -------
-    Verification
     """
     config = config or VerifyConfig()
     if config.route == "image":
@@ -98,11 +91,8 @@ def verify_images(
     ----------
     images : sequence of (h, w, 3) float32
         Range 0 to 1; any size, possibly rotated, scaled or cropped.
-    opened : OpenedRecord
-    config : VerifyConfig, optional
     cameras : sequence of Camera, optional
         One for each picture, where known; found from the record's landmarks otherwise.
-    progress : callable, optional
 
     Returns
     -------

@@ -55,7 +55,6 @@ def rasterize(
     colors : (N, 3) float, optional
         Colours as they are.
     background : float or three, optional
-    settings : RasterSettings, optional
 
     Returns
     -------

@@ -73,8 +73,6 @@ def blend_tiles(
     limits : float32 (log2 of the smallest alpha, largest alpha, transmittance that ends a pixel, tau of Eq 8)
     background : (C,)
     impact : (N,) W^freq of Eq 8, or None
-    image, alpha : flat, out
-    scratch, items : one row per worker
     counter : (1,) int64, the queue of tiles
     evaluated : (tiles,) int64 out, (Gaussian, block) items blended: 16 pixel fragments each
     """

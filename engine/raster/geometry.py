@@ -33,8 +33,6 @@ class Geometry:
 
     Parameters
     ----------
-    camera : Camera
-    settings : RasterSettings
     count : int
         Gaussians in the model, N.
     records : flat (at least N * RECORD,)

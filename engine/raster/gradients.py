@@ -34,8 +34,6 @@ class Rendering:
 
     Parameters
     ----------
-    model : GaussianModel
-    view : View
     colors : (N, 3) float32
     own_colors : bool
         The colours were given, not taken from the model's SH.

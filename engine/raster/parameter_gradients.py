@@ -161,7 +161,6 @@ def parameter_gradients(
     firsts, slots : see `geometry.Geometry`
     toward : flat (N, 3), dL/dmeans by way of the colours' viewing direction, or empty
     scratch : (chunks, GRADIENT_SCRATCH)
-    d_means, d_quats, d_log_scales, d_logits : flat, out
     d_centers : flat (2, N) out, by the projected centre, pixels
     d_camera : (chunks, 32) out, `CAMERA_SUMS` numbers a chunk
     """

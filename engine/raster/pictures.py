@@ -28,7 +28,6 @@ def render(
 
     Parameters
     ----------
-    model : GaussianModel
     camera : Camera
         H x W pixels.
     background : scalar or (3,), optional

@@ -92,7 +92,6 @@ class View:
 
     Parameters
     ----------
-    geometry : Geometry
     depth_of_all : (N,) float32
         Camera z of every Gaussian, scene units.
     impact : (N,) float32 or None
@@ -310,10 +309,6 @@ def prepare_view(
         Tiles to draw; the others show the background. Cost follows the mask.
     impact : (N,) float32, optional
         W^freq of the paper's Eq 8, needed with ``settings.impact_stop``.
-
-    Returns
-    -------
-    View
 
     Raises
     ------

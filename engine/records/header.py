@@ -44,7 +44,6 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
 
     Parameters
     ----------
-    key : OwnerKey
     reference : bytes
         `reference_digest` of the canonical reference, 32 bytes.
     copy : str

@@ -31,7 +31,6 @@ class Record:
 
     Parameters
     ----------
-    header : RecordHeader
     copy : str
         Name of the copy.
     plan : mapping
@@ -127,8 +126,6 @@ class Record:
 
         Parameters
         ----------
-        data : bytes
-        key : OwnerKey
         max_body_bytes : int
             Refuse records that would unpack to more.
 

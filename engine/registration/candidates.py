@@ -84,7 +84,6 @@ class FeatureIndex:
 
     Parameters
     ----------
-    reference : GaussianModel
     degree : int
         SH degree up to which energies are used.
     colors : bool
@@ -135,19 +134,13 @@ class FeatureIndex:
 
         Parameters
         ----------
-        suspect : GaussianModel
         count : int
             Pairs kept, those whose look is the least ambiguous.
-        rng : numpy Generator
         queries : int
             Gaussians asked for.
         deep : bool
             Draw the queries at random instead of taking the rarest: in a large foreign scene that holds a
             small piece of the reference, the rarest-looking Gaussians are the foreign ones.
-
-        Returns
-        -------
-        Candidates
         """
         m, most = len(suspect), 10 * queries
         pool = np.arange(m) if m <= most else np.sort(rng.choice(m, most, replace=False))

@@ -68,14 +68,10 @@ def unexplained(
 
     Parameters
     ----------
-    reference, suspect : GaussianModel
     matches : (M,) int32
         Under the similarity.
-    fit : Similarity
     deviations : Deviations or None
         Errors under the similarity, None where nothing was matched.
-    floor : Deviations
-    rng : numpy Generator
 
     Returns
     -------
@@ -114,11 +110,8 @@ def register_deformed(
 
     Parameters
     ----------
-    index : ReferenceIndex
-    suspect : GaussianModel
     todo : (n,) int64
         Suspect Gaussians to begin at, in no order.
-    rng : numpy Generator
 
     Returns
     -------

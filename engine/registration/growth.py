@@ -78,14 +78,12 @@ def grow(
 
     Parameters
     ----------
-    reference, suspect : GaussianModel
     pairs : (n,) int64, (n,) int64
         Reference and suspect index of pairs, nearly all of them right.
     deviations : Deviations
         Their errors after local maps.
     floor : Deviations
         Errors below which nothing is measured.
-    rng : numpy Generator
 
     Returns
     -------

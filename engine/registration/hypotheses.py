@@ -45,7 +45,6 @@ class Hypothesis:
 
     Parameters
     ----------
-    fit : Similarity
     evidence : float
         Log likelihood ratio, in nats, of the residuals against chance pairs, at the best tolerance, less what
         the same similarity gets for shuffled pairs.
@@ -87,10 +86,8 @@ def propose(
 
     Parameters
     ----------
-    pairs : Candidates
     turn : (n, 4) float64
         Rotation of each pair as unit quaternion, reference after suspect.
-    agreement : Agreement
     extent : float
         Size of the reference, scene units.
     chance : (BINS,) float64

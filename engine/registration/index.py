@@ -16,12 +16,7 @@ from engine.registration.patches import Looks
 
 @dataclass(frozen=True, eq=False)
 class ReferenceIndex:
-    """A reference with what registration works out about it; keep it where many suspects of one come.
-
-    Parameters
-    ----------
-    model : GaussianModel
-    """
+    """A reference with what registration works out about it; keep it where many suspects of one come."""
 
     model: GaussianModel
     _features: dict[tuple[int, bool], FeatureIndex] = field(default_factory=dict, repr=False)

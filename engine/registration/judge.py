@@ -30,7 +30,6 @@ class Verdict:
 
     Parameters
     ----------
-    fit : Similarity
     matcher : Matcher or None
         The reference laid out for the errors that were measured; None where the order tells the pairs.
     deviations : Deviations
@@ -60,7 +59,6 @@ def judge(
 
     Parameters
     ----------
-    reference, suspect : GaussianModel
     fit : Similarity
         The proposal.
     inliers : (k,) int, (k,) int, optional

@@ -119,10 +119,8 @@ def joint_vectors(
 
     Parameters
     ----------
-    model : GaussianModel
     fit : Similarity
         Takes the model into the reference's frame.
-    deviations : Deviations
     centre : (3,) float64
         Subtracted from the positions, for the sake of float32.
     suspect : bool
@@ -158,13 +156,7 @@ def turned_quats(quats: Float32, fit: Similarity) -> Float32:
 
 
 class Matcher:
-    """The reference laid out for matching at given deviations.
-
-    Parameters
-    ----------
-    reference : GaussianModel
-    deviations : Deviations
-    """
+    """The reference laid out for matching at given deviations."""
 
     def __init__(self, reference: GaussianModel, deviations: Deviations) -> None:
         self.deviations = deviations
@@ -220,18 +212,12 @@ def estimate_deviations(
 
     Parameters
     ----------
-    reference, suspect : GaussianModel
     pairs : (n,) int, (n,) int
         Reference and suspect index of each pair, most of them right.
-    fit : Similarity
     floor : Deviations
         Nothing below this.
     colors : bool
         Whether to believe the colours at all; if not, only the capped tail of the colour distance counts.
-
-    Returns
-    -------
-    Deviations
     """
     unit = Deviations(np.ones(3), np.ones(3), 1.0, np.ones(3), 1.0, np.ones(3), np.zeros(3))
     ref, sus = reference.take(pairs[0]), suspect.take(pairs[1])

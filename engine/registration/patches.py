@@ -52,7 +52,6 @@ class Looks:
 
     Parameters
     ----------
-    reference : GaussianModel
     degree : int
         SH degree up to which energies are used.
     """
@@ -119,14 +118,12 @@ def find_patches(
     ----------
     looks : Looks
         Of the reference.
-    suspect : GaussianModel
     places : cKDTree
         Of the suspect's centres.
     centers : (c,) int
         Suspect Gaussians about which patches are taken.
     floor : Deviations
         Errors below which nothing is measured.
-    rng : numpy Generator
 
     Returns
     -------

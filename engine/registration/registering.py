@@ -83,7 +83,6 @@ class Registration:
 
     Parameters
     ----------
-    scale : float
     R : (3, 3) float64
         Proper rotation.
     t : (3,) float64
@@ -137,10 +136,8 @@ def register(
     ----------
     reference : GaussianModel or ReferenceIndex
         The unmarked reference.
-    suspect : GaussianModel
     seed : int
         Of the samples and triples drawn; the same seed gives the same answer.
-    config : RegistrationConfig
 
     Returns
     -------

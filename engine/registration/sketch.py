@@ -115,12 +115,7 @@ def make_sketch(model: GaussianModel) -> Sketch:
 
 
 class SuspectIndex:
-    """A suspect laid out for comparing it with many sketches.
-
-    Parameters
-    ----------
-    model : GaussianModel
-    """
+    """A suspect laid out for comparing it with many sketches."""
 
     def __init__(self, model: GaussianModel) -> None:
         self.model = model

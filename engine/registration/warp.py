@@ -90,7 +90,6 @@ def warped(model: GaussianModel, maps: Affine) -> GaussianModel:
 
     Parameters
     ----------
-    model : GaussianModel
     maps : (N, 3, 4) float64
 
     Returns

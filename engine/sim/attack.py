@@ -51,7 +51,6 @@ class Attack(Generic[T]):
 
     Parameters
     ----------
-    name : str
     kind : {"model", "image"}
     summary : str
         What happens, one line.

@@ -66,10 +66,6 @@ def model_cost(
     seed : int
         Of the views and of the registration.
 
-    Returns
-    -------
-    Cost
-
     Raises
     ------
     InputError

@@ -35,7 +35,6 @@ class FineTuneSetting:
 
     Parameters
     ----------
-    name : str
     clean_images : bool
         Renders of the unmarked model; otherwise his own of the marked one.
     pose_key : bool
@@ -72,8 +71,6 @@ def pictures_of(
 
     Parameters
     ----------
-    setting : FineTuneSetting
-    original, marked : GaussianModel
     key_views : sequence of Camera
         The owner's; without the pose key only their number is used.
     size : int

@@ -69,10 +69,8 @@ def merge_into(
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Foreign Gaussians per Gaussian of the model.
-    rng : numpy.random.Generator
     other : GaussianModel, optional
         The foreign scene; a connected piece of it when it is larger than asked for, all of it when not.
         Without it a synthetic one, see `foreign_scene`.

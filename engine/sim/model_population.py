@@ -51,17 +51,12 @@ def prune_low_impact(
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Removed share, in [0, 1).
     rng : numpy.random.Generator
         Places the views where no cameras are given.
     cameras : sequence of Camera, optional
         Views over which the blending weights alpha * T are added up; 24 generated ones where not given.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------

@@ -70,7 +70,6 @@ def convert(model: GaussianModel, strength: str, rng: np.random.Generator) -> Ga
 
     Parameters
     ----------
-    model : GaussianModel
     strength : str
         A format that `engine.formats.encode_model` writes: "ply", "compressed.ply", "splat", "spz", "sog".
     rng : numpy.random.Generator

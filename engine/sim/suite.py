@@ -34,7 +34,6 @@ class Trial:
 
     Parameters
     ----------
-    label : str
     chain : tuple of (str, float or str)
         Attacks in order, each by name and strength.
     source : str
@@ -105,9 +104,6 @@ def apply_chain(
     Parameters
     ----------
     target : GaussianModel or (H, W, 3) float32
-    trial : Trial
-    seed : int
-    company : Company
     source : GaussianModel, optional
         The marked model that a copy attack lifts from.
     skip : iterable of str
@@ -150,14 +146,11 @@ def run_suite(
 
     Parameters
     ----------
-    subject : Subject
     trials : sequence of Trial
-    company : Company
     config : VerifyConfig
         Of the verifications.
     pictures : int
         Key views that image attacks are tried on, each alone; the row is that of the lowest z.
-    seed : int
     advance : callable, optional
         Told the fraction done.
 

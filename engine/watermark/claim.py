@@ -77,7 +77,6 @@ class Claim:
 
     Parameters
     ----------
-    verdict : Verdict
     confidence : float
         1 - min(1, tries * bound): one minus the largest probability that a key with no part in the suspect
         would have come this far. It is not a probability that the suspect is marked.
@@ -192,19 +191,12 @@ def decide(
         The registered message.
     tries : int
         Number of (record, transform, route) hypotheses tried in this verification, >= 1.
-    config : ClaimConfig, optional
-    route, copy : str
     derived_fraction : float, optional
         Share of the reference found in the suspect.
     absence_power : float, optional
         For a suspect in which nothing of the reference was found (no signal to expect): the probability that
         it would have been found. At `config.power` or above the answer is then `not_marked`.
-    transform : mapping, optional
     notes : tuple of str
-
-    Returns
-    -------
-    Claim
     """
     config = config or ClaimConfig()
     signal = np.broadcast_to(np.asarray(signal, dtype=np.float64), np.shape(y))

@@ -148,7 +148,6 @@ class OwnerKey:
 
         Parameters
         ----------
-        text : str
         name : str
             What errors call it.
 

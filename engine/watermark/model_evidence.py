@@ -73,7 +73,6 @@ def gather_model_evidence(
 
     Parameters
     ----------
-    layout : Layout
     reference_dc : (N, 3) float32
         DC colours of the unmarked reference.
     suspect_dc : (n, 3) float32
@@ -82,10 +81,6 @@ def gather_model_evidence(
         Reference row of each suspect Gaussian, or -1.
     quality : (n,) float32
         Trust in each match, 0 to 1.
-
-    Returns
-    -------
-    Evidence
     """
     rows = np.flatnonzero((matches >= 0) & (quality > 0))
     target = matches[rows]

@@ -73,7 +73,6 @@ def make_plan(
         Quantiser of the unmarked model; at least stage 0.
     impact : Impact
         Over the key views.
-    config : PlanConfig, optional
     emphasis : (N,) float, optional
         Factor on the amplitude of each Gaussian's code vector, averaged over its members.
 
@@ -167,7 +166,6 @@ def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> F
     strength : float
         Factor on all amplitudes.
     bit_of : (C,) int
-    bits : int
 
     Returns
     -------

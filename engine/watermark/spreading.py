@@ -27,7 +27,6 @@ def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: in
 
     Parameters
     ----------
-    key : OwnerKey
     context : bytes
         Digest of the canonical reference and record id (`chip_context`): binds the chips to this asset.
     codes : tuple of int

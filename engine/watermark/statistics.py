@@ -212,7 +212,6 @@ def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
     y, w : (C,)
     seed : bytes
         32 bytes; the same seed gives the same keys.
-    count : int
 
     Returns
     -------

@@ -25,10 +25,8 @@ class Carried:
     ----------
     kind : str
         "jws", "json" or "html".
-    jws : str
     document : dict or None
         As a JSON claim spells it out.
-    timestamp : bytes or None
     pictures : dict
         Name -> bytes, of a report.
     """

@@ -171,7 +171,6 @@ def build_document(
     ----------
     reply : mapping
         Of the task `verify`.
-    claim_id, created_at : str
     sha256 : sequence of str
         Of each file handed in.
     asset : mapping or None

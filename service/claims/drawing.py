@@ -50,7 +50,6 @@ class Scale:
     ticks : list of (x, power)
     bar : float
         Where the bound stands, or the right end if it lies beyond.
-    beyond : bool
     asked, dishonest : float
         Where the claim's own threshold and 2^-128 stand.
     """

@@ -39,8 +39,6 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any
 
     Parameters
     ----------
-    service : Service
-    job : Job
     reply : mapping
         Of the task `verify`, with `kept` (name -> SHA-256) in place of `files`.
     """
@@ -79,8 +77,6 @@ def issue_claim(
     ----------
     connection : Connection
         Of `Database.write`.
-    master : MasterKey
-    tenant, job : str
     reply : mapping
         Of the task `verify`.
     sha256 : sequence of str

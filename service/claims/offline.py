@@ -45,8 +45,6 @@ class Check:
     ----------
     code : str
         readable, signature, schema, arithmetic, log, registration, document, pictures, page or timestamp.
-    status : Status
-    text : str
     """
 
     code: str

@@ -58,8 +58,6 @@ def submit(service: Service, tenant: str, key: str | None, body: Mapping[str, An
 
     Parameters
     ----------
-    service : Service
-    tenant : str
     key : str or None
         The Idempotency-Key.
     body : mapping

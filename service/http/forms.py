@@ -31,7 +31,6 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
 
     Parameters
     ----------
-    request : Request
     kind : type of BaseModel
     files : sequence of str
         Fields that may hold files.

@@ -68,7 +68,6 @@ class Children:
 
     Parameters
     ----------
-    limits : Limits
     command : sequence of str
         Starts the process.
     """
@@ -101,7 +100,6 @@ class Children:
 
         Parameters
         ----------
-        task : str
         request : mapping
             JSON values; secrets are allowed, they go through a pipe.
         folder : Path

@@ -33,7 +33,6 @@ class Job:
         `api_key` is the public id of the key that asked for it.
     kind : str
         Key of the flows: "embed" or "verify".
-    state : State
     request : mapping
         What was asked, JSON values; never a secret.
     stage, fraction : str, float
@@ -98,7 +97,6 @@ class Run:
 
     Parameters
     ----------
-    job : Job
     results : dict
         What the steps before returned, by step name.
     folder : Path

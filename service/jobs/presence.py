@@ -18,12 +18,7 @@ LEFT = 0.0
 
 
 class Presence:
-    """The `workers` table.
-
-    Parameters
-    ----------
-    db : Database
-    """
+    """The `workers` table."""
 
     def __init__(self, db: Database) -> None:
         self._db = db
@@ -74,7 +69,6 @@ class Watch:
             Worker -> its last sign of life, as just read.
         owners : collection of str
             Workers that hold jobs; one without a row is as silent as can be.
-        seconds : float
         """
         moment = time.monotonic()
         signs: dict[str, float | None] = dict.fromkeys(owners) | dict(seen)

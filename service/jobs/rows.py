@@ -25,7 +25,6 @@ class Attempt:
 
     Parameters
     ----------
-    job : Job
     number : int
         Of this attempt, from 1. Once another worker has begun the job, this one can change it no more.
     tries : int
@@ -38,12 +37,7 @@ class Attempt:
 
 
 class Rows:
-    """Reads and changes of the table.
-
-    Parameters
-    ----------
-    db : Database
-    """
+    """Reads and changes of the table."""
 
     def __init__(self, db: Database) -> None:
         self._db = db

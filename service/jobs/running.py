@@ -38,13 +38,10 @@ class Runner:
 
     Parameters
     ----------
-    jobs : DurableJobs
     flows : mapping
         Kind of job -> its steps.
-    children : Children
     scratch : Path
         Folder of the steps' folders.
-    worker : str
     stopping : threading.Event
         Set when the worker shuts down.
 

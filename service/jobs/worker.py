@@ -34,10 +34,8 @@ class Worker:
 
     Parameters
     ----------
-    settings : Settings
     flows : mapping
         Kind of job -> its steps.
-    jobs : DurableJobs
     name : str, optional
         Letters, digits, dots and dashes. A worker that comes back under its name takes up its jobs at once; at most
         one process may use a name. Without one, a fresh name is made.

@@ -31,7 +31,6 @@ class Entry:
 
     Parameters
     ----------
-    index : int
     at : str
         UTC, ISO 8601.
     tenant, event, subject : str
@@ -69,7 +68,6 @@ def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[
     ----------
     connection : Connection
         Of `Database.write`.
-    tenant, event : str
     payload : mapping
         JSON values; digests and public facts, never secrets.
     subject : str

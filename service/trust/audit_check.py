@@ -33,7 +33,6 @@ class Fault:
         Entry of the log; None for a row that no entry speaks of.
     code : str
         entry, chain, gap, tree, asset, claim or signature.
-    text : str
     """
 
     index: int | None
@@ -47,7 +46,6 @@ class LogReport:
 
     Parameters
     ----------
-    entries : int
     root : str
         Merkle root over all of them, hex; "" where the tree is broken.
     assets, claims : int

@@ -33,7 +33,6 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
 
     Parameters
     ----------
-    connection : Connection
     row : mapping
         Every column of the table `assets`.
     """
@@ -74,8 +73,6 @@ def commit_claim(
 
     Parameters
     ----------
-    connection : Connection
-    tenant : str
     document : mapping
         With the members `claim_id` and `asset`.
     registration : Entry or None

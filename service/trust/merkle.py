@@ -70,7 +70,6 @@ def check_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes], 
     index, size : int
         Which leaf, of how many.
     proof : sequence of bytes
-    root : bytes
     """
     if not 0 <= index < size:
         return False

@@ -79,7 +79,6 @@ def verify(token: str, jwks: Mapping[str, Any]) -> tuple[bytes, str]:
 
     Parameters
     ----------
-    token : str
     jwks : mapping
         The keys that are trusted.
 

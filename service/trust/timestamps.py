@@ -44,7 +44,6 @@ def stamp(url: str, jws: str) -> Stamped:
     ----------
     url : str
         http(s) address of a time-stamping service.
-    jws : str
     """
     try:
         request = TimestampRequestBuilder().data(jws.encode()).hash_algorithm(HashAlgorithm.SHA256).build()

@@ -40,8 +40,6 @@ def draw_evidence(
 
     Parameters
     ----------
-    folder : Path
-    opened : OpenedRecord
     found : Verification
         Of this record.
     model, picture : GaussianModel, (H, W, 3) float32

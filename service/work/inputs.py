@@ -31,8 +31,6 @@ class Candidate:
     ----------
     asset : str
         Its id, handed back as it came.
-    record : Path
-    key : OwnerKey
     sketch : Path or None
         None where the suspect is to be registered to it in any case.
     """
@@ -90,7 +88,6 @@ def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] 
 
     Parameters
     ----------
-    path : str or None
     count : int, optional
         How many there must be: one for each picture.
     """

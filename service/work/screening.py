@@ -66,11 +66,8 @@ def find_marks(model: GaussianModel, candidates: Sequence[Candidate], limit: int
 
     Parameters
     ----------
-    model : GaussianModel
     candidates : sequence of Candidate
         Those that matter most first: at most `limit` of those alike are verified, in this order.
-    limit : int
-    progress : callable
     """
     alike = {each.candidate.asset for each in rank(model, candidates, progress) if each.alike}
     chosen = [candidate for candidate in candidates if candidate.asset in alike][:limit]

@@ -30,9 +30,6 @@ class FittedPictures:
 
     Parameters
     ----------
-    name : str
-    mark : PictureMark
-    stands_for : str
     views : int
         Training views, a regular rig about the original.
     size : int

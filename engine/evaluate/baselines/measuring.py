@@ -51,7 +51,6 @@ def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys
         Of the key; attacks have streams of their own that do not depend on it.
     pictures : int
         Single pictures under each image attack.
-    wrong_keys : int
     quick : bool
         Few attacks, small views.
 

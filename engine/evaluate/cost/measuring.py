@@ -44,7 +44,6 @@ def measure_size(
         Path of a model.
     axis : str
         What grows, for the report; `size` is its value.
-    size, seed : int
     gaussians : int, optional
         Thin or replicate the scene to this many.
     views, view_size, landmarks : int

@@ -21,11 +21,9 @@ def sized(model: GaussianModel, count: int, seed: int = 0) -> GaussianModel:
 
     Parameters
     ----------
-    model : GaussianModel
     count : int
         Fewer than the model has: a random choice of them. More: copies on a square grid, each turned about the up
         axis by an angle of its own, the last one thinned.
-    seed : int
 
     Returns
     -------

@@ -36,7 +36,6 @@ def count_wrong_keys(y: Float64, weights: Float64, keys: int, seed: bytes) -> Ro
     Parameters
     ----------
     y, weights : (C,) float64
-    keys : int
     seed : bytes
         See `wrong_key_seed`.
 

@@ -22,8 +22,6 @@ class Rates:
 
     Parameters
     ----------
-    name : str
-    keys : int
     hits : tuple of int
     """
 

@@ -69,7 +69,6 @@ def divergence(cost: Float64, first: int, epsilon: float) -> float:
         Of all pairs of both samples.
     first : int
         n.
-    epsilon : float
     """
     across = transport_cost(cost[:first, first:], epsilon, tolerance=1e-3)
     within = transport_cost(cost[:first, :first], epsilon, tolerance=1e-3)
@@ -89,7 +88,6 @@ def permutation_test(
         Random divisions of the joint sample.
     epsilon_share : float
         Entropy's weight, of the median cost.
-    seed : int
 
     Returns
     -------

@@ -81,13 +81,10 @@ def try_found(path: str, name: str, keys: int, quick: bool, seed: int) -> list[R
 
     Parameters
     ----------
-    path : str
     name : {"marked", "noised", "unmarked", "foreign"}
         The owner's; the same with noise of 0.1 on every attribute; the original; marked by another key.
-    keys : int
     quick : bool
         The Gaussians alone; of the marked model one picture, too.
-    seed : int
     """
     scene = marked_scene(path, quick, seed)
     if name == "foreign":

@@ -25,7 +25,6 @@ class Point:
         Where it starts from; "auto" leaves it to `engine.pipeline.choosing`.
     changes : tuple of (str, value)
         Knobs of EmbedConfig, and `cells` (of the quantiser), `budget` (dB, of pruning).
-    bits : int
     degree : int or None
         SH degree the model is cut to before; None leaves it.
     """

@@ -20,7 +20,6 @@ class Result:
 
     Parameters
     ----------
-    point : Point
     embed_seconds : float
         Sum of the medians of all stages, the landmark bank included.
     cpu_seconds : float

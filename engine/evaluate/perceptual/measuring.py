@@ -41,14 +41,12 @@ def look_at_mark(
     ----------
     path : str
         Of a model.
-    profile_name : str
     views : int
         Views outside the pose key.
     size : int
         Of those views, pixels a side, at least 176.
     seed : int
         Of key and views.
-    lpips_weights : str, optional
 
     Returns
     -------

@@ -23,10 +23,8 @@ class Break:
 
     Parameters
     ----------
-    step : float
     low, high : float
         95 % interval over resampled trials.
-    trials : int
     """
 
     step: float
@@ -58,10 +56,8 @@ def breaking_point(curves: Float64, level: float, *, draws: int = 1_000, seed: i
     Parameters
     ----------
     curves : (trials, steps)
-    level : float
     draws : int
         Resamples of the trials.
-    seed : int
     """
     picks = np.random.default_rng(seed).integers(len(curves), size=(draws, len(curves)))
     drawn = np.sort([first_below(curves[pick].mean(axis=0), level) for pick in picks])

@@ -41,7 +41,6 @@ class Swept:
         What is left of the look, dB, mean over the scenes; NaN where nothing says so.
     coverage : (S,) float64
         Share of what is to be seen that an attacked model still covers; NaN for pictures.
-    z_threshold : float
     by_looking : dict of float to float
         z of the renders at the first strength whose Gaussians gave no claim, least of the scenes.
     """

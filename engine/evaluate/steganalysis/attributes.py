@@ -38,7 +38,6 @@ class Regions:
     ----------
     label : (N,) int64
         Region of each Gaussian.
-    count : int
     neighbors : (N, FAR) int64
         Nearest first.
     """
@@ -73,7 +72,6 @@ def measure_regions(model: GaussianModel, regions: Regions) -> Float64:
     ----------
     model : GaussianModel
         In the order that the regions were made of.
-    regions : Regions
 
     Returns
     -------

@@ -42,12 +42,10 @@ def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: 
     ----------
     path : str
         Of a model.
-    profile_name : str
     form : str
         One of `FORMS`.
     keys : int
         To train on; as many others to be asked about.
-    seed : int
     method : str
         "ours" or one of the runnable baselines that mark models, at the profile's PSNR.
 

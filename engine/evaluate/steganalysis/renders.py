@@ -27,8 +27,6 @@ def look_at_renders(path: str, profile_name: str, views: int, checked_views: int
     ----------
     path : str
         Of a model.
-    profile_name : str
-    views : int
     checked_views : int
         Of these, how many unmarked ones also get replaced bits.
     size : int

@@ -41,7 +41,6 @@ def area_interval(
         Of the same n views or regions, drawn together: the scores of one place are alike.
     groups : sequence of (negative, positive), optional
         Several scores of one place each; then the first two arguments are not looked at.
-    draws, seed : int
 
     Returns
     -------

@@ -18,13 +18,7 @@ CONDITIONS = ("none", "JPEG 10", "noise 0.1")
 
 @dataclass(frozen=True)
 class Effect:
-    """Change of z against the base, in per cent, with a bootstrap interval over the pairs.
-
-    Parameters
-    ----------
-    percent, low, high : float
-    pairs : int
-    """
+    """Change of z against the base, in per cent, with a bootstrap interval over the pairs."""
 
     percent: float
     low: float

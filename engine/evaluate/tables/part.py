@@ -23,7 +23,6 @@ class Part:
     ----------
     name : str
         ``table1`` ...
-    title, question : str
     cells : callable
         Options -> cells; parts may share cells, which are then run once.
     section : callable

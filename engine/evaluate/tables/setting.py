@@ -30,7 +30,6 @@ class Setting:
         Fields of `EmbedConfig` to other values, nested as its stages are.
     without : str
         A step to take out that has no knob (see `engine.evaluate.tables.without`).
-    bits : int
     unmarked : bool
         Look at the unmarked original in place of the marked model.
     """

@@ -97,10 +97,6 @@ def read_photos(
     binary : bool
         Whether they are binary.
 
-    Returns
-    -------
-    list of PosedPhoto
-
     Raises
     ------
     CameraError

@@ -71,10 +71,6 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         Text, a pose a line. Eight numbers (TUM): time, position x y z, quaternion x y z w. Twelve (KITTI): the
         upper three rows of the matrix from sensor to world, row by row. Lines that start with ``#`` are comments.
 
-    Returns
-    -------
-    Trajectory
-
     Raises
     ------
     FormatError

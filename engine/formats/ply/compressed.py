@@ -105,10 +105,6 @@ def read_compressed_ply(
 def write_compressed_ply(model: GaussianModel) -> bytes:
     """The file: 16 bytes a Gaussian, 72 a chunk, and one for every coefficient beyond the first three.
 
-    Parameters
-    ----------
-    model : GaussianModel
-
     Returns
     -------
     bytes

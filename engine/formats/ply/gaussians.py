@@ -69,10 +69,6 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
 
     Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them.
 
-    Parameters
-    ----------
-    model : GaussianModel
-
     Yields
     ------
     bytes

@@ -41,7 +41,6 @@ class Property:
 
     Parameters
     ----------
-    name : str
     code : str
         Type as numpy spells it, without byte order: ``"f4"``. For a list, the type of its length.
     is_list : bool
@@ -59,7 +58,6 @@ class Element:
 
     Parameters
     ----------
-    name : str
     count : int
         Rows the header announces.
     properties : tuple of Property
@@ -122,10 +120,6 @@ def parse_header(data: bytes | memoryview, *, file: str) -> Header:
         The whole file, or its first 64 KiB.
     file : str
         Name of the file, for messages.
-
-    Returns
-    -------
-    Header
 
     Raises
     ------

@@ -50,10 +50,8 @@ def read_points(data: bytes, file: str, *, binary: bool) -> ColmapPoints:
 
     Parameters
     ----------
-    data : bytes
     file : str
         Name, for messages.
-    binary : bool
 
     Returns
     -------

@@ -22,7 +22,6 @@ class Reconstruction:
     ----------
     photos : list of PosedPhoto
         In the order of their names.
-    points : ColmapPoints
     """
 
     photos: list[PosedPhoto]
@@ -37,10 +36,6 @@ def read_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
     path : path
         Folder with ``cameras``, ``images`` and ``points3D`` (``.bin`` or ``.txt``), or one that holds it under a
         usual name (``sparse/0``).
-
-    Returns
-    -------
-    Reconstruction
 
     Raises
     ------

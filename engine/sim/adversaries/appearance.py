@@ -27,7 +27,6 @@ def bake_colors(model: GaussianModel, strength: float, rng: np.random.Generator)
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Views, a whole number from 1 to 256.
     rng : numpy.random.Generator
@@ -64,7 +63,6 @@ def smooth_colors(model: GaussianModel, strength: float, rng: np.random.Generato
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Neighbours, a whole number from 1 to 256; the Gaussian itself is the first.
     rng : numpy.random.Generator

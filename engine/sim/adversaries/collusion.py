@@ -36,14 +36,9 @@ def collude(
         What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
         of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
         Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
-    rng : numpy.random.Generator
     others : sequence of GaussianModel
         The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
         geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------

@@ -34,7 +34,6 @@ class Budget:
 
     Parameters
     ----------
-    generations : int
     parents, children : int
         mu and lambda.
     views : int
@@ -89,15 +88,8 @@ def evolve(
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Least PSNR of the attacked renders against the marked ones, dB, in the worst view of the search.
-    rng : numpy.random.Generator
-    budget : Budget
-
-    Returns
-    -------
-    GaussianModel
     """
     from engine.pipeline.rigs import make_rig
     from engine.raster import render

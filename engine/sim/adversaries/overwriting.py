@@ -20,15 +20,10 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         PSNR of the second mark against the model as it came, worst of six views; dB.
     rng : numpy.random.Generator
         His key: chips and views.
-
-    Returns
-    -------
-    GaussianModel
     """
     from engine.compress.hvq import HvqConfig, quantize
     from engine.compress.impact import measure_impact

@@ -31,7 +31,6 @@ def purify(
 
     Parameters
     ----------
-    model : GaussianModel
     strength : float
         Least contribution of a cluster, in means of all Gaussians, > 0.
     rng : numpy.random.Generator

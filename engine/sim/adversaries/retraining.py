@@ -78,13 +78,8 @@ def retrain(
         The stolen model; only its renders are used.
     cameras : sequence of Camera
         The thief's views.
-    config : RetrainConfig, optional
     progress : callable, optional
         Told the part done, 0 to 1.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------
@@ -135,7 +130,6 @@ def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Seque
 
     Parameters
     ----------
-    retrained, stolen : GaussianModel
     cameras : sequence of Camera
 
     Returns

@@ -114,7 +114,6 @@ def densify(
         See `CenterGradients.mean`.
     extent : float
         Of the cameras, scene units.
-    config : DensifyConfig
     rng : numpy.random.Generator
         Places the parts of split Gaussians.
     prune_large : bool

@@ -22,10 +22,6 @@ def load_extra(module: str, package: str, purpose: str) -> Any:
     purpose : str
         What it is needed for, for the message.
 
-    Returns
-    -------
-    module
-
     Raises
     ------
     InputError

@@ -52,8 +52,6 @@ class Capture:
 
     Parameters
     ----------
-    model : GaussianModel
-    photos : PhotoSet
     report : dict
         Plain values: numbers of photos, points and Gaussians, steps a second, PSNR of each photo and their means.
     """
@@ -75,7 +73,6 @@ def load_photos(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     images : path
         Folder of the photos.
     size : int
@@ -85,10 +82,6 @@ def load_photos(
         neighbours on both sides; 0 holds none out.
     clock : Clock, optional
         Told how far the reading is.
-
-    Returns
-    -------
-    PhotoSet
 
     Raises
     ------
@@ -132,13 +125,8 @@ def train_from_colmap(
         Longest side of the undistorted photos, pixels.
     hold_out : int
         See `load_photos`.
-    config : TrainConfig, optional
     progress : callable, optional
         Called as progress(stage, part done), stages "photos", "train" and "compare".
-
-    Returns
-    -------
-    Capture
 
     Raises
     ------
@@ -174,8 +162,6 @@ def photo_quality(model: GaussianModel, photos: PhotoSet, background: Any = 0.0)
 
     Parameters
     ----------
-    model : GaussianModel
-    photos : PhotoSet
     background : float or three floats
         A random one counts as black.
     """

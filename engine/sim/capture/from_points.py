@@ -73,7 +73,6 @@ class CloudModel:
 
     Parameters
     ----------
-    model : GaussianModel
     cloud : PointCloud
         What it was made of: one point for each Gaussian, in the points' own frame.
     origin : (3,) float64
@@ -97,13 +96,8 @@ def points_to_model(
     ----------
     path : path
         PLY, PCD or LAS.
-    config : CloudConfig, optional
     progress : callable, optional
         Called as progress(stage, part done), stages "read", "thin" and "kernels".
-
-    Returns
-    -------
-    CloudModel
 
     Raises
     ------
@@ -132,15 +126,10 @@ def scans_to_model(
         Folder with a file a scan, or one file whose points have times; see `read_scans`.
     trajectory : path or Trajectory
         TUM or KITTI text.
-    config : CloudConfig, optional
     mounting : (4, 4), optional
         From the scanner's frame to the one whose poses the trajectory tells.
     progress : callable, optional
         Stages "read", "place", "thin" and "kernels".
-
-    Returns
-    -------
-    CloudModel
 
     Raises
     ------

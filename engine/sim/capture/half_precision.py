@@ -19,14 +19,6 @@ def half_precision(model: GaussianModel) -> GaussianModel:
     way): this is what happens in graphics memory, and in files of viewers that dump it. Centres keep 11 bits, so
     that a scene far from its origin shows steps; means and scales are those of the whole scene, not of a tile.
 
-    Parameters
-    ----------
-    model : GaussianModel
-
-    Returns
-    -------
-    GaussianModel
-
     Raises
     ------
     InputError

@@ -78,10 +78,8 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
 
     Parameters
     ----------
-    model : GaussianModel
     trajectory : Trajectory
         Scanner to world.
-    lidar : Lidar
     seed : int
         Of the noise.
 

@@ -39,7 +39,6 @@ class LevelOfDetail:
 
     Parameters
     ----------
-    model : GaussianModel
     kept : (n,) int32
         Row of the full model that each of its Gaussians is, or was merged into.
     psnr_db : float
@@ -64,7 +63,6 @@ def reduce_to(model: GaussianModel, ranking: Float64, count: int, *, merge: bool
 
     Parameters
     ----------
-    model : GaussianModel
     ranking : (N,)
         The larger, the sooner kept.
     count : int
@@ -107,7 +105,6 @@ def levels_of_detail(
 
     Parameters
     ----------
-    model : GaussianModel
     shares : sequence of float
         Parts of the Gaussians, each in (0, 1].
     cameras : sequence of Camera, optional
@@ -145,7 +142,6 @@ def level_of_quality(
 
     Parameters
     ----------
-    model : GaussianModel
     psnr_db : float
         Least PSNR, dB.
     cameras, merge

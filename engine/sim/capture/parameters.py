@@ -15,12 +15,7 @@ NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 class Parameters:
-    """All parameters of a model under training; copies, so that the model given stays as it is.
-
-    Parameters
-    ----------
-    model : GaussianModel
-    """
+    """All parameters of a model under training; copies, so that the model given stays as it is."""
 
     def __init__(self, model: GaussianModel) -> None:
         self.arrays: dict[str, Float32] = {name: getattr(model, name).copy() for name in NAMES}

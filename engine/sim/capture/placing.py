@@ -24,7 +24,6 @@ class Scan:
 
     Parameters
     ----------
-    cloud : PointCloud
     name : str
         For messages.
     time : float, optional
@@ -87,7 +86,6 @@ def place_scans(
     ----------
     scans : sequence of Scan
         In the order in which they were taken.
-    trajectory : Trajectory
     mounting : (4, 4), optional
         Rigid; from the scanner's frame to the frame whose poses the trajectory tells (KITTI's ``Tr``).
 

@@ -70,10 +70,6 @@ def reconstruct(
     progress : callable, optional
         Stages "features", "matches" and "mapping".
 
-    Returns
-    -------
-    Structure
-
     Raises
     ------
     InputError

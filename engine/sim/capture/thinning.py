@@ -34,7 +34,6 @@ def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
     size : float
         Edge of a voxel, scene units.
 

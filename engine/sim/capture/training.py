@@ -107,7 +107,6 @@ class Trainer:
     cameras : sequence of Camera
     images : sequence of (H, W, 3) float32
         What they should see, 0 to 1.
-    config : TrainConfig, optional
 
     Raises
     ------
@@ -244,13 +243,8 @@ def train(
     cameras : sequence of Camera
     images : sequence of (H, W, 3) float32
         What they should see, 0 to 1.
-    config : TrainConfig, optional
     advance : callable, optional
         Told the part done, 0 to 1, after every step.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------

@@ -25,7 +25,6 @@ def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray
     ----------
     folder : path
         Where the photos lie.
-    photo : PosedPhoto
 
     Returns
     -------

@@ -82,7 +82,6 @@ class Edit:
         Their values before.
     similarity : Similarity
         x_new = scale * R @ x + t.
-    recoloring : Recoloring
     filling : GaussianModel, optional
         New Gaussians appended by a deletion that fills its hole.
     """

@@ -90,8 +90,6 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
 
     Parameters
     ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
     least : float
         Smallest colour displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps
         of an 8-bit colour): a smaller edit is not told from what compression does.

@@ -101,13 +101,11 @@ def describe(
 
     Parameters
     ----------
-    kind : str
     rows : (n,) int64
     points : (n, 3) float64
         Where its Gaussians are.
     reference_dc, suspect_dc, mark : (m, 3)
         DC before and now, and the mark's displacement, of the matched ones; m may be 0.
-    motion : Similarity or None
     """
     center = np.median(points, axis=0)
     radius = float(np.quantile(np.linalg.norm(points - center, axis=1), 0.9))

@@ -97,7 +97,6 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
         The deleted ones.
     size : float
         Radius of the hole, scene units.
-    rng : numpy.random.Generator
 
     Returns
     -------

@@ -74,9 +74,7 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
 
     Parameters
     ----------
-    model : GaussianModel
     selection : (N,) bool
-    config : InpaintConfig
 
     Returns
     -------

@@ -28,7 +28,6 @@ def mask_shares(
 
     Parameters
     ----------
-    model : GaussianModel
     cameras : sequence of Camera
     masks : sequence of (H, W) bool or float
         One a camera, of its size; numbers 0 to 1 for soft edges.
@@ -74,7 +73,6 @@ def lift_masks(
 
     Parameters
     ----------
-    model : GaussianModel
     cameras, masks
         As for `mask_shares`.
     threshold : float

@@ -32,7 +32,6 @@ class ObjectFinding:
         Name the caller gave the record.
     instance : int
         0 for the first place at which the record's asset was found, then 1, ...
-    claim : Claim
     rows : (n,) int64
         Gaussians of the file that are the asset's; empty if nothing of it was found.
     file_share, asset_share : float

@@ -27,7 +27,6 @@ class PlacedObject:
 
     Parameters
     ----------
-    name : str
     model : GaussianModel
         In its own frame, as its owner delivered it.
     placement : Similarity

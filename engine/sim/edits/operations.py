@@ -32,17 +32,11 @@ def rotate(
 
     Parameters
     ----------
-    model : GaussianModel
     selection : (N,) bool
     axis : (3,)
         Of the rotation, any length but 0; right-handed.
-    degrees : float
     about : (3,), optional
         Point that stays where it is; the middle of the selection's bounding box by default.
-
-    Returns
-    -------
-    Edited
 
     Raises
     ------
@@ -75,16 +69,11 @@ def recolor(model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0,
 
     Parameters
     ----------
-    model : GaussianModel
     selection : (N,) bool
     gain : scalar or (3,)
         Factor on red, green and blue, >= 0.
     tint : scalar or (3,)
         Added afterwards; colours range 0 to 1.
-
-    Returns
-    -------
-    Edited
 
     Raises
     ------
@@ -102,16 +91,11 @@ def recolor_towards(model: GaussianModel, selection: Bool, color: npt.ArrayLike,
 
     Parameters
     ----------
-    model : GaussianModel
     selection : (N,) bool
     color : scalar or (3,)
         Target, range 0 to 1.
     strength : float
         0 to 1. At 1 the target is all that is left, and nothing of a mark.
-
-    Returns
-    -------
-    Edited
 
     Raises
     ------

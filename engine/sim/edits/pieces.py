@@ -63,14 +63,8 @@ def register_pieces(
 
     Parameters
     ----------
-    reference, suspect : GaussianModel
     most : int
         Pieces to look for at most, >= 1.
-    seed : int
-
-    Returns
-    -------
-    Pieces
     """
     if most < 1:
         raise InputError(f"at least one piece is looked for, got {most}")
@@ -101,8 +95,6 @@ def verify_pieces(
 
     Parameters
     ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
     config : VerifyConfig, optional
         Route "auto" or "model".
     pieces : Pieces, optional

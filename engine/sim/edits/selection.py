@@ -39,7 +39,6 @@ def select_box(
 
     Parameters
     ----------
-    model : GaussianModel
     low, high : (3,)
         Opposite corners in the box's own axes, scene units; low <= high.
     rotation : (3, 3), optional
@@ -77,7 +76,6 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 
     Parameters
     ----------
-    model : GaussianModel
     count : int
         Number of segments, 1 to N.
     color_weight : float
@@ -132,7 +130,6 @@ def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bo
 
     Parameters
     ----------
-    model : GaussianModel
     labels : (N,) int32
         From `segment`.
     points : (3,) or (n, 3)

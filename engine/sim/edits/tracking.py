@@ -126,9 +126,6 @@ def verify_edited(
     ----------
     suspect : GaussianModel
         The marked model after the track's edits, and after whatever else happened to it since.
-    opened : OpenedRecord
-    track : EditTrack
-    config : VerifyConfig, optional
 
     Returns
     -------

@@ -72,7 +72,6 @@ class Body:
         P points at rest.
     binding : Binding
         Where the Gaussians sit.
-    material : Material
     masses : (P,) float64
         Of the points, kg, positive.
     pinned : (P,) bool
@@ -117,7 +116,6 @@ def make_body(
         Voxels along the longest robust extent, 2 to 96; each holds six tetrahedra.
     density : float
         kg per cubic scene unit, positive.
-    material : Material, optional
     pinned : (N,) bool, optional
         Gaussians that must stay where they are: the corners of their tetrahedra never move.
     velocity : (3,), optional
@@ -153,10 +151,6 @@ def make_body(
 
 def pose(body: Body) -> GaussianModel:
     """The deformed model: a model as any other, to be rendered, written, verified.
-
-    Parameters
-    ----------
-    body : Body
 
     Returns
     -------
@@ -203,7 +197,6 @@ def color_by_strain(body: Body, full: float = 0.5) -> GaussianModel:
 
     Parameters
     ----------
-    body : Body
     full : float
         Positive.
 

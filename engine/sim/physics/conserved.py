@@ -19,7 +19,6 @@ class Energy:
 
     Parameters
     ----------
-    kinetic : float
     potential : float
         In the field of gravity, zero at the origin.
     elastic : float

@@ -53,7 +53,6 @@ def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward
 
     Parameters
     ----------
-    model : GaussianModel
     axis : (3,), optional
         Direction of h; the coordinate axis along which the model is longest where not given.
     toward : (3,), optional
@@ -100,15 +99,10 @@ def bend(
 
     Parameters
     ----------
-    model : GaussianModel
     degrees : float
         Total angle; the middle stays where it is, the neutral fibre keeps its length.
     axis, toward : (3,), optional
         The body's length and where it bends to, see `longest_axis`.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------
@@ -125,15 +119,10 @@ def twist(model: GaussianModel, degrees: float, *, axis: npt.ArrayLike | None = 
 
     Parameters
     ----------
-    model : GaussianModel
     degrees : float
         Total angle from end to end; the middle stays as it is.
     axis : (3,), optional
         See `longest_axis`.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------
@@ -150,15 +139,10 @@ def squash(model: GaussianModel, share: float, *, axis: npt.ArrayLike | None = N
 
     Parameters
     ----------
-    model : GaussianModel
     share : float
         Lost length in [0, 1).
     axis : (3,), optional
         See `longest_axis`.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------
@@ -176,15 +160,10 @@ def stretch(model: GaussianModel, factor: float, *, axis: npt.ArrayLike | None =
 
     Parameters
     ----------
-    model : GaussianModel
     factor : float
         From 1 to 2.5.
     axis : (3,), optional
         See `longest_axis`.
-
-    Returns
-    -------
-    GaussianModel
 
     Raises
     ------

@@ -143,7 +143,6 @@ def step(world: World, dt: float = STEP) -> World:
 
     Parameters
     ----------
-    world : World
     dt : float
         Seconds, positive.
 

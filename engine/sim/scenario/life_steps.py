@@ -45,7 +45,6 @@ class Simulate:
         1 / Young's modulus, 1/Pa.
     resolution : int
         Voxels along the longest side of a body.
-    on : str
     """
 
     height: float

@@ -34,7 +34,6 @@ class StepResult:
 
     Parameters
     ----------
-    label : str
     rows : tuple of dict
         One for each record: object, verdict, matching bits, z, bound, share found, seconds.
     picture : (H, W, 3) uint8
@@ -68,15 +67,10 @@ def run_scenario(
 
     Parameters
     ----------
-    scenario : Scenario
     progress : callable, optional
         Told step and fraction.
     tell : callable, optional
         Given every result as soon as it is there.
-
-    Returns
-    -------
-    Run
 
     Raises
     ------

@@ -25,7 +25,6 @@ class Photos:
         Folders of the reconstruction and of the photos.
     size : int
         Longest side of the photos in training, pixels.
-    steps : int
     hold_out : int
         One photo of so many is kept for measuring.
     """
@@ -43,7 +42,6 @@ class Part:
 
     Parameters
     ----------
-    name : str
     source : Path or Photos
         A model file, or what to train one from.
     bits : int
@@ -52,7 +50,6 @@ class Part:
         Of the embedding.
     shift, turn : (3,)
         Placement: scene units, and a rotation vector in degrees.
-    scale : float
     """
 
     name: str
@@ -79,12 +76,10 @@ class Scenario:
 
     Parameters
     ----------
-    title : str
     seed : int
         Of the key and of every random choice.
     parts : tuple of Part
     steps : tuple of NamedStep
-    film : Film
     """
 
     title: str

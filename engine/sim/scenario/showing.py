@@ -38,7 +38,6 @@ class Show:
 
     Parameters
     ----------
-    film : Film
     model : GaussianModel
         The scene at the start: it sets where the camera walks.
     """

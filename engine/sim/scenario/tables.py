@@ -36,7 +36,6 @@ class Table:
 
     Parameters
     ----------
-    values : mapping
     place : str
         How errors name it, such as `fall.toml: steps[2]`.
     folder : Path

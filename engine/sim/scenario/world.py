@@ -90,7 +90,6 @@ class Outcome:
 
     Parameters
     ----------
-    world : World
     frames : tuple of GaussianModel
         Moments in between, for the film; empty where nothing moves.
     pictures : tuple of (H, W, 3) float32

@@ -113,7 +113,6 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
 
     Parameters
     ----------
-    model : GaussianModel
     codes : mapping of str to int, optional
         Codebook size of each group to quantise; others stay plain. `CODES` where not given.
     seed : int
@@ -166,7 +165,6 @@ def embed_codebook(
     ----------
     compressed : CodebookModel
         Pruned and quantised; the group "dc" must have a codebook.
-    key : OwnerKey
     original_sha256, message, bits, config, cameras, copy, registered_at, progress
         As for `engine.pipeline.embedding.embed`.
 

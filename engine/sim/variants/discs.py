@@ -62,7 +62,6 @@ def make_discs(
 
     Parameters
     ----------
-    model : GaussianModel
     epochs : int
         Passes of the colour fit over its views; 0 leaves the colours alone.
     advance : callable, optional
@@ -90,10 +89,6 @@ def widen(discs: GaussianModel, cameras: Sequence[Camera]) -> GaussianModel:
         With `is_flat`.
     cameras : sequence of Camera
         At the size in pixels at which the discs are to look right.
-
-    Returns
-    -------
-    GaussianModel
     """
     if not cameras:
         raise InputError("discs are widened for cameras, none was given")
@@ -161,10 +156,8 @@ def measure_discs(
 
     Parameters
     ----------
-    original : GaussianModel
     discs : GaussianModel
         Made from it, `is_flat`.
-    key : OwnerKey
     config : EmbedConfig
         Its fidelity is raised as far as `fidelity_for` asks. With ``landmark_views=0`` the picture whose camera
         has to be found is left out.

@@ -47,11 +47,8 @@ class Marking:
 
     Parameters
     ----------
-    key : OwnerKey
     records : path
         Folder of the records.
-    bits : int
-    config : EmbedConfig
     """
 
     key: OwnerKey
@@ -111,7 +108,6 @@ def marking(
 
     Parameters
     ----------
-    key : OwnerKey
     records : path
         Folder that gets one record for each generated model, named by its record id.
     bits : int
@@ -180,8 +176,6 @@ def generate_from_views(
         On black.
     points : int
         Gaussians to start from; densification adds some.
-    steps : int
-    seed : int
     advance : callable, optional
         Told the fraction done.
     """

@@ -78,7 +78,6 @@ def verify_hybrid(
     records : mapping of str to OpenedRecord
     moving : mapping of str to (Moving, float), optional
         For records of scenes that move: the owner's original, and the moment to look for.
-    config : VerifyConfig, optional
     instances : int
         Times one asset is looked for. More than one where several variants of the same asset may be in the file:
         they look alike to the registration, and only one of them carries a given record's mark.

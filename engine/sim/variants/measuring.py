@@ -81,11 +81,8 @@ def measure_spacetime(
     ----------
     truth : object with ``at(time) -> GaussianModel``
         What the original was fitted to.
-    original : SpacetimeModel
-    key : OwnerKey
     config : EmbedConfig
         Its fidelity is raised as far as `fidelity_for` asks.
-    bits : int
     times : sequence of float
         One view each; the middle one is attacked.
     size, seed : int
@@ -153,8 +150,6 @@ def measure_codebook(
     ----------
     original : GaussianModel
         What was compressed: the truth.
-    compressed : CodebookModel
-    key : OwnerKey
     config : EmbedConfig
         Its fidelity is raised as far as `fidelity_for` asks.
     folder : Path
@@ -194,8 +189,6 @@ def measure_generated(
     ----------
     original : GaussianModel
         The object it was made after: the truth.
-    generated : GaussianModel
-    key : OwnerKey
     config : EmbedConfig
         Its fidelity is raised as far as `fidelity_for` asks.
     folder : Path

@@ -30,9 +30,6 @@ def find_time(
 
     Parameters
     ----------
-    suspect : GaussianModel
-    opened : OpenedRecord
-    original : Moving
     count : int
         Moments tried over the whole clip.
     rounds : int
@@ -78,11 +75,8 @@ def verify_moment(
     ----------
     suspect : GaussianModel
         With or without the Gaussians that are not visible at its moment.
-    opened : OpenedRecord
-    original : Moving
     time : float, optional
         Its moment; looked for (`find_time`) where not given.
-    config : VerifyConfig, optional
 
     Returns
     -------
@@ -110,11 +104,8 @@ def verify_moving_images(
     ----------
     images : sequence of (h, w, 3) float32
         All of the same moment.
-    opened : OpenedRecord
-    original : Moving
     times : sequence of float
         The moments it may be; each is a try of the claim, and all are counted.
-    config : VerifyConfig, optional
     cameras : sequence of Camera, optional
         One for each picture, where known.
     landmark_views : int

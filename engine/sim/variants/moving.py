@@ -97,7 +97,6 @@ def embed_moving(
     ----------
     moving : Moving
         The unmarked original; the owner keeps it for verification.
-    key : OwnerKey
     original_sha256 : str, optional
         Digest of the owner's file; that of the arrays where not given.
     message, bits, cameras, copy, registered_at, progress
@@ -159,7 +158,6 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
         Of `embed_moving`.
     original : Moving
         The very original that was marked.
-    time : float
     landmark_views : int
         Views of a landmark bank of that moment, for pictures whose camera is not known; 0 makes none.
 

@@ -117,10 +117,6 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
 def write_spacetime_ply(model: SpacetimeModel) -> Iterator[bytes]:
     """The file in pieces: header, then rows; float32 little endian, the public code's property order.
 
-    Parameters
-    ----------
-    model : SpacetimeModel
-
     Yields
     ------
     bytes

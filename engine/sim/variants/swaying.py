@@ -91,7 +91,6 @@ def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float
         Largest displacement, in radii of the scene.
     transient : float
         Share of the scene's cells that are not there all the time, 0 to 1.
-    seed : int
     """
     if not 0.0 <= swing <= 1.0 or not 0.0 <= transient <= 1.0:
         raise InputError(f"swing and transient must lie in 0..1, got {swing:g} and {transient:g}")

@@ -146,10 +146,6 @@ def measure_variant(
         Case (attack and evidence) -> the verification of that suspect, run in this order; "none" comes first
         by custom.
 
-    Returns
-    -------
-    VariantRow
-
     Raises
     ------
     InputError

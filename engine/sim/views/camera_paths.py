@@ -21,17 +21,12 @@ def orbit(model: GaussianModel, count: int, width: int, height: int, *, extent: 
 
     Parameters
     ----------
-    model : GaussianModel
     count : int
         Number of cameras, at least 1.
     width, height : int
         Pixels.
     extent : Extent, optional
         Where the model is, when already measured.
-
-    Returns
-    -------
-    list of Camera
 
     Raises
     ------
@@ -55,17 +50,12 @@ def fly_through(
 
     Parameters
     ----------
-    model : GaussianModel
     count : int
         Number of cameras, at least 1.
     width, height : int
         Pixels.
     extent : Extent, optional
         Where the model is, when already measured.
-
-    Returns
-    -------
-    list of Camera
 
     Raises
     ------

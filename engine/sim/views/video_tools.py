@@ -42,10 +42,6 @@ def encode_video(frames: Sequence[Uint8], fps: float, options: Sequence[str]) ->
     options : sequence of str
         The encoder and its settings, e.g. ("-c:v", "libx264", "-crf", "23").
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     InputError
@@ -104,7 +100,6 @@ def decode_video(data: bytes, height: int, width: int) -> list[Uint8]:
 
     Parameters
     ----------
-    data : bytes
     height, width : int
         Pixels.
 

@@ -27,10 +27,6 @@ def measure_costs(
 
     Parameters
     ----------
-    scene : str
-    named_profile : str
-    seed : int
-    repeats : int
     width, height : int
         Of the frames that are timed.
     changes : dict

@@ -53,8 +53,6 @@ def readings_of_picture(
     Parameters
     ----------
     picture : (H, W, 3) float32
-    camera : Camera
-    scene : MarkedScene
     attacks : dict
         Label -> attack, strength and reading; an empty name of an attack leaves the picture as it is.
     seed : tuple of int
