@@ -15,8 +15,6 @@
 "No mark found" is a result, not an error.
 """
 
-from __future__ import annotations
-
 
 class Mark3DGSError(Exception):
     """Base of all errors raised on purpose; its text is fit for the user's eyes."""

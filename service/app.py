@@ -1,7 +1,5 @@
 """The application: routes, middleware, static files. Made by a factory; nothing happens on import."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

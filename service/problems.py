@@ -1,7 +1,5 @@
 """Errors as the API says them: problem+json (RFC 9457) with a stable `type`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Registered assets as the tasks take them: what a suspect, or an upload, is held against."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

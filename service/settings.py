@@ -1,7 +1,5 @@
 """What an operator can set: environment variables `MARK3DGS_...`, each with a default that works on one machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pydantic import Field, SecretStr

@@ -1,7 +1,5 @@
 """The process that does the jobs: flows of all kinds, one job at a time, and tidying up now and then."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

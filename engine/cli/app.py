@@ -1,7 +1,5 @@
 """The command `mark3dgs`: its sub-commands, and the one place where errors become exit codes."""
 
-from __future__ import annotations
-
 import os
 import sys
 from typing import Annotated

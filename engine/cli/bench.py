@@ -1,7 +1,5 @@
 """`mark3dgs bench`: speed and robustness measured here and now, as numbers a reader can make again."""
 
-from __future__ import annotations
-
 import json as json_text
 from pathlib import Path
 from typing import Annotated, Any

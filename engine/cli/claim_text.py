@@ -1,7 +1,5 @@
 """A claim in words: what was found, how sure it is, and what it does not mean."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Mapping

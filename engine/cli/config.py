@@ -1,7 +1,5 @@
 """`mark3dgs config`: the settings an embedding would run with."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import typer

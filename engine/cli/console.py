@@ -1,7 +1,5 @@
 """What the commands say: results on stdout, the rest on stderr; for machines JSON instead of both."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

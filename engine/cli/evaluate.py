@@ -1,7 +1,5 @@
 """`mark3dgs evaluate`: measurements, figures and a report, resumable."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

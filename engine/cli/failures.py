@@ -1,7 +1,5 @@
 """What goes wrong, as one line for people, as JSON for machines, and as an exit code."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.errors import CapacityError, FormatError, Mark3DGSError

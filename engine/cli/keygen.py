@@ -1,7 +1,5 @@
 """`mark3dgs keygen`: a fresh owner key."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,8 +5,6 @@ feature, with the blending weight that a Gaussian has over the key views as its 
 about the same area of the images, so every chip and every bit gets about the same evidence. No k-means is needed.
 """
 
-from __future__ import annotations
-
 import numba as nb
 import numpy as np
 

@@ -5,8 +5,6 @@ residual codebooks learnt with EMA k-means (decay 0.8) on a sample and assigned 
 A Gaussian's colour is the sum of one code vector per stage; what is left over is its own residual.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

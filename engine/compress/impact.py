@@ -4,8 +4,6 @@ Summed over pixels, alpha_i T_i times a pixel map is the rasterizer's VJP with r
 map as cotangent, so Eq 4 costs one backward pass a view.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Merging of near-duplicate Gaussians by an anisotropic (Mahalanobis) distance (DESIGN 4.2)."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation

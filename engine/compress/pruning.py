@@ -4,8 +4,6 @@ Instead of a fixed ratio, the base threshold is bisected until the worst view of
 the original renders as the owner's budget allows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Extraction is informed: the suspect is read against the owner's records.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

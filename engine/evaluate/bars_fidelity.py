@@ -1,7 +1,5 @@
 """Fidelity, message lengths, outputs and budgets of an embedding (`mark3dgs bench fidelity`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

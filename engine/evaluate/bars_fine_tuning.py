@@ -1,7 +1,5 @@
 """Fine-tuning by the four settings of the paper's Table 5 (`mark3dgs bench finetune`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Image bars: one picture from a known camera under each attack, and screenshots whose camera nobody knows."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

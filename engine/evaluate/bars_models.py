@@ -1,7 +1,5 @@
 """Model attacks on a marked scene: bits, z and claim after each (`mark3dgs bench attacks`)."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

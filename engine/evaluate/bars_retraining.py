@@ -3,8 +3,6 @@
 Our reading is informed: it uses the owner's record, which blind decoders do without.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Extraction is informed: every row was read with the owner's record.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Truth: wrong keys, unmarked and foreign models, forged originals (`mark3dgs bench truth`)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ No file of these variants is at hand, so each is made: discs by flattening and r
 fitting Spacetime Gaussians, a codebook model by clustering, a generated one by training on few pictures.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace

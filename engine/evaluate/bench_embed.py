@@ -4,8 +4,6 @@ Contract: every scene runs in a process of its own, so that its peak memory is i
 (kernels, file cache) and is thrown away, then come the timed ones; medians are reported, extremes beside.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Speed of physics and of training on real scenes (`mark3dgs bench life`)."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable

@@ -7,8 +7,6 @@ process.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

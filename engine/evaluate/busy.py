@@ -1,7 +1,5 @@
 """Words for timings that were taken on a busy machine."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from engine.evaluate.study import Row

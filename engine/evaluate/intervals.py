@@ -1,7 +1,5 @@
 """Intervals around what was measured: shares of trials, and anything with repeats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

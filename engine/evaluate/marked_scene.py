@@ -1,7 +1,5 @@
 """A marked scene to measure on: original, marked model and opened record, made with a key of its own."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Numbers that peers published, with their conditions; never mixed with what was measured here."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """Reports of studies: results.json, figures as SVG and PNG, and one self-contained HTML page; misses come first."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json

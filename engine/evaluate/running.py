@@ -1,7 +1,5 @@
 """Running the cells of a study: here, in several processes, or on a Dask cluster; stopped and resumed at any cell."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

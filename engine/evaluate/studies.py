@@ -1,7 +1,5 @@
 """The studies of `mark3dgs evaluate`, by name; a module is imported when its study is asked for."""
 
-from __future__ import annotations
-
 import importlib
 
 from engine.errors import InputError

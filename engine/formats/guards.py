@@ -1,7 +1,5 @@
 """How many Gaussians a compressed file may claim to hold: what a small file can make the reader allocate."""
 
-from __future__ import annotations
-
 from engine.errors import FormatError
 
 FREE_COUNT = 1 << 20

@@ -1,7 +1,5 @@
 """Order along a space-filling curve, for formats that store neighbours together."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

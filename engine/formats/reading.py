@@ -1,7 +1,5 @@
 """Any file with Gaussians in it, told by its first bytes and not by its name."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What is wrong in a file yet harmless is repaired here, the same way for every format, and reported."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

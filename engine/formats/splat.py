@@ -1,7 +1,5 @@
 """The .splat format: 32 bytes a Gaussian, no header, no spherical harmonics (antimatter15/splat)."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

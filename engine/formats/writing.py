@@ -1,7 +1,5 @@
 """Models into files: whole or not at all."""
 
-from __future__ import annotations
-
 import os
 import secrets
 from collections.abc import Iterable

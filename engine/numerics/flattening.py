@@ -1,7 +1,5 @@
 """Gaussians to discs: the smallest axis is dropped."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import DISC_THICKNESS, GaussianModel

@@ -1,7 +1,5 @@
 """Image quality: one PSNR and one SSIM for the whole program. See docs/CONVENTIONS.md."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

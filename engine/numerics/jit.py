@@ -8,8 +8,6 @@ Numba's disk cache looks at the date of the file that defines a kernel, not at w
 every file of kernels holds a ``_KERNEL_VERSION``; raise it when something the kernels import has changed.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Callable, Iterator

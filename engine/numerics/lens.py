@@ -4,8 +4,6 @@ Two families: Brown and Conrady's radial-tangential one with OpenCV's names and 
 angle from the axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a measurement ran on: every benchmark stores this beside its numbers."""
 
-from __future__ import annotations
-
 import os
 import platform
 import sys

@@ -1,7 +1,5 @@
 """Multi-scale structural similarity: how alike two pictures look, from fine detail to coarse layout."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

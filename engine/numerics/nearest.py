@@ -5,8 +5,6 @@ coordinate, so a grid over the five best-spread coordinates leaves few candidate
 memory.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ hundredths of a pixel, so the interpolation is done here. Coordinates follow doc
 of pixel (column i, row j) is (i + 0.5, j + 0.5).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

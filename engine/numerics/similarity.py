@@ -1,7 +1,5 @@
 """Similarity transforms of a Gaussian model: x_new = scale * R @ x + t."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation

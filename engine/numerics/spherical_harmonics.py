@@ -1,7 +1,5 @@
 """Real spherical harmonics in INRIA's signs, and how their coefficients turn with the scene."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -4,8 +4,6 @@ An odd last row or column is its own partner: its detail is zero and left out, s
 details at any level, the inverse is exact for every size, and energy is preserved where the sizes are even.
 """
 
-from __future__ import annotations
-
 from typing import Any, TypeAlias
 
 import numpy as np

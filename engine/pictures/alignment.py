@@ -9,8 +9,6 @@
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

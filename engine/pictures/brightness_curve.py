@@ -3,8 +3,6 @@
 Coarser than `tone_curve`, but hardly a caption or a painted corner moves it: it decides what counts as evidence.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Bool, Float32

@@ -1,7 +1,5 @@
 """Robust Gauss-Newton fit of a plane motion to the brightness of two images, coarse to fine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

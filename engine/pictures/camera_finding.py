@@ -8,8 +8,6 @@ The picture of another scene fails at the number of agreeing matches, or at the 
 Nothing here sees a key or a chip.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Three matches give a pose for a known focal length; the right step of the ladder
 matches to agree, and Levenberg-Marquardt over pose and focal length closes the rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; 
 the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Camera, Float64

@@ -1,7 +1,5 @@
 """What happened to the colours of a picture and where: tone and uneven light together."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Bool, Float32

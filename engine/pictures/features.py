@@ -5,8 +5,6 @@ SIFT histogram, scaled to length 512. Products of such integers are exact in flo
 product and gives the same answer on every machine.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ with standard deviation s, the locally optimal statistic is E[d | interval] / s^
 residual would take all of the rounding error, known in advance from c, for noise.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.fft import dctn, idctn
 from scipy.special import log_ndtr

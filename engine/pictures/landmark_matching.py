@@ -6,8 +6,6 @@ match *elsewhere*, and in the few views that look most like the picture the test
 camera is roughly known, by where the landmarks project.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -3,8 +3,6 @@
 They let the camera of a screenshot be found later, and are kept with the record.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

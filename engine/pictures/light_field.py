@@ -4,8 +4,6 @@ picture(x, y) = gain(x, y) reference(x, y), the gain made of few smooth function
 waves down its rows. They are a few dozen numbers beside thousands of chips, and depend on no chip.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -8,8 +8,6 @@ exact render, so where the iteration stops, depth edges and haze have not biased
 Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

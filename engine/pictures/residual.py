@@ -9,8 +9,6 @@
 Everything depends on the picture and the unmarked reference alone: no key, no chip, no mark (DESIGN 4.9).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

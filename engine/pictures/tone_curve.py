@@ -4,8 +4,6 @@ A picture of the reference shows not x but f(x). The mark shows as f'(x) times i
 picture is clipped, half of it where noise pushes half of the values against the limit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

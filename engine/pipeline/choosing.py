@@ -10,8 +10,6 @@ The lower z is what the scene promises. The same functions serve `mark3dgs evalu
 promise against what was measured.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """What is delivered before it is marked: as many Gaussians, SH bands and codes as the scene needs, no more."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ Each layer maps an image (1, 3, H, W) in 0..1 to an image of the same size; wher
 with the lost detail lost and the lost pixels grey.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 

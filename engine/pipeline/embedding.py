@@ -6,8 +6,6 @@
 4. Quantise hierarchically.                         8. Write the record: all that verification needs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """From evidence to a claim, in the terms of an opened record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from engine.errors import InputError

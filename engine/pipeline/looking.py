@@ -12,8 +12,6 @@ Nothing here knows the secret of the mark: only the unmarked reference, its land
 place is one hypothesis of the claim, however many views were rendered.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

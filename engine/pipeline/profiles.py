@@ -1,7 +1,5 @@
 """Settings of an embedding, and the three named points on one curve of speed against accuracy (DESIGN 10)."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Progress and time by stage, for people (a callback) and for machines (seconds_by_stage)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

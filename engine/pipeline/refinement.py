@@ -6,8 +6,6 @@ the residual image, gathered per chip. The planned amplitudes stay the decoder's
 before the chips are drawn (DESIGN 4.9), so the refinement may move the model but never the weights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

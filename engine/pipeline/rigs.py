@@ -4,8 +4,6 @@ An *object* (or a piece of ground seen from the air) is looked at from shells of
 looked at from inside. Which of the two is decided by where the Gaussians are: a room keeps its middle empty.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A model seen from a set of cameras: geometry prepared once, colours rendered as often as needed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ record's *plan*; the record id, and so the chips, follow from its digest. Only w
 strength) and the settings go beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The strength of a mark: as much as the worst key view stands (DESIGN 4.5)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@
 4. Every copy whose Z passes the bar is named. A group in which none is named goes on to the next route.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field

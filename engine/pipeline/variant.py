@@ -1,7 +1,5 @@
 """What a model that is more than one plain file tells the embedding: a codebook of its own, motion, steadiness."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 

@@ -4,8 +4,6 @@ Routes: `model` (the suspect's Gaussians against the reference's), `render` (the
 as a black box), `image` (pictures whose camera is known, or found).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

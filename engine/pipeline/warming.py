@@ -1,7 +1,5 @@
 """Compile, or load from numba's disk cache, the kernels a job will need: on a scene too small to take time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

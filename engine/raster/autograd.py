@@ -1,7 +1,5 @@
 """The rasterizer as one torch operation. The only file of the CPU path that imports torch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

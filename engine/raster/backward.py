@@ -10,8 +10,6 @@ whatever the number of threads. The gather is a sixth of the pass (real scene, 5
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -7,8 +7,6 @@ order whatever the number of shares. A tile mask leaves tiles out altogether.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compile every kernel before somebody waits for a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -24,8 +24,6 @@ its focus in the origin and the eccentricity e = r |k|; centre and axes follow. 
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Pass 4: blend the lists front to back (Eq 3), tile by tile, any number of channels."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

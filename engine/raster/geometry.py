@@ -1,7 +1,5 @@
 """The passes that do not depend on colours, in order: project, sort, count, fill."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Exponential and logarithm to base 2 on sixteen lanes."""
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

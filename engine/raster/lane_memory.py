@@ -1,8 +1,6 @@
 """Lanes to and from memory. Arrays are flat float32; indices count elements."""
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Sums and maxima across lanes, sixteen vectors at a time, and the 16 x 16 transpose."""
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir

@@ -7,8 +7,6 @@ freedom to re-associate would cancel its rounding constant.
 """
 
 # mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable
 from typing import Any

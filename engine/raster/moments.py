@@ -9,8 +9,6 @@ final pixel still lies behind), dL/dalpha = T (cotangent . color) - D / (1 - alp
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -6,8 +6,6 @@ threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

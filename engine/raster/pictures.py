@@ -1,7 +1,5 @@
 """One picture of one model: geometry and colours in one go, nothing kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """What defines the image, beside the model and the camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ lie next to each other, meet its basis values in one multiplication per channel.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -5,8 +5,6 @@ stable: equal depths keep the model's order, whatever the number of threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -1,7 +1,5 @@
 """Colours of Gaussians as a camera sees them, and the gradient back to the coefficients."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """A model seen by a camera with its geometry frozen: images of any colours, and their exact gradient."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ types from a white list, sizes checked against the bytes really there before any
 left over.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -12,8 +12,6 @@ deterministic: the same record gives the same bytes (with one version of zstd), 
 written twice.
 """
 
-from __future__ import annotations
-
 import struct
 from hashlib import sha256
 

@@ -5,8 +5,6 @@ the plan (code vectors, carriers, amplitudes, message, copy). Opening a record r
 up a reference, or fits a plan to given chips, gets other chips.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256

@@ -20,8 +20,6 @@ Integers are laid out as byte planes, least significant first, one attribute com
 planes are noise, high planes nearly constant, and an entropy coder gets the second for free.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping

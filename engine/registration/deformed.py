@@ -4,8 +4,6 @@ It runs only where the similarity leaves whole regions unexplained, or errs by a
 where nothing is explained yet, and grown (`registration_patches`, `registration_growth`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

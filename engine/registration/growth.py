@@ -5,8 +5,6 @@
 3. A node whose surroundings are explained hands its map on: the next ones start from it. Until nothing is added.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

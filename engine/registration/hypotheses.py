@@ -6,8 +6,6 @@ are to be trusted) both turned alike, carrying the line from one to the other al
 ever do all that. So agreement is counted over all pairs, and triples are drawn only where it is dense.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What registration works out about a reference, each part once and only when asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Is a proposed similarity right? It is refined, its errors are learnt, and it must beat decoys of itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Kernels of the hypotheses: which candidates agree, and what a similarity of three of them explains."""
 
-from __future__ import annotations
-
 import math
 
 import numba

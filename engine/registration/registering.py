@@ -15,8 +15,6 @@ registration is one hypothesis of the claim, however many alignments were weighe
 all the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Smooth fields of affine maps: fitted to pairs, blended, and applied to Gaussians."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an attack is: a pure function with a named strength, in one or two readings of the literature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sized
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar

@@ -4,8 +4,6 @@ Sources of the readings: the public code of GuardSplat, 3D-GSW, WateRF and Gauss
 is left out: 3D-GSW and WateRF cast noisy images back to 8 bit without clipping, so that white wraps to black.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -5,8 +5,6 @@ the marked model, at neutral views: neither the owner's key views nor any an att
 attack moved is moved back first; of one that it cut, the pixels it still covers are judged apart.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

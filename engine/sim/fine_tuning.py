@@ -12,8 +12,6 @@ How the table is read here (the paper does not say):
   position rate decaying over the run; densification is off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal

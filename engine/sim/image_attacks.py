@@ -4,8 +4,6 @@ All are pure functions `(image, strength, rng) -> image` on float32 (H, W, 3) in
 in 0..1 again and may have another size. InputError for anything else, or a strength out of range.
 """
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

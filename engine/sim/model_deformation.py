@@ -3,8 +3,6 @@
 All are pure functions `(model, strength, rng) -> model`, along the longest extent of the model.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import GaussianModel

@@ -4,8 +4,6 @@ All are pure functions `(model, strength, rng) -> model`. A moved model looks as
 alike: quaternions and SH turn with the centres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

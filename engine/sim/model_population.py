@@ -3,8 +3,6 @@
 All are pure functions `(model, strength, rng) -> model`; survivors keep their order and their values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ All are pure functions `(model, strength, rng) -> model`; the count and order st
 the format decides).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ so left out: regeneration by a variational auto-encoder, editing by a diffusion 
 Fine-tuning and re-training have settings of their own and stand in `fine_tuning` and the capture package.
 """
 
-from __future__ import annotations
-
 from engine.sim.suite import Trial
 
 __all__ = ["SUITE"]

@@ -5,8 +5,6 @@ anything. It spans the DC block: `.splat` drops the SH rest, SPZ and compressed 
 and truncation remove it, so energy put there is paid for in decibels and lost as evidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The claim: what a verification answers, and the numbered steps that lead to it (DESIGN 4.9)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

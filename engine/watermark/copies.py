@@ -8,8 +8,6 @@ The theorem of `statistics` holds for each copy by itself: an innocent one's sig
 whoever colluded and however, for they had no part in making it. The number of copies looked at multiplies the bound.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ went through), pulled back by the rasterizer's VJP, and summed over the members 
 suspect and the unmarked reference alone, never a chip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

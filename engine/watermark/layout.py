@@ -1,7 +1,5 @@
 """The layout of a mark: which code vectors exist, their carriers, and how far each chip is displaced."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

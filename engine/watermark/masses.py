@@ -5,8 +5,6 @@ moved them would tear such a mass apart, and a histogram shows that. They get a 
 nothing; the others then carry a little more for the same PSNR.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

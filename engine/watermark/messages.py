@@ -1,7 +1,5 @@
 """Messages: hexadecimal text outside, signs of +-1 inside."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """From a registered suspect model to one displacement estimate per chip (DESIGN 4.8, paper Eq 10 and 11)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ direction (chip times carrier), which is the most favourable reading: a bit is t
 steps, and what moved further than epsilon is thrown away instead of being trusted less.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

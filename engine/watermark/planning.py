@@ -1,7 +1,5 @@
 """The planner: how far each code vector may be displaced, and how many bits the scene then carries (DESIGN 4.5)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

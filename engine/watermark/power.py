@@ -12,8 +12,6 @@ sqrt(Q + 2 R) <= sqrt(Q) + R / sqrt(Q) (tangent of a concave function), Z' >= t 
 a Rademacher sum again: the power is *at least* 1 - exp(-x^2 / 2), x = (S - t sqrt(Q)) / |a|, whatever y is.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 A chip is one code vector in one carrier direction. The flat order of chips is stage, code vector, direction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -25,8 +25,6 @@ choice of what to keep. It holds for a key that had no part in making the suspec
 tests/theory plays 1, 2 and 4.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

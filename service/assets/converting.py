@@ -1,7 +1,5 @@
 """Other formats of a stored model: made once in a process of its own, kept by digest."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 
 from service.core import Service

@@ -1,7 +1,5 @@
 """/v1/assets: what was marked, and its files."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """The three files that carry a signed claim: the bare JWS, the claim as JSON, and the HTML report."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import json

@@ -1,7 +1,5 @@
 """The claim document: what is signed. Made from the reply of the task `verify` and what the registry knows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, Literal

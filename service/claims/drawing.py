@@ -1,7 +1,5 @@
 """Where things stand in the report's two drawings; the template draws them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log10

@@ -1,7 +1,5 @@
 """/v1/claims, and the public keys that they are checked with."""
 
-from __future__ import annotations
-
 import base64
 import json
 from typing import Any

@@ -1,7 +1,5 @@
 """Issuing a claim: one transaction logs, signs and stores it. Twice for one job is once."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

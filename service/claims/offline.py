@@ -6,8 +6,6 @@
 4. Its numbers follow from one another.        8. The time stamp, if there is one.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping, Sequence

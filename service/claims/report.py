@@ -1,7 +1,5 @@
 """The report: a claim as one page to read, print and send. The same claim gives the same bytes."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """A claim in the words of somebody who is no engineer; honest about what it does not say."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from datetime import datetime

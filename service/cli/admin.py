@@ -1,7 +1,5 @@
 """`mark3dgs apikey`, `audit` and `rotate-signing-key`: for whoever runs the service, on its own data."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command `mark3dgs`: the engine's sub-commands and the service's."""
 
-from __future__ import annotations
-
 from engine.cli.app import app, main, run
 from service.cli.admin import apikey, audit, rotate_signing_key
 from service.cli.openapi import openapi

@@ -1,7 +1,5 @@
 """`mark3dgs openapi`: the API's description, for client generators and for the frozen copy in openapi/."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path

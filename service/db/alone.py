@@ -1,7 +1,5 @@
 """One writer at a time where the order of writers matters."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 
 _LOCK = 0x6D61726B  # "mark"

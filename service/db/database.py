@@ -1,7 +1,5 @@
 """One database: short reads, and writes that are durable when they return."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

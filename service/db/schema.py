@@ -1,7 +1,5 @@
 """The tables. Times are UTC in ISO 8601 (sortable text), ids are random text, JSON is text in canonical form."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 
 metadata = sa.MetaData()

@@ -1,7 +1,5 @@
 """The steps of an embed job: mark the upload unless it carries another's mark, and register it."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Who is asking, and whether they may."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated
 

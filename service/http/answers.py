@@ -1,7 +1,5 @@
 """Jobs over HTTP: 202 with a place to look, or 200 for who prefers to wait (RFC 7240)."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Budgets: how often a subject may do something within one window of time."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 import sqlalchemy as sa

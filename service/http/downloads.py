@@ -1,7 +1,5 @@
 """Files to clients: with Range and ETag, from the local folder or the store alike."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Every error leaves as problem+json with the request's id."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging

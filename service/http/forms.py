@@ -1,7 +1,5 @@
 """Requests as JSON, or as a multipart form with the files in it, so that one `curl` does it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any, TypeVar

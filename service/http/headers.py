@@ -1,7 +1,5 @@
 """Headers of every response: what a browser may load, run and reveal."""
 
-from __future__ import annotations
-
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 

@@ -1,7 +1,5 @@
 """`Idempotency-Key`: a request that is sent again is answered again, and done once (an expired IETF draft)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Bodies are counted as they come in, sized or chunked, and refused once they are too long."""
 
-from __future__ import annotations
-
 from fastapi import HTTPException
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send

@@ -1,7 +1,5 @@
 """Lists by cursor: newest first, `limit` at a time, `next` names the last id."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import sqlalchemy as sa

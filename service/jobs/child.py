@@ -1,7 +1,5 @@
 """Tasks of `service.work` in processes of their own, with limits; one such process stands ready."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

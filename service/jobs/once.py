@@ -1,7 +1,5 @@
 """One task, now, for a handler that must answer soon: a fresh process, and none kept ready."""
 
-from __future__ import annotations
-
 import secrets
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """The port: what the service asks of a job engine. Behind it stand DBOS (`durable`) and, in tests, a plain fake."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Who is alive: workers write a row every few seconds, and watch each other's."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time

@@ -1,7 +1,5 @@
 """The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

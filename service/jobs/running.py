@@ -1,7 +1,5 @@
 """One job from its first step to its end, in a worker."""
 
-from __future__ import annotations
-
 import logging
 import secrets
 import shutil

@@ -1,7 +1,5 @@
 """A worker: a process that takes jobs one at a time, says that it lives, and takes over from those that do not."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

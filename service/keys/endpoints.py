@@ -1,7 +1,5 @@
 """/v1/keys: owner keys, sealed; shown once, when asked for at the making."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import sqlalchemy as sa

@@ -1,7 +1,5 @@
 """/v1/jobs."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterable
 from typing import Annotated

@@ -1,7 +1,5 @@
 """API keys: `mk_<id>_<secret>`, bound to a tenant and scopes; of the secret only a keyed hash is kept."""
 
-from __future__ import annotations
-
 import hmac
 import re
 import secrets

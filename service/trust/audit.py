@@ -5,8 +5,6 @@ hash in the tree. So a chain of hashes and a tree stand on the same numbers: the
 completeness plain, the tree proves a single entry to a reader who sees no other.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Checking the whole audit log against itself, and the rows that it commits to against the log."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """One spelling of a JSON value (RFC 8785), so that its digest means the value and not its layout."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the audit log commits to: the row of each asset and the document of each claim, by digest."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ A perfect subtree is named by `(level, position)`: it covers the leaves position
 (position + 1) * 2^level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from hashlib import sha256
 

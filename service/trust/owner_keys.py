@@ -1,7 +1,5 @@
 """Owner keys: what a tenant's marks are made with. Kept sealed, never listed, erased when deleted."""
 
-from __future__ import annotations
-
 import re
 import secrets
 from dataclasses import dataclass

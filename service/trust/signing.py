@@ -1,7 +1,5 @@
 """Signatures: Ed25519 keys that sign claims (JWS), and their public halves (JWKS)."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

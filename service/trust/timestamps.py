@@ -1,7 +1,5 @@
 """Time stamps (RFC 3161): somebody else's word that a claim's signature existed at a time."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 import urllib.request

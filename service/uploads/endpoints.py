@@ -1,7 +1,5 @@
 """/v1/uploads: slots, and their bytes."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from typing import Annotated, Any, Literal

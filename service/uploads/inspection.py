@@ -1,7 +1,5 @@
 """A look at a complete upload: a file that cannot be read is refused at once, not minutes later by a job."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from service.core import Service

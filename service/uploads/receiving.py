@@ -1,7 +1,5 @@
 """Bytes from the network to a file: hashed on the way, in threads, at the speed of the disk."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """Upload slots: their rows, their parts, and the blob they become."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import secrets

@@ -1,7 +1,5 @@
 """What nobody needs any more: uploads never finished or never used, and blobs that no row names."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime, timedelta
 

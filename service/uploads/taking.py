@@ -1,7 +1,5 @@
 """Files of a multipart form become uploads like any other: complete, inspected, owned by the caller."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import PurePosixPath

@@ -1,7 +1,5 @@
 """Which records a suspect is held against, and how often that may be asked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import sqlalchemy as sa

@@ -1,7 +1,5 @@
 """POST /v1/verify: does this suspect carry a mark of ours?"""
 
-from __future__ import annotations
-
 import asyncio
 import secrets
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """The steps of a verify job: hold the suspect against the records, then sign the claim."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from service.claims.issuing import issue

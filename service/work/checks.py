@@ -3,8 +3,6 @@
 `ok` is true or false where the check was made, and null where it could not be made or came to no answer.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.errors import RecordError, WrongKeyError

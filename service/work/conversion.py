@@ -1,7 +1,5 @@
 """Task `convert`: a model in another format."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

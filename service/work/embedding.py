@@ -1,7 +1,5 @@
 """Task `embed`: the marked model, the record that proves it, and what people and later searches need."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pictures of a verification: the suspect, the asset, and where on the asset the mark was found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What went wrong in a task, as the parent is told: a kind of `service.problems`, a text and its numbers."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Iterator, Mapping
 from pathlib import PurePath

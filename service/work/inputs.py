@@ -1,7 +1,5 @@
 """Files that a request names, read; what is wrong with them is said without saying where they lie."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

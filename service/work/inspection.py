@@ -1,7 +1,5 @@
 """Task `inspect`: what an upload is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

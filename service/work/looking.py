@@ -1,7 +1,5 @@
 """Tasks `picture` and `cameras`: what an upload that is no model is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

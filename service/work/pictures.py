@@ -1,7 +1,5 @@
 """Pictures of models for people: a view that shows something, and PNG files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

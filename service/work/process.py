@@ -3,8 +3,6 @@
 Standard input stays open as long as the parent lives; when it ends, so does this process, whatever it is doing.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """The tasks by name. Importing this file is cheap; `preload` brings in what the tasks will need."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

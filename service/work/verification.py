@@ -5,8 +5,6 @@
 3. Fix the number of tries that every bound counts.     6. Draw where the mark was found.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The recipe of HiDDeN+3DGS in the tables of the field. One fit gives a direction 
 then set by the PSNR, so that all methods stand at the same fidelity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What the owner keeps of a marking by another method."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from engine.model import GaussianModel

@@ -1,7 +1,5 @@
 """One method on one scene under one key: fidelity, attacks on the model and on single pictures, wrong keys."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The runnable methods, behind one small interface, so that any study can put them beside ours."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

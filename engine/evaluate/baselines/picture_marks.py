@@ -4,8 +4,6 @@ Both are blind and read a picture alone. HiDDeN, which the field fits models to,
 DCT mark stands in for its class, RivaGAN is a trained network of the same kind.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec

@@ -7,8 +7,6 @@ Sources: Chen and Wornell, "Quantization index modulation", IEEE Trans. Inf. The
 on DC colours of 3DGS.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What the baselines study says: methods side by side at one fidelity, and what peers published."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -5,8 +5,6 @@ Deng, Nakra and Wu's position paper (2026) does so to 3DGS, with keys from an HM
 subtracted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

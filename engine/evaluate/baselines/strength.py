@@ -1,7 +1,5 @@
 """One fidelity for all methods: the strength at which the worst of the same views has the same PSNR."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

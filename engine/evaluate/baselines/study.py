@@ -4,8 +4,6 @@ Full: 3 keys of ours and of each method, 16 attacks on the model and 9 on each o
 and a scene of 100k Gaussians about 20 minutes, 35 where RivaGAN is installed. Quick: one key, few attacks, small views.
 """
 
-from __future__ import annotations
-
 from engine.evaluate.baselines.methods import METHODS
 from engine.evaluate.baselines.reporting import report
 from engine.evaluate.study import Cell, Options, Study

@@ -1,7 +1,5 @@
 """How fast a cost grows: cost = c * size^k, fitted on logarithms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

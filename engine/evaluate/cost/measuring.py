@@ -1,7 +1,5 @@
 """Cells of the cost study: one size, in a process of its own, so that its peak memory is its own."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from typing import Any

@@ -5,8 +5,6 @@ both on the threads the rasterizer uses.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

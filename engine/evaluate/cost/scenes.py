@@ -1,7 +1,5 @@
 """Real scenes of any size: thinned, or laid out as a grid of turned copies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

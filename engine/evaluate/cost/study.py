@@ -4,8 +4,6 @@ On two quiet cores the full study takes about 15 minutes a scene of 100,000 Gaus
 size; the quick version less than half a minute.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

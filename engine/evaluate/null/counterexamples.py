@@ -3,8 +3,6 @@
 Without these, a test of false claims that never fails would prove nothing.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

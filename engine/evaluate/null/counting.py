@@ -1,7 +1,5 @@
 """How often keys that had no part in a suspect come how far, against what the theorem allows them."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 The searcher has no key and no original; the strictest case gives him unmarked Gaussians of the very same scene.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.evaluate.null.sinkhorn import permutation_test

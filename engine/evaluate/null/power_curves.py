@@ -1,7 +1,5 @@
 """How much evidence a claim needs: Gaussians of a thinned model, and small, noisy pictures added up."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.evaluate.bars_images import to_8_bit

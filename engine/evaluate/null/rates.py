@@ -1,7 +1,5 @@
 """Counts of all wrong keys, added up, beside the bound."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What all wrong keys, hostile suspects and thin evidence say together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

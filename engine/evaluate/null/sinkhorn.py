@@ -1,7 +1,5 @@
 """Sinkhorn divergence of two samples: how far apart two distributions lie, and whether chance explains it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Float64

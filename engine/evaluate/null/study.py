@@ -5,8 +5,6 @@ bad pictures, a detector that must fail, forged originals, an oracle, and the se
 file: about 10 minutes a scene of 100k Gaussians on 2 cores. Quick: the same with 100,000 keys, few trials, small views.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.evaluate.null.report import report

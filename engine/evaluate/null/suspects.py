@@ -1,7 +1,5 @@
 """Suspects that no key without a part in them may claim: marked by others, unmarked, or made to deceive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path

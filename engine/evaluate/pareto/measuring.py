@@ -1,7 +1,5 @@
 """One setting on one scene: seconds, fidelity where the mark was not shaped, and what is read after attacks."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ One cell is one setting on one scene. On two quiet cores a scene of 100,000 Gaus
 500,000 about 20; the quick version about half a minute.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the rows of one scene add up to: one result a setting, the Pareto front, the cheapest that meets a wish."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass

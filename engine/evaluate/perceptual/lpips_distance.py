@@ -1,7 +1,5 @@
 """LPIPS, where its network's weights can be had: the optional package `lpips` and a file given by the user."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 

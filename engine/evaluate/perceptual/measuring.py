@@ -1,7 +1,5 @@
 """The marks of one profile, looked at: key views and views that had no part in shaping the mark."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Callable

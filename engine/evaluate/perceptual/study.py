@@ -4,8 +4,6 @@ Full: 3 profiles x 24 views of 800 pixels; about 3.5 minutes a scene of 100k Gau
 two views of 400 pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 Extraction is informed, the QIM baseline's excepted.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a curve over strengths falls below a level: interpolated, with an interval from resampled trials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Models that nobody would train and somebody will upload: each is to be marked and verified, or refused in words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What all sweeps, odd inputs and repeats say together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

@@ -3,8 +3,6 @@
 Numba fixes the number of its threads and the processor it compiles for when it is loaded, so children do the work.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

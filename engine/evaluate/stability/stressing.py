@@ -3,8 +3,6 @@
 Each either answers the same each time or is refused in words; a `RuntimeWarning` counts as a fault.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import warnings

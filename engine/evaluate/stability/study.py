@@ -5,8 +5,6 @@ Full: about 90 sweeps of up to 5 strengths with 3 trials on models (each a key a
 sweeps, five odd inputs, one trial, small views.
 """
 
-from __future__ import annotations
-
 from engine.evaluate.stability.odd_inputs import ODD, QUICK
 from engine.evaluate.stability.report import report
 from engine.evaluate.stability.sweeps import all_sweeps, thinned

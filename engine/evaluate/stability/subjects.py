@@ -1,7 +1,5 @@
 """What is attacked: a scene marked anew for every trial, by us and by the baselines, made once for each process."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """All rows of one sweep as curves over its strengths, and where they break."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

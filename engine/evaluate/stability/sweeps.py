@@ -1,7 +1,5 @@
 """What is swept: every attack of the simulator in every reading, its strengths in order from harmless to ruinous."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

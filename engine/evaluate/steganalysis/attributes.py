@@ -5,8 +5,6 @@ that a file format left. The features here see both: how a Gaussian's colour sta
 how values are distributed, and how often exactly the same value occurs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ without the very original: of this scene itself he has the unmarked and several 
 the regions he is asked about.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

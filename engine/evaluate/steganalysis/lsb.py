@@ -4,8 +4,6 @@ StegExpose (Boehm 2014), which the paper's Figure 5 uses, averages four detector
 the works they come from. Each estimates the embedding rate: the share of the pixels that carry a message bit.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cells that look at pictures: the same views unmarked and marked; with replaced bits to check the detectors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

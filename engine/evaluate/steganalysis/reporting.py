@@ -1,7 +1,5 @@
 """What the steganalysis study says: bars, ROC, the detectors' own check, the learned detectors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -1,7 +1,5 @@
 """ROC curves and the area below them, with intervals that respect what belongs together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ about 1 minute for each of the three forms and two baselines. With several scene
 24 renders, one key and one form, about half a minute.
 """
 
-from __future__ import annotations
-
 from engine.evaluate.steganalysis.reporting import report
 from engine.evaluate.study import Cell, Options, Study
 

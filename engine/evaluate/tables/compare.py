@@ -1,7 +1,5 @@
 """Settings side by side: each against a base, paired by scene, key and view, so that only the setting differs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The paper's tables as data (`paper.toml` beside this file)."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
 from importlib.resources import files

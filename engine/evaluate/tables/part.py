@@ -1,7 +1,5 @@
 """A table or figure of the study: the cells it needs, and what their rows say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ cores the parts take about 3 (table1), 3 (table2), 2 (table3), 5 (table4), 10 (t
 and 4 minutes (ablation); cells that parts share run once, all together about 40 minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from engine.evaluate.study import Bar, Cell, Options, Report, Row, Study

@@ -6,8 +6,6 @@
 - ``svd``: carriers are the RGB axes, not the right singular vectors of the codebook.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Numbers with their intervals, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

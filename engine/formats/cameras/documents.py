@@ -1,7 +1,5 @@
 """Cameras out of JSON: INRIA's cameras.json (a list) and NeRF's transforms.json (an object with frames)."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras from the files of other programs, told by what is in them; INRIA's JSON is written."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

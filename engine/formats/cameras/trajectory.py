@@ -1,7 +1,5 @@
 """Where a sensor was: trajectories as text, of the TUM benchmark and of KITTI odometry."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import dataclass

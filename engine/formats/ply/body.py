@@ -1,7 +1,5 @@
 """The tables of a PLY file as numpy records, binary of either byte order or ASCII; no more than is there."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from itertools import islice

@@ -4,8 +4,6 @@ The conventions are those of playcanvas/splat-transform: 11-10-11 bits for centr
 chunk's bounds, 2-10-10-10 for the quaternion without its largest component, 8-8-8-8 for color and opacity.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Gaussian models as INRIA's PLY: every variant met in the wild is read; written with three scales, or two for
 2DGS."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The text at the head of a PLY file: which elements follow, how many rows, of which scalar properties."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

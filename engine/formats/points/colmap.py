@@ -1,7 +1,5 @@
 """Points out of a COLMAP model, text or binary (https://colmap.github.io/format.html)."""
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What the columns of a point file mean: the names that scanners and programs give to the same things."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Point clouds as LAS 1.2 to 1.4, point formats 0 to 10 (ASPRS LAS Specification 1.4 R15)."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

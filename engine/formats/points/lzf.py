@@ -1,7 +1,5 @@
 """LZF, the compression inside binary_compressed PCD files (liblzf by Marc Lehmann: one page, no header)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Point clouds as PCD of the Point Cloud Library, version 0.7: ascii, binary, binary_compressed."""
 
-from __future__ import annotations
-
 import re
 import struct
 from dataclasses import dataclass

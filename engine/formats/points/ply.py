@@ -1,7 +1,5 @@
 """Point clouds as PLY, binary of either byte order or ASCII; meshes give their vertices."""
 
-from __future__ import annotations
-
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import parse_header

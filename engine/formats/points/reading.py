@@ -1,7 +1,5 @@
 """Any file with points in it, told by its first bytes and not by its name."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

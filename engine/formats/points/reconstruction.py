@@ -1,7 +1,5 @@
 """A COLMAP reconstruction as a whole: its photos' cameras and its sparse points."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

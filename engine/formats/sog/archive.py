@@ -1,7 +1,5 @@
 """Where the parts of a SOG scene lie: a zip archive or a folder. Only parts asked for by name are read."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

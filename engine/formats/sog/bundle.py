@@ -4,8 +4,6 @@ Versions 1 ("SOGS") and 2 are read, 2 is written. Format: the SOG page of PlayCa
 readers of playcanvas/splat-transform. The axes are those of PLY.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from engine.errors import FormatError

@@ -1,7 +1,5 @@
 """The best 256 values for many: the scalar codebooks of SOG."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From the images of a SOG scene to the attributes of Gaussians."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

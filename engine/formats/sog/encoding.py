@@ -1,7 +1,5 @@
 """From the attributes of Gaussians to the parts of a SOG scene, version 2."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

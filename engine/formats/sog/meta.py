@@ -1,7 +1,5 @@
 """meta.json of a SOG scene: checked, and brought to lookup tables that are the same for both versions."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

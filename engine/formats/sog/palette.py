@@ -6,8 +6,6 @@ proportional to its squared error; an assignment then costs 2 sqrt(P) comparison
 more squared error.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

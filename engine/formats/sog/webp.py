@@ -1,7 +1,5 @@
 """Lossless WebP: the size is read from the header, and only a size that was expected is decoded."""
 
-from __future__ import annotations
-
 import io
 import struct
 

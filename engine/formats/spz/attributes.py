@@ -1,7 +1,5 @@
 """The quantisation of SPZ: six sections of bytes from and to the attributes of Gaussians."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The two containers of SPZ: one gzip stream (versions 2, 3), and a header with zstd streams (version 4)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass

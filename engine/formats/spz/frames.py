@@ -1,7 +1,5 @@
 """The axes in which an SPZ file stores its scene, and the way from there to the axes of PLY."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Any, Literal, get_args

@@ -3,8 +3,6 @@
 Format: nianticlabs/spz, README and src/cc/load-spz.cc.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

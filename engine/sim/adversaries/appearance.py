@@ -3,8 +3,6 @@
 All are pure functions `(model, strength, rng) -> model`; geometry and opacities stay.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

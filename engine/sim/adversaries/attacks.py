@@ -1,7 +1,5 @@
 """Adversaries' attacks by name, with their strengths as data; the module of each function names its source."""
 
-from __future__ import annotations
-
 from engine.model import Float32, GaussianModel
 from engine.sim.adversaries import (
     appearance,

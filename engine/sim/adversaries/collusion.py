@@ -6,8 +6,6 @@ nonlinear collusion attacks for multimedia fingerprinting" (IEEE TIP 14(5), 2005
 coefficient, and two that mix whole Gaussians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ All are pure functions `(image, strength, rng) -> image` on float32 (H, W, 3) in
 auto-encoder or a diffusion model needs trained networks and is not to be had here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

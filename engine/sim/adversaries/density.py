@@ -8,8 +8,6 @@ Step 2 uses the edges to `GRAPH` nearest neighbours only, not all pairs: with th
 and pieces that no edge joins are joined last, at infinite distance.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

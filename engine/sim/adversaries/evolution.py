@@ -9,8 +9,6 @@ which is where a network's first layers look, too. The search is (mu + lambda) e
 follows the rule of one fifth (Rechenberg), from the unharmed model on, so that its answer always meets the budget.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

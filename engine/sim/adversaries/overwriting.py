@@ -1,7 +1,5 @@
 """Overwriting: the attacker marks the stolen model once more with this very program, under a key of his own."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import GaussianModel

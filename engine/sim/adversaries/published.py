@@ -7,8 +7,6 @@ floats. GaussianMarker's code: "rotate" by any matrix, "translate" each point by
 All are pure functions `(model, strength, rng) -> model`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

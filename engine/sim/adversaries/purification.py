@@ -1,7 +1,5 @@
 """Purification by contribution: GSPure's idea (AAAI 2026), a hidden thing shows as Gaussians that serve no view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ Nobody has published what becomes of a mark then. Reading it is informed as all 
 what the unmarked model looked like; blind decoders do without.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal

@@ -4,8 +4,6 @@ It does not remove a mark, it makes marks worthless: if it worked, anybody's mod
 else's. Here chips hang on the digest of the reference, so the other model must neither be found derived nor read.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

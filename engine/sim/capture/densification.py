@@ -1,7 +1,5 @@
 """Adaptive density control (Kerbl et al. 2023, section 5.2): where training adds Gaussians and takes them away."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Programs of others that only capture needs: installed by the extra ``capture``, looked for when called."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """From photos and their COLMAP reconstruction to a trained Gaussian model."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From point clouds and LiDAR scans to Gaussian models."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Storage in half precision (IEEE 754 binary16): what a viewer's buffers keep of a model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

@@ -1,7 +1,5 @@
 """From a coloured point cloud to Gaussian kernels, as INRIA starts its training."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

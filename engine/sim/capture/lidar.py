@@ -1,7 +1,5 @@
 """A LiDAR that scans a Gaussian model: ranges and colours by the rasterizer, along a path."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ What is left out is merged into its nearest survivor with the moments of both, w
 in Hierarchical 3D Gaussians (Kerbl et al. 2024, Eq 6), or dropped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """LiDAR odometry: from scans alone to the path of the scanner (extra ``capture``: kiss-icp)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

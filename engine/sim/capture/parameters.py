@@ -1,7 +1,5 @@
 """The arrays under training, each with its Adam moments; the only mutable thing of a training."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -7,8 +7,6 @@ loop runs over contiguous memory.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 

@@ -1,7 +1,5 @@
 """Scans into the world: every point by the pose that its sensor had at the point's own time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

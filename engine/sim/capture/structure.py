@@ -1,7 +1,5 @@
 """Structure from motion: from photos alone to a COLMAP model (extra ``capture``: pycolmap)."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

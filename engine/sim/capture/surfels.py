@@ -1,7 +1,5 @@
 """From a point cloud to flat kernels that lie on its surfaces: for clouds that no photo will train."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A cloud made even and clean: one point a voxel, and without what hangs in the sky or lies under the ground."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ A step: 1. a photo in random order, 2. render, 3. loss and its gradient, 4. grad
 6. now and then: densify and prune, bring opacities down, one more SH degree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal

@@ -1,7 +1,5 @@
 """Photos to what a pinhole would have seen: lens distortion undone, brought to the size of training."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -5,8 +5,6 @@ least surface area and rotates the tree on the way back up (Catto, "Dynamic Boun
 2019), so that no order of insertion degenerates it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.numerics.jit import inlined, kernel

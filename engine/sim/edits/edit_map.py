@@ -6,8 +6,6 @@ or foreign; what is missing was removed. The map is for people. It looks at the 
 evidence of a claim (DESIGN 4.9); claims are made by `verify_model` and `verify_pieces`, which do not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

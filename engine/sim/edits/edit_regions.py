@@ -1,7 +1,5 @@
 """Connected patches of changed Gaussians, described in terms a person can use."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

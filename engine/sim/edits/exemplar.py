@@ -4,8 +4,6 @@ Criminisi, Perez, Toyama, "Region filling and object removal by exemplar-based i
 hole closes from its rim, and each patch on the rim is completed from the known patch that fits it best.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Bool, Float64, Int64

@@ -1,7 +1,5 @@
 """The surface that a hole was cut out of: a quadric height field through the ring of Gaussians around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

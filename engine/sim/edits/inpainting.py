@@ -9,8 +9,6 @@
 A hole that no surface surrounds (something that stood alone in the air) is left empty.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

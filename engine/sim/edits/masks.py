@@ -1,7 +1,5 @@
 """2-D masks lifted to 3-D, and selections seen as 2-D masks: both by blending weight, in one pass a view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which records a file of many objects carries, and where: nothing but the flat file is needed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Covariances and spherical harmonics turn with their Gaussians (quaternion produc
 in its new place as it did in the old one. The model that was given is left as it is.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A suspect in which parts of the asset were moved, each in its own way: registered piece by piece."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 A selection is a (N,) bool array; unite, intersect and invert them with NumPy's |, & and ~.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

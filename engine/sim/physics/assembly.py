@@ -1,7 +1,5 @@
 """All bodies of a world in one set of arrays, as the kernels want them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Kernels between lattice points and the Gaussians bound to them."""
 
-from __future__ import annotations
-
 import numba
 
 from engine.numerics.jit import parallel_kernel

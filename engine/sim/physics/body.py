@@ -1,7 +1,5 @@
 """A body: a model embedded in elastic tetrahedra, with a position and a velocity for every lattice point."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

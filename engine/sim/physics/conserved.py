@@ -1,7 +1,5 @@
 """What a world conserves without contacts, drag and pins, and what it can only lose: momentum and energy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

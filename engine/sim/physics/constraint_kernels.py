@@ -12,8 +12,6 @@ Damping is a pass of its own over velocities, which can only take energy. XPBD's
 (measured: 30 % at a damping time of 10 ms).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ inelastic. What it was inside already is resolved by moving its past along, whic
 start overlapped come apart without bursting.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ columns, so a matrix whose columns are orthogonal already comes back as it was, 
 zero columns stay zero.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ in its middle). It acts on the body's length, -length/2 <= h <= length/2; what l
 end. Barr, "Global and local deformations of solid primitives", SIGGRAPH 1984.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A model after its matter has moved: means, covariances and colours follow (Eq 12)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

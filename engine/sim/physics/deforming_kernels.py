@@ -1,7 +1,5 @@
 """Kernels that carry Gaussians along with the matter around them."""
 
-from __future__ import annotations
-
 import math
 
 import numba

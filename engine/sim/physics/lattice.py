@@ -5,8 +5,6 @@ each order of the three coordinates (Kuhn's subdivision): neighbouring cubes agr
 tetrahedron and barycentric coordinates of a point follow from sorting three numbers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any

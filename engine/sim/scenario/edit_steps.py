@@ -3,8 +3,6 @@
 Lengths and places are in robust radii of the model the step works on, about its centre: a scenario fits any scene.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

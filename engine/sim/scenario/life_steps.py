@@ -3,8 +3,6 @@
 A body's robust radius counts as one metre, so that everything falls and bends alike whatever its units are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

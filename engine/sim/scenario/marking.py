@@ -1,7 +1,5 @@
 """The start of a scenario: objects read or trained, marked and placed."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 

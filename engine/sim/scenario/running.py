@@ -4,8 +4,6 @@
 2. Carry the steps out in their order.              4. Show it: a picture a step, a film of all.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

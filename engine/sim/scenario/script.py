@@ -1,7 +1,5 @@
 """A scenario as it is written: objects, steps, how it is shown. Nothing is loaded or run here."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a person looks at: a captioned picture after each step, and the frames of one film through all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

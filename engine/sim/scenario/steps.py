@@ -1,7 +1,5 @@
 """What a step is, and the list of all kinds of steps by the word that a scenario calls them with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Steps of thieves: attacks on models, pictures that turn up, fine-tuning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

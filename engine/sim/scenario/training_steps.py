@@ -1,7 +1,5 @@
 """Steps of thieves with patience: fine-tuning, re-training from renders, putting several copies together."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Places from which a scenario looks at a scene."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Camera, look_at

@@ -11,8 +11,6 @@ Both the archive and the pickle can run code when loaded as the public code does
 lists, dicts, texts and numbers.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import zipfile

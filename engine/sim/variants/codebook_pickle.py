@@ -1,7 +1,5 @@
 """kmeans_args.npy of Compact3D: a pickled dict, read by an unpickler that builds only plain values."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from typing import Any

@@ -6,8 +6,6 @@ original. What a trained 2DGS has beside (surfaces that agree with each other, n
 to a mark is alike: two scales, the ray-splat intersection, colours that a 2DGS viewer shows.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ Tang, Ren, Zhou, Liu and Zeng, "DreamGaussian: Generative Gaussian Splatting for
 quaternions of any length; `engine.formats.read_model` reads that as it is.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

@@ -4,8 +4,6 @@ Whatever a part was marked as, in a file of plain Gaussians it is an object like
 part that moves is looked for with its record moved to its moment (`move_record`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

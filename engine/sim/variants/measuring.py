@@ -4,8 +4,6 @@ Each variant goes through its own files before the mark and after it. Extraction
 record, which the systems in the paper's table do without.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace

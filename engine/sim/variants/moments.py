@@ -3,8 +3,6 @@
 See `engine.sim.variants.moving` for why this stays a theorem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -10,8 +10,6 @@ the moved reference, the matches and the weights know nothing of them. Which mom
 geometry alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol, Self, TypeVar

@@ -1,7 +1,5 @@
 """Spacetime Gaussians as the PLY of their public code ("lite" models), under the rules for hostile files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -6,8 +6,6 @@ exactly, nor radial bases the way things appear. So there is a quality before ma
 motion is made, not measured, and every result must say so.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ The paper measures PSNR and LPIPS against ground truth. LPIPS needs a trained ne
 paper's column. Bits are read by informed extraction (with the owner's record); the paper's are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """View distortions by name, with their strengths as data: what lenses, sensors, viewers and encoders do."""
 
-from __future__ import annotations
-
 from engine.model import Float32
 from engine.sim.attack import Attack, Reading, Strength
 from engine.sim.views import encoders, exposures, lenses, resizing, tones

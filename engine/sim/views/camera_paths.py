@@ -1,7 +1,5 @@
 """Camera paths for films, from the model alone: around it, and through it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.errors import InputError

@@ -1,7 +1,5 @@
 """What every view distortion checks on the way in and guarantees on the way out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ A frame of a film is not coded by itself: most of it is predicted from its neigh
 middle of a short film, by default of a hand-held pan over the picture itself, and comes back as that frame.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 from collections.abc import Sequence

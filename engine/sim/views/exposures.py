@@ -1,7 +1,5 @@
 """Attacks by uneven light: rolling exposure, mains flicker and vignette. Image attacks; gains act on the values."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.model import Float32, Float64

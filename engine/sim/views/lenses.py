@@ -4,8 +4,6 @@ A render is a pinhole's picture; these make of it what another camera would have
 the picture's edge there is black.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Attacks by resizing down (or up) and back to the old size, one per kernel. Image attacks."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

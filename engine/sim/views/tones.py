@@ -1,7 +1,5 @@
 """Attacks on tone and colour: curves of cameras, editors and viewers. Image attacks on values as displayed (sRGB)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

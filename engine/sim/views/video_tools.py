@@ -4,8 +4,6 @@ Only the command is used, through pipes; what it writes depends on its version, 
 installation (one thread, no time stamps).
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

@@ -1,7 +1,5 @@
 """The attacks of Table 2 in all their readings, on pictures and on the model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

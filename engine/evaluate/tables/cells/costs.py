@@ -1,7 +1,5 @@
 """Table 3: time to mark and to verify, frames a second, bytes."""
 
-from __future__ import annotations
-
 import statistics
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Table 5: one setting of fine-tuning, read at every number of epochs, as `mark3dgs bench finetune` does it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.evaluate.bars_fine_tuning import bench_fine_tuning

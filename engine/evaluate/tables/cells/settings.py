@@ -1,7 +1,5 @@
 """One scene marked by one setting: fidelity, time, and what the model and pictures of it still say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pictures of marked models from views that are not the key views, attacked and read one at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

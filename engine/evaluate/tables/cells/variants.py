@@ -1,7 +1,5 @@
 """Table 4: one variant made from a scene, marked, attacked and read, as `mark3dgs bench variants` does it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from engine.evaluate.bars_variants import bench_variant

@@ -1,7 +1,5 @@
 """Table 3: time, frames a second, bytes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table

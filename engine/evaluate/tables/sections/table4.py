@@ -1,7 +1,5 @@
 """Table 4: other kinds of Gaussian models."""
 
-from __future__ import annotations
-
 from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
 from engine.evaluate.tables.effort import scenes_of
 from engine.evaluate.tables.paper import PUBLISHED, printed

@@ -1,7 +1,5 @@
 """Table 6: what the losses of the refinement buy, and the paper's two sets of weights."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
