@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
@@ -125,6 +126,7 @@ def wanted_z(bits: int) -> float:
     return MARGIN * max(z_threshold(CHANCE_RATE), (BIT_Z + 0.2) * math.sqrt(bits))
 
 
+@one_blas_thread
 def choose(
     model: GaussianModel,
     key: OwnerKey,

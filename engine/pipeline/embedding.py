@@ -14,6 +14,7 @@ import numpy as np
 
 from engine.compress.impact import uncertainty
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
@@ -55,6 +56,7 @@ class Embedding:
     report: dict[str, Any]
 
 
+@one_blas_thread
 def embed(
     model: GaussianModel,
     key: OwnerKey,

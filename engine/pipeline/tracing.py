@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
@@ -101,6 +102,7 @@ class _Group:
     marks: list[CopyMark] = field(default_factory=list)
 
 
+@one_blas_thread
 def trace_model(
     suspect: GaussianModel,
     records: Iterable[OpenedRecord],
@@ -151,6 +153,7 @@ def trace_model(
     return _answer(findings, tries, config, (), clock)
 
 
+@one_blas_thread
 def trace_images(
     images: Sequence[Float32],
     records: Iterable[OpenedRecord],

@@ -10,6 +10,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
@@ -35,6 +36,7 @@ class Verification:
         return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
 
+@one_blas_thread
 def verify_model(
     suspect: GaussianModel, opened: OpenedRecord, config: VerifyConfig | None = None, progress: Progress | None = None
 ) -> Verification:
@@ -76,6 +78,7 @@ def verify_model(
     return replace(best, seconds=clock.total, seconds_by_stage=clock.seconds)
 
 
+@one_blas_thread
 def verify_images(
     images: Sequence[Float32],
     opened: OpenedRecord,

@@ -32,7 +32,9 @@ def exports(tree: ast.Module) -> list[str] | None:
 def bound_names(tree: ast.Module) -> set[str]:
     """Names that a module binds at its top level, imports included."""
     names: set[str] = set()
-    for node in tree.body:
+    typed = [node.body for node in tree.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    # What a package gathers for type checkers alone it loads on demand.
+    for node in [*tree.body, *(node for body in typed if exports(tree) for node in body)]:
         if isinstance(node, Function | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Import | ast.ImportFrom):
