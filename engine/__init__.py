@@ -9,7 +9,7 @@ import typing as _typing
 
 if _typing.TYPE_CHECKING:
     from engine.errors import Mark3DGSError
-    from engine.formats import read_cameras, read_model, write_model
+    from engine.formats import read_cameras, read_model, write_cameras, write_model
     from engine.model import Camera, GaussianModel
     from engine.pipeline.embedding import embed
     from engine.pipeline.profiles import profile
@@ -39,12 +39,13 @@ __all__ = [
     "trace_model",
     "verify_images",
     "verify_model",
+    "write_cameras",
     "write_model",
 ]
 
 _HOMES = {
     "engine.errors": ("Mark3DGSError",),
-    "engine.formats": ("read_cameras", "read_model", "write_model"),
+    "engine.formats": ("read_cameras", "read_model", "write_cameras", "write_model"),
     "engine.model": ("Camera", "GaussianModel"),
     "engine.pipeline.embedding": ("embed",),
     "engine.pipeline.profiles": ("profile",),

@@ -70,7 +70,7 @@ def quantize(
     Parameters
     ----------
     weights : (N,) float64
-        How much an error in each Gaussian's colour is seen (W^freq, divided by its uncertainty).
+        How much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty).
     radius : float
         Radius of the scene, scene units.
 

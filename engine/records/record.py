@@ -1,6 +1,6 @@
 """The record: what the owner keeps of one embedding, and all that verification needs.
 
-`record_header` says how it binds the chips to the asset, `record_file` how it lies in a file.
+`header` says how it binds the chips to the asset, `file` how it lies in a file.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class Record:
     copy : str
         Name of the copy.
     plan : mapping
-        JSON values settled before the chips were drawn (message, sizes, profile, configuration).
+        JSON values settled before the chips were drawn (message, number of codes, commitments).
     plan_arrays : mapping of str to ndarray
-        Arrays settled before the chips were drawn (labels, carriers, amplitudes).
+        Arrays settled before the chips were drawn (labels, carriers, amplitudes, cameras, landmarks).
     extra : mapping
-        JSON values that may follow from the mark (strength, fidelity reached, camera sizes).
+        JSON values that may follow from the mark (strength, settings).
     extra_arrays : mapping of str to ndarray
-        Arrays that play no part in decoding, or do not depend on the mark (cameras, landmarks).
+        Arrays that play no part in decoding; an embedding makes none.
     reference_arrays : mapping of str to ndarray
-        The canonical reference, see `reference_codec`.
+        The canonical reference, see `engine.records.reference`.
     """
 
     header: RecordHeader
