@@ -1,4 +1,4 @@
-"""Adam: against the paper's formulas in float64."""
+"""Adam: against Kingma and Ba's formulas in float64."""
 
 from __future__ import annotations
 

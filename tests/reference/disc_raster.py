@@ -1,6 +1,6 @@
 """The image of discs (2DGS), defined the slow way: every disc over every pixel, in float64, nearest first.
 
-Written from the paper (Huang et al. 2024, equations 4 to 11): a pixel's ray is the meeting of two planes, both are taken
+Written from Huang et al. 2024, equations 4 to 11: a pixel's ray is the meeting of two planes, both are taken
 to the disc's own frame by the transposed homography, and their line meets u, v there.
 """
 
