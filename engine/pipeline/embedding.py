@@ -1,5 +1,6 @@
 """The embedding flow: model -> prune -> quantise -> displace code vectors -> refine -> marked model and record.
 
+0. Choose the settings, where that is left open.
 1. Look at the model from the key views.            5. Plan carriers and amplitudes; commit to them.
 2. Prune to the budget, if one was given.           6. Draw bits and chips from the owner's key.
 3. Fix the canonical reference.                     7. Solve the strength; refine; solve it again.
@@ -13,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from engine.compress.impact import uncertainty
+from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
-from engine.pipeline.groundwork import Groundwork, lay_groundwork
-from engine.pipeline.profiles import EmbedConfig, config_dict
+from engine.pipeline.groundwork import lay_groundwork
+from engine.pipeline.profiles import Auto, EmbedConfig, Settings, config_dict
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
@@ -46,12 +49,15 @@ class Embedding:
         The marked model to deliver.
     record : Record
         What the owner keeps.
+    config : EmbedConfig
+        The settings used: the chosen ones, where that was left open.
     report : dict
         Measurements for people and machines (`embed --json`).
     """
 
     model: GaussianModel
     record: Record
+    config: EmbedConfig
     report: dict[str, Any]
 
 
@@ -62,13 +68,12 @@ def embed(
     original_sha256: str,
     message: Signs | None = None,
     bits: int = 32,
-    config: EmbedConfig | None = None,
+    config: Settings | None = None,
     cameras: Sequence[Camera] | None = None,
     copy: str = "",
     registered_at: str = "",
     progress: Progress | None = None,
     variant: Variant = PLAIN,
-    ground: Groundwork | None = None,
 ) -> Embedding:
     """Mark a model.
 
@@ -80,6 +85,8 @@ def embed(
         Derived from the key where not given.
     bits : int
         Length of a derived message.
+    config : EmbedConfig or Auto, optional
+        See `profiles.compose`.
     cameras : sequence of Camera, optional
         The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
     copy : str
@@ -88,8 +95,6 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
-    ground : Groundwork, optional
-        Already laid for this model, key, configuration and these cameras (`Choice.ground`): nothing is looked at twice.
 
     Raises
     ------
@@ -98,15 +103,24 @@ def embed(
     InputError
         If the model or the options are unusable.
     """
-    config = config or EmbedConfig()
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
     check_bits(bits)
+    choice: Choice | None = None
+    if isinstance(config, Auto):
+        if variant is not PLAIN:
+            raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
+        with clock.stage("choose"):  # 0
+            choice = choose(model, key, bits, config, original_sha256, cameras)
+    config = choice.config if choice is not None else config or EmbedConfig()
     keeps_rows = config.prune.budget_db is None and config.output == "fidelity"
     variant.check(model, keeps_rows=keeps_rows, refines=config.refine.steps > 0)
 
     with clock.stage("look"):  # 1
-        ground = ground or lay_groundwork(model, key, original_sha256, config, cameras, variant, clock)
+        # What was rehearsed on is gone on from: nothing is looked at twice.
+        ground = (
+            choice.ground if choice else lay_groundwork(model, key, original_sha256, config, cameras, variant, clock)
+        )
         original, extent, key_cameras = ground.views, ground.extent, ground.cameras
     with clock.stage("prune"):  # 2
         slim, pruned = slim_down(model, original, ground.impact, extent, config)
@@ -186,11 +200,12 @@ def embed(
         "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
         "capacity_bits": capacity,
         "chips": layout.chips,
+        "choice": None if choice is None else choice.report(),
         **pruned,
         "seconds": clock.total,
         "seconds_by_stage": clock.seconds,
     }
-    return Embedding(marked, record, report)
+    return Embedding(marked, record, config, report)
 
 
 def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

@@ -87,11 +87,47 @@ PROFILES: dict[str, EmbedConfig] = {
 """fast and balanced differ in how many views shape the mark; strong spends 2 dB of fidelity on evidence."""
 
 
+AUTO = "auto"
+"""The name under which a profile is left to the scene."""
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Settings that a rehearsal on the scene chooses (`engine.pipeline.choosing`).
+
+    Parameters
+    ----------
+    start : EmbedConfig
+        Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew.
+    keep_psnr : bool
+        The owner named this fidelity: evidence may not be bought with it.
+    """
+
+    start: EmbedConfig = PROFILES["fast"]
+    keep_psnr: bool = False
+
+
+Settings = EmbedConfig | Auto
+"""What an embedding is told: everything, or to choose."""
+
+
 def profile(name: str, **changes: Any) -> EmbedConfig:
     """A named profile with some knobs changed; an unknown name is an InputError."""
     if name not in PROFILES:
         raise InputError(f"unknown profile {name!r}, choose one of {', '.join(sorted(PROFILES))}")
     return replace(PROFILES[name], **changes)
+
+
+def compose(
+    name: str, *, psnr_db: float | None = None, output: str | None = None, budget_db: float | None = None
+) -> Settings:
+    """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own."""
+    asked = {"psnr_db": psnr_db, "output": output}
+    changes = {knob: value for knob, value in asked.items() if value is not None}
+    config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
+    if budget_db is not None:
+        config = replace(config, prune=replace(config.prune, budget_db=budget_db))
+    return Auto(config, keep_psnr=psnr_db is not None) if name == AUTO else config
 
 
 def config_dict(config: EmbedConfig) -> dict[str, Any]:
