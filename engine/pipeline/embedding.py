@@ -112,46 +112,48 @@ def embed(
             raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
         with clock.stage("choose"):  # 0
             choice = choose(model, key, bits, config, original_sha256, cameras)
-    config = choice.config if choice is not None else config or EmbedConfig()
-    keeps_rows = config.prune.budget_db is None and config.output == "fidelity"
-    variant.check(model, keeps_rows=keeps_rows, refines=config.refine.steps > 0)
+        settings = choice.config
+    else:
+        settings = config or EmbedConfig()
+    keeps_rows = settings.prune.budget_db is None and settings.output == "fidelity"
+    variant.check(model, keeps_rows=keeps_rows, refines=settings.refine.steps > 0)
 
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.
         ground = (
-            choice.ground if choice else lay_groundwork(model, key, original_sha256, config, cameras, variant, clock)
+            choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
         )
         original, extent, key_cameras = ground.views, ground.extent, ground.cameras
     with clock.stage("prune"):  # 2
-        slim, pruned = slim_down(model, original, ground.impact, extent, config)
+        slim, pruned = slim_down(model, original, ground.impact, extent, settings)
     with clock.stage("quantize"):  # 3, 4
         ground = ground.of(slim, clock)
         impact = ground.impact
-        delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, config)
+        delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, settings)
         emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
         # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
-        if variant.labels is None and config.output == "fidelity":
-            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, config.plan.mass_share, emphasis)
+        if variant.labels is None and settings.output == "fidelity":
+            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
         reference_arrays = encode_reference(delivered)
         digest = reference_digest(reference_arrays)
     with clock.stage("landmarks"):
-        landmarks = _landmarks(delivered, extent, config, clock)
+        landmarks = _landmarks(delivered, extent, settings, clock)
     with clock.stage("plan"):  # 5, 6
         views = ground.views_of(delivered, clock)
-        plan = make_plan(stages, impact, config.plan, emphasis)
+        plan = make_plan(stages, impact, settings.plan, emphasis)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
         committed = plan_of(layout, sign, key_cameras, landmarks, variant.commitments)
         spreading = draw_spreading(key, digest, copy, layout, committed)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
-        guess = first_guess(plan.energies, key_cameras, config.psnr_db)
-        strength = solve_strength(views, displacement, config.psnr_db, config.ssim, guess)
+        guess = first_guess(plan.energies, key_cameras, settings.psnr_db)
+        strength = solve_strength(views, displacement, settings.psnr_db, settings.ssim, guess)
         pictured = plan.energies * ground.picture_scale
         capacity = capacity_bits(pictured, strength.factor, layout.chips)
         check_capacity(bits, capacity)
     displacement = np.float32(strength.factor) * displacement
-    if config.refine.steps > 0:
+    if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
             from engine.pipeline.refinement import refine  # torch is only needed here
 
@@ -165,10 +167,10 @@ def embed(
                 spreading.bit_of,
                 bits,
                 doubt,
-                config.refine,
+                settings.refine,
                 clock.advance,
             )
-            again = solve_strength(views, displacement, config.psnr_db, config.ssim, 1.0)
+            again = solve_strength(views, displacement, settings.psnr_db, settings.ssim, 1.0)
             displacement = np.float32(again.factor) * displacement
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
@@ -181,7 +183,7 @@ def embed(
             original_sha256=original_sha256,
             copy=copy,
             registered_at=registered_at,
-            settings=config_dict(config),
+            settings=config_dict(settings),
         )
         total = strength.psnr_db
         if delivered is not model:
@@ -205,7 +207,7 @@ def embed(
         "seconds": clock.total,
         "seconds_by_stage": clock.seconds,
     }
-    return Embedding(marked, record, config, report)
+    return Embedding(marked, record, settings, report)
 
 
 def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

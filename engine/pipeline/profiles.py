@@ -123,7 +123,7 @@ def compose(
 ) -> Settings:
     """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own."""
     asked = {"psnr_db": psnr_db, "output": output}
-    changes = {knob: value for knob, value in asked.items() if value is not None}
+    changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
     config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
     if budget_db is not None:
         config = replace(config, prune=replace(config.prune, budget_db=budget_db))

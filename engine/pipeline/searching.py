@@ -11,7 +11,7 @@ Verification asks one record (`verify`), tracing all copies of an asset (`readin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -228,7 +228,7 @@ class Search(Generic[C]):
 
     outcomes: tuple[Outcome[C], ...]
     tries: int
-    seconds_by_stage: Mapping[str, float]
+    seconds_by_stage: dict[str, float]
 
     @property
     def best(self) -> Outcome[C] | None:

@@ -40,10 +40,10 @@ class Candidate:
 
 def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
     """The candidates of a request, in its order."""
-    sketches: dict[str | None, Sketch | None] = {None: None}
+    sketches: dict[str, Sketch | None] = {"": None}
     found = []
     for plain in request.get("candidates") or ():
-        path = plain.get("sketch") or None
+        path = str(plain.get("sketch") or "")
         if path not in sketches:
             sketches[path] = _load_sketch(path)
         key = OwnerKey(bytes.fromhex(plain["key"]))
