@@ -13,7 +13,7 @@ from engine.cli.console import Console
 from engine.cli.files import check_target, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import format_for, loss_note, repair_entries, say_repairs
-from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.options import Json, Key, Knobs, SpzFrame
 from engine.errors import InputError
 
 
@@ -52,6 +52,7 @@ def embed(
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Time of registration to record, or 'now'.")
     ] = "",
+    knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",
     force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
     json: Json = False,
@@ -87,7 +88,7 @@ def embed(
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
-    config = compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget))
+    config = compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ())
     signs = message_signs(message) if message is not None else None
     check_bits(bits or 32)
     owner = OwnerKey.read(key)

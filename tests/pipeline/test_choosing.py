@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from engine.compress.hvq import HvqConfig
-from engine.compress.pruning import PruneConfig
 from engine.errors import InputError
 from engine.evaluate.marked_scene import bench_key
 from engine.formats import read_model
@@ -84,17 +83,6 @@ def test_a_variant_is_not_rehearsed(plant: GaussianModel) -> None:
     labels = np.zeros(len(plant), np.int32)
     with pytest.raises(InputError, match="a variant is not rehearsed"):
         embed(plant, bench_key(1), original_sha256=DIGEST, config=Auto(), variant=Variant(labels=labels))
-
-
-def test_what_an_owner_asks_for_is_composed() -> None:
-    assert compose("fast") == profile("fast")
-    assert compose("strong", psnr_db=48.0, output="compact", budget_db=35.0) == profile(
-        "strong", psnr_db=48.0, output="compact", prune=PruneConfig(budget_db=35.0)
-    )
-    assert compose("auto", budget_db=35.0) == Auto(profile("fast", prune=PruneConfig(budget_db=35.0)))
-    assert compose("auto", psnr_db=48.0) == Auto(profile("fast", psnr_db=48.0), keep_psnr=True)
-    with pytest.raises(InputError, match="unknown profile 'quick'"):
-        compose("quick")
 
 
 def test_the_owners_cameras_that_are_no_key_views_are_the_unseen_ones(plant: GaussianModel) -> None:
