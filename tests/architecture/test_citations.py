@@ -75,6 +75,22 @@ def test_the_paper_is_named_once() -> None:
     assert TITLE in " ".join(PAGE.split('"The paper" is')[1].split())[:200]
 
 
+def test_files_and_names_of_the_page_exist() -> None:
+    """A file by the end of its path, a name by being written anywhere in the code."""
+    tokens = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL))
+    files = [
+        token for token in tokens if re.fullmatch(r"[\w./]+\.(py|toml|md|json)|(engine|service|tests)/[\w/]*", token)
+    ]
+    names = {token.split(".")[-1] for token in set(tokens) - set(files) if re.fullmatch(r"[A-Za-z_][\w.]*", token)}
+    code = [path for path in tracked_files() if path.suffix in (".py", ".toml") and path.parts[0] != "docs"]
+    words = {word for path in code for word in re.findall(r"\w+", (ROOT / path).read_text(encoding="utf-8"))}
+    folders = {str(folder) for path in tracked_files() for folder in path.parents}
+    known = [f"/{path}" for path in tracked_files()] + [f"/{folder}" for folder in folders]
+    assert len(files) > 40
+    assert not [file for file in files if not any(path.endswith(f"/{file.rstrip('/')}") for path in known)]
+    assert not sorted(names - words - {"NAME"})
+
+
 # --- the table of equations ----------------------------------------------------------------------------------
 
 
