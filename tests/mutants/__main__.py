@@ -98,11 +98,11 @@ def _test(root: Path, tests: tuple[str, ...]) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] in ("engine", "service", "tests")]:
         del sys.modules[name]
     sys.dont_write_bytecode = True
-    os.environ["PYTHONPATH"] = str(root)
+    os.environ |= {"PYTHONPATH": str(root), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
-    os._exit(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "no:xdist", *tests]))
+    os._exit(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "pytest_timeout", *tests]))
 
 
 def _say(text: str) -> None:
