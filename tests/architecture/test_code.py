@@ -83,6 +83,9 @@ def test_export_rules_see_what_they_look_for() -> None:
     assert len(list(false_exports(ast.parse(code)))) == 2
     assert ungathered(ast.parse(code)) == {"d"}
     assert list(false_exports(ast.parse("__all__ = ['B', 'a', 'b']\nB = a = b = 0"))) == []
+    on_demand = ast.parse("if _typing.TYPE_CHECKING:\n    from a import b, c\n__all__ = ['b', 'd']")
+    assert list(false_exports(on_demand)) == ["d is exported, but not there"]
+    assert ungathered(on_demand) == {"c", "d"}
 
 
 # --- documentation -----------------------------------------------------------------------------------------

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 
-import numpy as np
-from threadpoolctl import threadpool_info
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from engine.numerics import wavelet  # noqa: F401 - brings numpy, and so a BLAS
 from engine.numerics.blas import one_blas_thread
 
 
+@pytest.fixture(autouse=True)
+def two_threads() -> Iterator[None]:
+    with threadpool_limits(limits=2, user_api="blas"):
+        yield
+
+
 def threads() -> set[int]:
-    np.ones(2) @ np.ones(2)
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def test_one_thread_inside_and_what_there_was_outside() -> None:
-    before = threads()
+    assert threads() == {2}
 
     @one_blas_thread
     def inside() -> set[int]:
@@ -25,11 +32,11 @@ def test_one_thread_inside_and_what_there_was_outside() -> None:
         return threads()
 
     assert inside() == {1}
-    assert threads() == before
+    assert threads() == {2}
 
 
 def test_the_last_of_several_callers_restores() -> None:
-    before, left = threads(), threading.Event()
+    left = threading.Event()
 
     def stay() -> None:
         with one_blas_thread:
@@ -43,4 +50,4 @@ def test_the_last_of_several_callers_restores() -> None:
     assert threads() == {1}
     left.set()
     other.join()
-    assert threads() == before
+    assert threads() == {2}
