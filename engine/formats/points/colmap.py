@@ -44,25 +44,12 @@ _Row = tuple[float, float, float, int, int, int, float, int]
 
 
 def read_points(data: bytes, file: str, *, binary: bool) -> ColmapPoints:
-    """Points of a points3D file, in its order.
+    """Points of a points3D file, in its order; there may be none.
 
-    Parameters
-    ----------
-    file : str
-        Name, for messages.
-
-    Returns
-    -------
-    ColmapPoints
-        May be empty.
-
-    Raises
-    ------
-    FormatError
-        If the file ends early, goes on too long, claims more points than its bytes can hold, or a row is no point.
+    FormatError if it ends early, goes on too long, claims more points than its bytes can hold, or a row is no point.
     """
     rows = (_binary_rows if binary else _text_rows)(data, file)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 8)  # (N, 8)
     return ColmapPoints(
         np.ascontiguousarray(table[:, :3]),
         table[:, 3:6].astype(np.uint8),
