@@ -1,1 +1,6 @@
-"""Numerics floor of the engine."""
+"""Mathematics that knows no format, no renderer and no mark: numba's options, rotations, similarities, spherical
+harmonics, wavelets, neighbours, image measures.
+
+Everybody above may come in, module by module: nothing is gathered here. Start at `jit`, which says how kernels are
+compiled, and at docs/CONVENTIONS.md, which says what the arrays mean.
+"""
