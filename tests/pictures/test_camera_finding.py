@@ -12,6 +12,7 @@ from PIL import Image
 from engine.errors import InputError
 from engine.formats import read_model
 from engine.model import Camera, GaussianModel, look_at
+from engine.pictures import camera_finding
 from engine.pictures.camera_finding import CameraConfig, find_camera
 from engine.pictures.camera_hypotheses import fit_camera, hypothesize
 from engine.pictures.camera_motion import moved, normalized, point_columns, project
@@ -258,6 +259,5 @@ def test_acceleration_leaves_long_steps_alone() -> None:
 
 
 def test_knobs_are_within_reason() -> None:
-    config = CameraConfig()
-    assert config.least_start <= config.least_inliers
-    assert config.least_correlation < config.sure_correlation < 1.0
+    assert camera_finding.LEAST_START <= camera_finding.LEAST_INLIERS
+    assert camera_finding.LEAST_CORRELATION < CameraConfig().sure_correlation < 1.0
