@@ -116,7 +116,6 @@ def test_camera_of_a_jpeg_is_found_to_hundredths_of_a_pixel(
     assert (found.camera.width, found.camera.height) == (480, 360)
     assert found.camera.K[0, 0] == found.camera.K[1, 1]
     assert found.correlation > 0.99
-    assert set(found.seconds_by_stage) == {"keypoints", "match", "pose", "refine"}
 
 
 def test_exposure_and_another_background_do_not_mislead(plant: GaussianModel, bank: Landmarks) -> None:
