@@ -32,7 +32,7 @@ class FormatError(InputError):
     message : str
         What is wrong, with the offending value.
     file : str
-        Name of the file as the user gave it.
+        Its name as the user gave it.
     element, prop : str, optional
         Element and property of the file format in which the fault lies.
     row : int, optional
@@ -85,13 +85,7 @@ class WrongKeyError(RecordError):
 
 
 class CapacityError(Mark3DGSError):
-    """The planner refuses a message that the scene cannot carry.
-
-    Parameters
-    ----------
-    wanted, capacity : int
-        Bits asked for, and bits the scene can carry at the asked fidelity.
-    """
+    """The planner refuses a message of `wanted` bits: the scene can carry `capacity` at the asked fidelity."""
 
     def __init__(self, message: str, *, wanted: int, capacity: int) -> None:
         super().__init__(message)

@@ -91,7 +91,7 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     """The image by the plain loop, black background."""
     geometry, camera = view.geometry, view.camera
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-    log2_skip, clamp, stop, _ = geometry.limits
+    log2_skip, clamp, stop = geometry.limits
     with parallel_section():
         _naive(
             geometry.records,
@@ -172,7 +172,7 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
         stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
     result: dict[str, Any] = {name: median_ms(stage, repeats) for name, stage in stages.items()}
     with parallel_section(), borrow_workspace() as work:
-        _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), None, work)
+        _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), work)
     machine = machine_info()
     return result | {
         "speedup_over_naive": round(result["naive_forward_ms"] / result["blend_ms"], 1),

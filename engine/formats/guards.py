@@ -1,6 +1,10 @@
-"""How many Gaussians a compressed file may claim to hold: what a small file can make the reader allocate."""
+"""What is checked before a stranger's file is read: what it is, and how much it may make the reader allocate."""
 
-from engine.errors import FormatError
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from engine.errors import FormatError, InputError
 
 FREE_COUNT = 1 << 20
 """Any file may hold this many: some 300 MB while it is read."""
@@ -11,23 +15,27 @@ reached only by rows that all say the same (a 591 KB SPZ can hold 9.5 million of
 
 
 def check_count(count: int, size: int, *, file: str) -> None:
-    """Refuse a number of Gaussians out of all proportion to the file that claims it.
-
-    Parameters
-    ----------
-    count : int
-        Gaussians claimed.
-    size : int
-        Length of the whole file (or of all files of a folder), bytes.
-    file : str
-        Name of the file, for the message.
-
-    Raises
-    ------
-    FormatError
-        The count is zero, negative, or a decompression bomb.
-    """
+    """Refuse a number of Gaussians out of all proportion to the `size` bytes of the file (or of all files of a folder)
+    that claims it: FormatError if it is zero, negative, or a decompression bomb."""
     if count < 1:
         raise FormatError(f"holds {count} Gaussians", file=file)
     if count > max(FREE_COUNT, GAUSSIANS_PER_BYTE * size):
         raise FormatError(f"claims {count} Gaussians in {size} bytes", file=file)
+
+
+@contextmanager
+def opening(path: Path, file: str) -> Iterator[None]:
+    """Say what is wrong with a path, called `file`, as InputError: it is no name, or may not be opened."""
+    if "\0" in str(path):
+        raise InputError(f"{file!r}: is no file name")
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+
+
+def read_regular(path: Path, file: str) -> bytes:
+    """The content of a file; InputError if it is a pipe, a device and the like."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{file}: is no regular file")
+    return path.read_bytes()

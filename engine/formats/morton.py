@@ -16,18 +16,10 @@ _SPREAD = (  # (shift, mask): moves the bits of a 21-bit number three places apa
 
 
 def morton_order(means: Float32) -> npt.NDArray[np.int64]:
-    """Indices that sort points along the Morton (Z) curve of their bounding box, ties in the order given.
+    """(N,) int64 indices that sort finite points (N, 3) along the Morton (Z) curve of their bounding box, ties in the
+    order given.
 
-    Parameters
-    ----------
-    means : (N, 3) float32
-        Points, finite.
-
-    Returns
-    -------
-    (N,) int64
-        A permutation of 0..N-1. With 2^21 cells an axis, stray points far away still leave the rest of the
-        scene fine cells.
+    With 2^21 cells an axis, stray points far away still leave the rest of the scene fine cells.
     """
     low = means.min(axis=0).astype(np.float64)
     extent = means.max(axis=0) - low

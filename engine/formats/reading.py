@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.guards import opening, read_regular
 from engine.formats.ply.compressed import is_compressed, read_compressed_ply
 from engine.formats.ply.gaussians import read_ply
 from engine.formats.ply.header import parse_header
@@ -74,18 +75,12 @@ def read_model(
         return _decode(bytes(path_or_bytes), name or "(bytes)", spz_frame)
     path = Path(path_or_bytes)
     file = name or str(path)
-    if "\0" in str(path):
-        raise InputError(f"{file!r}: is no file name")
-    try:
+    with opening(path, file):
         if path.name == _META and path.is_file():
             path = path.parent
         if path.is_dir():
             return _read_folder(path, file)
-        if path.exists() and not path.is_file():
-            raise InputError(f"{file}: is no regular file")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+        data = read_regular(path, file)
     return _decode(data, file, spz_frame)
 
 

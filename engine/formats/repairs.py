@@ -25,6 +25,11 @@ MAGNITUDE_LIMIT = 1e12
 UNIT_TOLERANCE = 1e-6
 """A quaternion this near to unit length keeps its bits: normalising it again would only add rounding."""
 
+_alpha = np.arange(256) / 255
+with np.errstate(divide="ignore"):
+    ALPHA_LOGITS = np.log(_alpha) - np.log1p(-_alpha)
+"""(256,) float64 logit of every 8-bit alpha; those of 0 and 255 are infinite, which `clean` mends."""
+
 _CHUNK = 1 << 16
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -33,14 +38,8 @@ _LARGEST = float(np.finfo(np.float32).max)
 class Repair:
     """One kind of harmless fault that was mended, or ignored, on loading.
 
-    Parameters
-    ----------
-    code : str
-        Stable identifier, such as ``"rows_dropped"``.
-    count : int
-        How many Gaussians (or properties) it concerned.
-    text : str
-        One sentence for the user.
+    `code` is a stable identifier such as ``"rows_dropped"``, `count` tells how many Gaussians (or properties) it
+    concerned, `text` is one sentence for the user.
     """
 
     code: str
@@ -58,40 +57,16 @@ def clean(
     file: str,
     element: str = "vertex",
 ) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Turn decoded arrays into a model that every later stage may trust.
+    """Turn decoded arrays into a model that every later stage may trust, and tell what was mended.
 
-    Rows with a NaN, or with a centre, coefficient or scale that is infinite, are dropped; infinite opacities,
-    zero scales, absurd scales and zero quaternions become finite; quaternions become unit vectors. The
-    caller's arrays are never written to; those that need no repair are passed on without a copy.
+    `means` (N, 3); `log_scales` (N, 3), -inf for a scale of zero; `quats` (N, 4) w, x, y, z of any length;
+    `opacity_logits` (N,), infinite for an opacity of exactly one or zero; `sh` (N, K, 3). `element` is what the format
+    calls its list of Gaussians, for messages.
 
-    Parameters
-    ----------
-    means : (N, 3)
-        Centres, scene units.
-    log_scales : (N, 3)
-        Natural logarithm of the standard deviations; -inf is a scale of zero.
-    quats : (N, 4)
-        Rotations w, x, y, z, of any length.
-    opacity_logits : (N,)
-        Logit of the opacity; +inf is an opacity of one, -inf of zero.
-    sh : (N, K, 3)
-        Coefficients, coefficient-major, K in {1, 4, 9, 16}.
-    file : str
-        Name of the file, for messages.
-    element : str
-        What the format calls its list of Gaussians, for messages.
-
-    Returns
-    -------
-    model : GaussianModel
-        Finite everywhere, in the order of the file.
-    repairs : tuple of Repair
-        Empty for a file without fault.
-
-    Raises
-    ------
-    FormatError
-        The file holds no Gaussian, or none that is usable.
+    Rows with a NaN, or with a centre, coefficient or scale that is infinite, are dropped; infinite opacities, zero
+    scales, absurd scales and zero quaternions become finite; quaternions become unit vectors. The order is that of the
+    file. The caller's arrays are never written to; those that need no repair are passed on without a copy. FormatError
+    if there is no Gaussian, or none that is usable.
     """
     means, log_scales, quats, opacity_logits, sh = (
         _float32(array) for array in (means, log_scales, quats, opacity_logits, sh)

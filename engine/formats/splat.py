@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
-from engine.formats.repairs import Repair, clean
+from engine.formats.repairs import ALPHA_LOGITS, Repair, clean
 from engine.model import SH_C0, GaussianModel
 
 RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
@@ -15,19 +15,11 @@ _PLAUSIBLE_MAGNITUDE = 1e9
 
 
 def looks_like_splat(data: bytes | memoryview) -> bool:
-    """Whether bytes without any magic are probably Gaussians of this format.
+    """Whether bytes without any magic, the whole file, are probably Gaussians of this format.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-
-    Returns
-    -------
-    bool
-        The length is a multiple of 32, and of up to 4,096 rows spread over the file at least half hold a
-        finite centre, three scales that are not negative, and a quaternion of about unit length. Of random
-        rows, about one in a hundred does.
+    The length is a multiple of 32, and of up to 4,096 rows spread over the file at least half hold a finite centre,
+    three scales that are not negative, and a quaternion of about unit length. Of random rows, about one in a hundred
+    does.
     """
     if len(data) == 0 or len(data) % RECORD.itemsize:
         return False
@@ -42,25 +34,7 @@ def looks_like_splat(data: bytes | memoryview) -> bool:
 
 
 def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a .splat file; degree 0.
-
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    model : GaussianModel
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        The length is no multiple of 32, or no Gaussian is usable.
-    """
+    """Read a .splat file; degree 0. FormatError if the length is no multiple of 32, or no Gaussian is usable."""
     if len(data) % RECORD.itemsize:
         message = f"{len(data)} bytes are no multiple of {RECORD.itemsize}"
         raise FormatError(message, file=file, element="vertex", row=len(data) // RECORD.itemsize)
@@ -71,19 +45,13 @@ def read_splat(data: bytes | memoryview, *, file: str) -> tuple[GaussianModel, t
         norms = np.linalg.norm(quats, axis=1, keepdims=True)
         quats /= np.where(norms > 0, norms, 1)  # eight bits never give unit length: no fault of the file
         rgba = records["rgba"]
-        logits = _ALPHA_LOGITS[rgba[:, 3]]
+        logits = ALPHA_LOGITS.astype(np.float32)[rgba[:, 3]]
     dc = ((rgba[:, :3] / 255 - 0.5) / SH_C0).astype(np.float32)
     return clean(records["means"], log_scales, quats, logits, dc[:, None, :], file=file)
 
 
 def write_splat(model: GaussianModel) -> bytes:
-    """The file; spherical harmonics beyond degree 0 are lost, colors are clipped to 0..1.
-
-    Returns
-    -------
-    bytes
-        32 for every Gaussian, in the order of the model.
-    """
+    """The file, 32 bytes a Gaussian in their order; harmonics beyond degree 0 are lost, colors are clipped to 0..1."""
     records = np.empty(len(model), dtype=RECORD)
     records["means"], records["scales"] = model.means, model.scales
     records["rgba"][:, :3] = _to_bytes((0.5 + SH_C0 * model.sh[:, 0]) * 255)
@@ -94,12 +62,3 @@ def write_splat(model: GaussianModel) -> bytes:
 
 def _to_bytes(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _alpha_logits() -> npt.NDArray[np.float32]:
-    alpha = np.arange(256) / 255
-    with np.errstate(divide="ignore"):  # 0 and 255 give infinities, which loading mends
-        return (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
-
-
-_ALPHA_LOGITS = _alpha_logits()

@@ -15,14 +15,7 @@ from engine.model import GaussianModel
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
-    """The bytes of a file.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        At least one Gaussian.
-    format : str
-        One of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
+    """The bytes of a file in one of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
 
     Raises
     ------
@@ -35,21 +28,14 @@ def encode_model(model: GaussianModel, format: str) -> bytes:
 
 
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:
-    """Write a model; an earlier file of that name is replaced in one step once the new one is complete.
+    """Write a model and return the bytes written; an earlier file of that name is replaced in one step.
 
     Parameters
     ----------
-    model : GaussianModel
-        At least one Gaussian.
     path : path
         Its ending chooses the format unless one is given.
     format : str, optional
         One of `FORMATS`.
-
-    Returns
-    -------
-    int
-        Bytes written.
 
     Raises
     ------
@@ -62,23 +48,9 @@ def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str 
 
 
 def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
-    """Write a file that appears under its name only once it is complete, even if interrupted.
+    """Write a file that appears under its name only once it is complete, even if interrupted; returns its bytes.
 
-    Parameters
-    ----------
-    path : path
-        A link stays a link; its target is replaced.
-    pieces : iterable of bytes
-
-    Returns
-    -------
-    int
-        Bytes written.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    A link stays a link; its target is replaced. InputError if the file cannot be written.
     """
     if "\0" in str(path) or not str(path):
         raise InputError(f"{str(path)!r}: is no file name")

@@ -1,4 +1,6 @@
-"""Plain numerics: wavelets, harmonics, similarities, resampling, image metrics, and how numba and BLAS are run.
+"""Mathematics that knows no format, no renderer and no mark: numba's options, rotations, similarities, spherical
+harmonics, wavelets, neighbours, image measures.
 
-Everybody above comes in; only `engine.model` and `engine.errors` lie below. Look here before writing a function.
+Everybody above may come in, module by module: nothing is gathered here. Start at `jit`, which says how kernels are
+compiled, and at docs/CONVENTIONS.md, which says what the arrays mean.
 """

@@ -25,12 +25,7 @@ _EPSILON = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class AdamMoments:
-    """Running means of a parameter's gradient and of its square, in the parameter's shape.
-
-    Parameters
-    ----------
-    first, second : float32
-    """
+    """Running means of a parameter's gradient and of its square, float32 in the parameter's shape."""
 
     first: Float32
     second: Float32
@@ -55,9 +50,7 @@ def adam_step(
     Parameters
     ----------
     parameter : (N, ...) float32, C-contiguous
-        Written to, as are the moments.
-    gradient : float32
-        dL/dparameter, in its shape.
+        Written to, as are the moments; `gradient` has its shape.
     rate : float
         Step size.
     step : int

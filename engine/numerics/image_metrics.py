@@ -8,7 +8,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float32
 
-__all__ = ["difference_picture", "psnr", "ssim", "ssim_maps"]
+__all__ = ["difference_picture", "ms_ssim_distance", "psnr", "ssim", "ssim_maps"]
 
 SSIM_RADIUS = 5
 """Half width of the 11-tap window of Wang et al."""
@@ -16,19 +16,21 @@ SSIM_SIGMA = 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """Wang et al., K1 and K2 at a data range of 1."""
 
+SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+"""Wang et al. 2003: exponents of the scales, finest first, measured with observers."""
+
+LEAST_SIDE = (2 * SSIM_RADIUS + 1) * 2 ** (len(SCALE_WEIGHTS) - 1)
+"""Pixels a side must have for the window to fit at the coarsest scale: 176."""
+
 
 def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
-    """Peak signal-to-noise ratio over all pixels and channels of the clipped images.
+    """Peak signal-to-noise ratio over all pixels and channels of the clipped images, dB at a peak of 1; infinity for
+    equal images.
 
     Parameters
     ----------
     a, b : (H, W, C) or (H, W)
         Images, nominal range 0 to 1; values outside are clipped first, as a screen does.
-
-    Returns
-    -------
-    float
-        dB at a peak of 1; infinity for equal images.
 
     Raises
     ------
@@ -42,21 +44,16 @@ def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
 
 
 def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
-    """Mean structural similarity, averaged over channels.
+    """Mean structural similarity, averaged over channels: 1 for equal images, lower is worse, -1 is the floor.
 
     The same number as scikit-image's `structural_similarity` with `gaussian_weights=True, sigma=1.5,
-    use_sample_covariance=False, data_range=1`, in a third of its time: the window is run as one separable
-    filter over all channels, and the two variances are only needed as a sum.
+    use_sample_covariance=False, data_range=1`, in a third of its time: the window is run as one separable filter over
+    all channels, and the two variances are only needed as a sum.
 
     Parameters
     ----------
     a, b : (H, W, C) or (H, W)
         Images of at least 11 by 11 pixels, nominal range 0 to 1, clipped first.
-
-    Returns
-    -------
-    float
-        1 for equal images; lower is worse, -1 is the floor.
 
     Raises
     ------
@@ -65,30 +62,16 @@ def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
 
     References
     ----------
-    Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural
-    similarity", IEEE TIP 13(4), 2004.
+    Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity", IEEE
+    TIP 13(4), 2004.
     """
     structure, luminance = ssim_maps(a, b)
     return float(np.mean(structure * luminance, dtype=np.float64))
 
 
 def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float32]:
-    """The two factors of SSIM at every place of its window: contrast times structure, and luminance.
-
-    Parameters
-    ----------
-    a, b : (H, W, C) or (H, W)
-        As for `ssim`.
-
-    Returns
-    -------
-    structure, luminance : (H - 10, W - 10, C) or (H - 10, W - 10) float32
-
-    Raises
-    ------
-    InputError
-        As for `ssim`.
-    """
+    """The two factors of `ssim` at every place of its window: contrast times structure, and luminance; (H - 10, W -
+    10[, C]) float32 each."""
     import cv2  # a heavy import that only image work pays for
 
     x, y = _pair(a, b)
@@ -118,28 +101,52 @@ def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float3
 
 
 def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:
-    """Absolute difference of two images, amplified until an eye can see it.
+    """`gain * |a - b|` of two images as for `psnr`, clipped to 0..1: what an eye can see of a difference."""
+    x, y = _pair(a, b)
+    picture: Float32 = np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0)
+    return picture
+
+
+def ms_ssim_distance(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
+    """1 - MS-SSIM: a perceptual distance that needs no trained network, 0 for equal pictures, 1 for unrelated ones. It
+    is not LPIPS.
+
+    Every scale halves the picture by 2 x 2 means; contrast and structure count at all scales, luminance at the
+    coarsest. A scale whose mean is negative (structure inverted) counts as 0.
 
     Parameters
     ----------
     a, b : (H, W, C) or (H, W)
-        Images, nominal range 0 to 1, clipped first.
-    gain : float
-        Factor on the difference.
-
-    Returns
-    -------
-    (H, W, C) or (H, W) float32
-        `gain * |a - b|` clipped to 0..1: black where the images agree.
+        Pictures of at least 176 x 176 pixels, nominal range 0 to 1, clipped first.
 
     Raises
     ------
     InputError
-        If the shapes differ, an image is empty or does not hold floats.
+        If the shapes differ, a side is too short, or a picture does not hold floats.
+
+    References
+    ----------
+    Wang, Simoncelli, Bovik, "Multiscale structural similarity for image quality assessment", Asilomar 2003.
     """
-    x, y = _pair(a, b)
-    picture: Float32 = np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0)
-    return picture
+    if min(a.shape[:2], default=0) < LEAST_SIDE:
+        raise InputError(f"MS-SSIM needs pictures of at least {LEAST_SIDE} pixels a side, got {a.shape}")
+    similarity = 1.0
+    for scale, weight in enumerate(SCALE_WEIGHTS):
+        structure, luminance = ssim_maps(a, b)
+        last = scale == len(SCALE_WEIGHTS) - 1
+        shared = structure * luminance if last else structure
+        similarity *= max(float(np.mean(shared, dtype=np.float64)), 0.0) ** weight
+        if not last:
+            a, b = _halved(a), _halved(b)
+    return 1.0 - similarity
+
+
+def _halved(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Means of 2 x 2 pixels of the clipped picture; an odd last row or column is left out."""
+    h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    even = np.clip(image[:h, :w], 0.0, 1.0)
+    half = (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) * even.dtype.type(0.25)
+    return np.asarray(half)
 
 
 def _pair(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float32]:

@@ -40,18 +40,18 @@ _section = threading.RLock()
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a single-threaded kernel."""
-    return numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]
+    return numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]  # numba is untyped
 
 
 def parallel_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel that may use `numba.prange`; call it inside `parallel_section`."""
-    return numba.njit(parallel=True, **_OPTIONS)(function)  # type: ignore[no-any-return]
+    return numba.njit(parallel=True, **_OPTIONS)(function)  # type: ignore[no-any-return]  # numba is untyped
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a piece of a kernel that LLVM inlines wherever it is called."""
     options = {name: value for name, value in _OPTIONS.items() if name not in ("cache", "nogil")}
-    return numba.njit(forceinline=True, **options)(function)  # type: ignore[no-any-return]
+    return numba.njit(forceinline=True, **options)(function)  # type: ignore[no-any-return]  # numba is untyped
 
 
 def thread_count() -> int:

@@ -21,12 +21,7 @@ _CLOSE = 1e-10
 class BrownLens:
     """Radial-tangential distortion x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + tangential (OpenCV's `calib3d`).
 
-    Parameters
-    ----------
-    k1, k2, k3 : float
-        Radial; a negative k1 is a barrel, a positive one a pincushion.
-    p1, p2 : float
-        Tangential: a lens that is not quite centred.
+    A negative k1 is a barrel, a positive one a pincushion; p1 and p2 are of a lens that is not quite centred.
     """
 
     k1: float = 0.0
@@ -90,10 +85,7 @@ class BrownLens:
 class FisheyeLens:
     """r' = tan((1 - bend) theta) / (1 - bend) for the angle theta = atan(r) from the axis.
 
-    Parameters
-    ----------
-    bend : float
-        0 is a pinhole, 1/2 a stereographic, 1 an equidistant fisheye; 0..1.
+    `bend`, 0..1: 0 is a pinhole, 1/2 a stereographic, 1 an equidistant fisheye.
     """
 
     bend: float

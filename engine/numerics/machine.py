@@ -12,15 +12,11 @@ _PACKAGES = ("numpy", "numba", "scipy", "opencv-python-headless", "torch", "gspl
 
 
 def machine_info() -> dict[str, object]:
-    """Describe the machine and the packages that decide speed, without importing any of them.
+    """Describe the machine and the packages that decide speed, without importing any of them; JSON-ready.
 
-    Returns
-    -------
-    dict
-        `cpu` (model name), `cores` (all logical cores), `cores_usable` (those this process may run on),
-        `memory_gb` (physical, None where the system does not say), `platform`, `python`, and under `packages`
-        the versions of those installed among numpy, numba, scipy, opencv-python-headless, torch and gsplat.
-        JSON-ready.
+    `cpu` (model name), `cores` (all logical cores), `cores_usable` (those this process may run on), `memory_gb`
+    (physical, None where the system does not say), `platform`, `python`, and under `packages` the versions of those
+    installed.
     """
     versions: dict[str, str] = {}
     for name in _PACKAGES:

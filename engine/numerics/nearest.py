@@ -5,6 +5,8 @@ coordinate, so a grid over the five best-spread coordinates leaves few candidate
 memory.
 """
 
+# mypy: allow-untyped-defs
+
 import math
 from dataclasses import dataclass
 
@@ -14,7 +16,7 @@ import numpy as np
 from engine.model import Float32, Int32
 from engine.numerics.jit import inlined, kernel, parallel_kernel, parallel_section
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 AXES = 5
 """Coordinates under the grid."""
@@ -26,17 +28,11 @@ REACH = np.float32(9.0)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The answer of a query of M points.
+    """The answer of a query of M points: `index` (M,) int32 of the nearest reference point, -1 if none lies within the
+    limits; `distance2` (M,) float32, its squared distance, infinity if there is none; `probability` (M,) float32.
 
-    Parameters
-    ----------
-    index : (M,) int32
-        Nearest reference point, -1 if none lies within the limits.
-    distance2 : (M,) float32
-        Its squared distance; infinity if there is none.
-    probability : (M,) float32
-        exp(-d^2/2) of the nearest over the sum of the candidates': the chance that the nearest is the right
-        one if the errors are standard normal and one of the candidates is right. 0 if there is none.
+    The last is exp(-d^2/2) of the nearest over the sum of the candidates': the chance that the nearest is the right one
+    if the errors are standard normal and one of the candidates is right. 0 if there is none.
     """
 
     index: Int32
@@ -75,18 +71,9 @@ class WhitenedGrid:
         self.hard, self.soft_cap = hard, np.float32(soft_cap)
 
     def query(self, points: Float32, quats: Float32, *, box: float, limit2: float) -> Neighbours:
-        """Nearest reference point of each of M points.
+        """Nearest reference point of each of M points (M, D), with quaternions (M, 4) in the reference's frame already.
 
-        Parameters
-        ----------
-        points : (M, D) float32
-            In the reference's coordinates.
-        quats : (M, 4) float32
-            Unit quaternions, already turned into the reference's frame.
-        box : float
-            Largest deviation in each of the grid's five coordinates.
-        limit2 : float
-            Largest squared distance.
+        `box` is the largest deviation in each of the grid's five coordinates, `limit2` the largest squared distance.
         """
         with parallel_section():
             cell = _cells(points, self.axes, self.edges)
@@ -100,25 +87,10 @@ class WhitenedGrid:
         distance2 = np.full(m, np.inf, np.float32)
         probability = np.zeros(m, np.float32)
         with parallel_section():
-            _search(
-                self.points,
-                self.quats,
-                self.start,
-                self.order,
-                self.axes,
-                self.edges,
-                self.hard,
-                self.soft_cap,
-                self.quat_weight,
-                points,
-                quats,
-                order,
-                np.float32(box),
-                np.float32(limit2),
-                index,
-                distance2,
-                probability,
-            )
+            grid = (self.points, self.quats, self.start, self.order, self.axes, self.edges)
+            rules = (self.hard, self.soft_cap, self.quat_weight)
+            found = (index, distance2, probability)
+            _search(grid, *rules, points, quats, order, np.float32(box), np.float32(limit2), found)
         return Neighbours(index, distance2, probability)
 
 
@@ -130,7 +102,7 @@ def _edges(values: Float32, cells: int) -> Float32:
 
 
 @inlined
-def _cell_along(edges, g, value):  # type: ignore[no-untyped-def]
+def _cell_along(edges, g, value):
     """Number of coordinate g's edges <= value."""
     low, high = 0, edges.shape[1]
     while low < high:
@@ -143,7 +115,7 @@ def _cell_along(edges, g, value):  # type: ignore[no-untyped-def]
 
 
 @parallel_kernel
-def _cells(points, axes, edges):  # type: ignore[no-untyped-def]
+def _cells(points, axes, edges):
     n, per_axis = len(points), edges.shape[1] + 1
     out = np.empty(n, np.int32)
     for i in numba.prange(n):
@@ -155,7 +127,7 @@ def _cells(points, axes, edges):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _counting_sort(cell, count):  # type: ignore[no-untyped-def]
+def _counting_sort(cell, count):
     """Offsets (count + 1,) and the stable order of the points by cell."""
     start = np.zeros(count + 1, np.int32)
     for c in cell:
@@ -172,7 +144,7 @@ def _counting_sort(cell, count):  # type: ignore[no-untyped-def]
 
 
 @parallel_kernel
-def _gather(rows, order):  # type: ignore[no-untyped-def]
+def _gather(rows, order):
     out = np.empty((len(order), rows.shape[1]), rows.dtype)
     for i in numba.prange(len(order)):
         for k in range(rows.shape[1]):
@@ -181,7 +153,7 @@ def _gather(rows, order):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _gap2(edges, g, cell, value):  # type: ignore[no-untyped-def]
+def _gap2(edges, g, cell, value):
     """Squared distance of a value from a cell along coordinate g."""
     gap = np.float32(0.0)
     if cell > 0:
@@ -192,7 +164,7 @@ def _gap2(edges, g, cell, value):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, quats, i, limit2, state):  # type: ignore[no-untyped-def]
+def _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, quats, i, limit2, state):
     """Candidates first..last of one query; state is (least squared distance, sum of likelihoods, who)."""
     best, total, found = state
     dims = refs.shape[1]
@@ -231,25 +203,9 @@ def _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, qua
 
 
 @parallel_kernel
-def _search(  # type: ignore[no-untyped-def]
-    refs,
-    ref_quats,
-    start,
-    ref_order,
-    axes,
-    edges,
-    hard,
-    soft_cap,
-    quat_weight,
-    points,
-    quats,
-    order,
-    box,
-    limit2,
-    index,
-    distance2,
-    probability,
-):
+def _search(grid, hard, soft_cap, quat_weight, points, quats, order, box, limit2, found):
+    refs, ref_quats, start, ref_order, axes, edges = grid
+    index, distance2, probability = found
     per_axis = edges.shape[1] + 1
     for rank in numba.prange(len(order)):
         i = order[rank]
@@ -262,20 +218,8 @@ def _search(  # type: ignore[no-untyped-def]
         low, high = _cell_along(edges, 4, z4 - box), _cell_along(edges, 4, z4 + box)
         state = (limit2, np.float32(0.0), np.int64(-1))
         # The home cells first: a good partner there spares most of the others.
-        state = _scan(
-            refs,
-            ref_quats,
-            start[home + low],
-            start[home + high + 1],
-            hard,
-            soft_cap,
-            quat_weight,
-            points,
-            quats,
-            i,
-            limit2,
-            state,
-        )
+        first, last = start[home + low], start[home + high + 1]
+        state = _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, quats, i, limit2, state)
         for c0 in range(_cell_along(edges, 0, z0 - box), _cell_along(edges, 0, z0 + box) + 1):
             g0 = _gap2(edges, 0, c0, z0)
             for c1 in range(_cell_along(edges, 1, z1 - box), _cell_along(edges, 1, z1 + box) + 1):
@@ -292,19 +236,9 @@ def _search(  # type: ignore[no-untyped-def]
                         base = (((c0 * per_axis + c1) * per_axis + c2) * per_axis + c3) * per_axis
                         if base == home:
                             continue
+                        first, last = start[base + low], start[base + high + 1]
                         state = _scan(
-                            refs,
-                            ref_quats,
-                            start[base + low],
-                            start[base + high + 1],
-                            hard,
-                            soft_cap,
-                            quat_weight,
-                            points,
-                            quats,
-                            i,
-                            limit2,
-                            state,
+                            refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, quats, i, limit2, state
                         )
         if state[2] >= 0:
             index[i] = ref_order[state[2]]

@@ -5,6 +5,8 @@ hundredths of a pixel, so the interpolation is done here. Coordinates follow doc
 of pixel (column i, row j) is (i + 0.5, j + 0.5).
 """
 
+# mypy: allow-untyped-defs
+
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ _KERNEL_VERSION = 2
 
 
 @inlined
-def _cubic(t):  # type: ignore[no-untyped-def]
+def _cubic(t):
     """Weights of the four neighbours at fraction t: Keys' kernel with a = -1/2 (Catmull-Rom)."""
     t2 = t * t
     t3 = t2 * t
@@ -28,7 +30,7 @@ def _cubic(t):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cubic_pixel(image, u, v, pixel):  # type: ignore[no-untyped-def]
+def _cubic_pixel(image, u, v, pixel):
     """Add to `pixel` (C,) the image at position u, v; False, and nothing added, outside the image."""
     height, width, channels = image.shape
     if not (u >= 0.0 and v >= 0.0 and u <= width and v <= height):
@@ -48,7 +50,7 @@ def _cubic_pixel(image, u, v, pixel):  # type: ignore[no-untyped-def]
 
 
 @parallel_kernel
-def _warp(image, m, out, inside):  # type: ignore[no-untyped-def]
+def _warp(image, m, out, inside):
     for j in prange(out.shape[0]):
         for i in range(out.shape[1]):
             x, y = i + 0.5, j + 0.5
@@ -61,14 +63,14 @@ def _warp(image, m, out, inside):  # type: ignore[no-untyped-def]
 
 
 @parallel_kernel
-def _remap(image, positions, out, inside):  # type: ignore[no-untyped-def]
+def _remap(image, positions, out, inside):
     for j in prange(out.shape[0]):
         for i in range(out.shape[1]):
             inside[j, i] = _cubic_pixel(image, positions[j, i, 0], positions[j, i, 1], out[j, i])
 
 
 @kernel
-def _sample(image, points, out):  # type: ignore[no-untyped-def]
+def _sample(image, points, out):
     height, width = image.shape
     for k in range(points.shape[0]):
         u, v = points[k, 0], points[k, 1]
@@ -89,21 +91,10 @@ def _sample(image, points, out):  # type: ignore[no-untyped-def]
 
 
 def warp(image: Float32, matrix: Float64, height: int, width: int) -> tuple[Float32, Bool]:
-    """Resample an image into another frame, cubic.
+    """Resample an image (h, w, C) into another frame, cubic.
 
-    Parameters
-    ----------
-    image : (h, w, C) float32
-    matrix : (3, 3)
-        Homography from pixel coordinates of the result to those of `image`.
-    height, width : int
-        Size of the result, pixels.
-
-    Returns
-    -------
-    warped : (height, width, C) float32
-        0 where the position falls outside `image`.
-    inside : (height, width) bool
+    `matrix` (3, 3) is the homography from pixel coordinates of the result to those of `image`. Returns the result
+    (height, width, C), 0 where the position falls outside `image`, and where it lies inside (height, width).
     """
     out = np.zeros((height, width, image.shape[2]), dtype=np.float32)
     inside = np.zeros((height, width), dtype=np.bool_)
@@ -113,20 +104,8 @@ def warp(image: Float32, matrix: Float64, height: int, width: int) -> tuple[Floa
 
 
 def remap(image: Float32, positions: Float64) -> tuple[Float32, Bool]:
-    """Resample an image at any positions, cubic.
-
-    Parameters
-    ----------
-    image : (h, w, C) float32
-    positions : (height, width, 2)
-        Pixel coordinates x, y in `image` for each pixel of the result; NaN for nowhere.
-
-    Returns
-    -------
-    remapped : (height, width, C) float32
-        0 where the position falls outside `image`.
-    inside : (height, width) bool
-    """
+    """Resample an image (h, w, C) at any positions (height, width, 2) x, y in its pixels, NaN for nowhere; returns as
+    `warp`."""
     height, width = positions.shape[:2]
     out = np.zeros((height, width, image.shape[2]), dtype=np.float32)
     inside = np.zeros((height, width), dtype=np.bool_)

@@ -15,29 +15,13 @@ SH_C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325
 
 
 def sh_basis(directions: npt.NDArray[Any], degree: int) -> npt.NDArray[Any]:
-    """Spherical-harmonic basis functions Y_k at unit directions.
+    """Spherical-harmonic basis functions Y_k at unit directions (..., 3), which are not normalised here.
 
-    Parameters
-    ----------
-    directions : (..., 3) float
-        Unit directions (camera to Gaussian). They are not normalised here.
-    degree : int
-        Highest degree, 0 to 3.
+    Returns (..., K) of the directions' dtype, K = (degree + 1)^2: ``0.5 + sh_basis(d, degree) @ sh`` is the colour seen
+    from camera to Gaussian. InputError if the degree is not 0 to 3.
 
-    Returns
-    -------
-    (..., K) of the directions' dtype, K = (degree + 1)^2
-        Colour seen from a direction: ``0.5 + sh_basis(d, degree) @ sh``.
-
-    Raises
-    ------
-    InputError
-        If the degree is not 0 to 3.
-
-    Notes
-    -----
-    Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with the Condon-Shortley signs of INRIA's
-    reference implementation of 3D Gaussian Splatting.
+    Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with the Condon-Shortley signs of INRIA's reference
+    implementation of 3D Gaussian Splatting.
     """
     if not 0 <= degree <= 3:
         raise InputError(f"spherical-harmonic degree is {degree}, expected 0 to 3")
@@ -70,31 +54,16 @@ def _probe() -> tuple[Float64, tuple[Float64, ...]]:
     z = 1.0 - 2.0 * i / 32
     phi = i * np.pi * (3.0 - np.sqrt(5.0))  # golden-angle spiral
     r = np.sqrt(1.0 - z * z)
-    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)  # (32, 3)
     basis = sh_basis(directions, 3)
     return directions, tuple(np.linalg.pinv(basis[:, l * l : (l + 1) ** 2]) for l in range(4))
 
 
 def sh_rotation(R: npt.ArrayLike, degree: int) -> Float64:
-    """Matrices that turn SH coefficients with the scene (real Wigner D-matrices, one block per degree).
+    """(..., K, K) float64 that turn SH coefficients with the scene (real Wigner D-matrices, one block per degree).
 
-    Parameters
-    ----------
-    R : (..., 3, 3)
-        Proper rotations, x_new = R @ x.
-    degree : int
-        Highest degree, 0 to 3.
-
-    Returns
-    -------
-    (..., K, K) float64
-        ``sh_new = sh_rotation(R, degree) @ sh``, so that the new colour from direction R @ d is the old
-        colour from direction d.
-
-    Raises
-    ------
-    InputError
-        If the degree is not 0 to 3.
+    For proper rotations (..., 3, 3), x_new = R @ x: ``sh_new = sh_rotation(R, degree) @ sh``, so that the new colour
+    from direction R @ d is the old colour from direction d. InputError if the degree is not 0 to 3.
     """
     rotation = np.asarray(R, dtype=np.float64)
     directions, inverses = _probe()

@@ -13,17 +13,8 @@ from engine.model import Float64
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x_target = scale * R @ x_source + t.
-
-    Parameters
-    ----------
-    scale : float
-        Positive.
-    R : (3, 3) float64
-        Proper rotation.
-    t : (3,) float64
-        Translation, units of the target.
-    """
+    """x_target = scale * R @ x_source + t: a positive scale, a proper rotation (3, 3) and a translation (3,) in units
+    of the target."""
 
     scale: float
     R: Float64
@@ -47,24 +38,10 @@ class Similarity:
 def umeyama(
     source: npt.NDArray[Any], target: npt.NDArray[Any], weights: npt.NDArray[Any] | None = None
 ) -> Similarity | None:
-    """The similarity that takes `source` to `target` with least (weighted) square error.
+    """The similarity that takes `source` (n, 3) to `target` (n, 3) with least square error, weighted by `weights` (n,).
 
-    Parameters
-    ----------
-    source, target : (n, 3)
-        Paired points.
-    weights : (n,), optional
-        Not negative; all 1 by default.
-
-    Returns
-    -------
-    Similarity or None
-        None if the points are too few or lie on a line, so that the rotation is not determined.
-
-    Notes
-    -----
-    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991,
-    equations 40 to 42.
+    None if the points are too few or lie on a line, so that the rotation is not determined. Umeyama, "Least-squares
+    estimation of transformation parameters between two point patterns", PAMI 1991, equations 40 to 42.
     """
     a, b = source.astype(np.float64), target.astype(np.float64)
     w = np.ones(len(a)) if weights is None else weights.astype(np.float64)
@@ -92,21 +69,10 @@ def umeyama(
 def robust_umeyama(
     source: npt.NDArray[Any], target: npt.NDArray[Any], start: Similarity | None = None, rounds: int = 12
 ) -> Similarity | None:
-    """As `umeyama`, but pairs far off the consensus lose their say (Tukey's biweight on the residuals).
+    """As `umeyama`, but pairs far off the consensus lose their say (Tukey's biweight on the residuals, reweighted
+    `rounds` times).
 
-    Parameters
-    ----------
-    source, target : (n, 3)
-        Paired points, at least half of them right (or close to `start`).
-    start : Similarity, optional
-        Where to start from; the plain least-squares solution by default.
-    rounds : int
-        Reweightings.
-
-    Returns
-    -------
-    Similarity or None
-        None where `umeyama` returns None.
+    At least half of the pairs are right, or close to `start`, which is the plain least-squares solution by default.
     """
     fit = umeyama(source, target) if start is None else start
     if fit is None:

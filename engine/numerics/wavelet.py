@@ -50,14 +50,8 @@ def _synthesize(low: ArrayLike2d, high: ArrayLike2d, axis: int) -> ArrayLike2d:
 
 
 def dwt2(image: ArrayLike2d, levels: int) -> tuple[ArrayLike2d, Details]:
-    """Haar transform of an image (differentiable when given a tensor).
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, C)
-        Any size, odd ones included; floating type, array or tensor.
-    levels : int
-        Number of levels, >= 0.
+    """Haar transform of an image (H, W) or (H, W, C) of any size, odd ones included (differentiable when given a
+    tensor).
 
     Returns
     -------
@@ -78,40 +72,21 @@ def dwt2(image: ArrayLike2d, levels: int) -> tuple[ArrayLike2d, Details]:
 
 
 def idwt2(approx: ArrayLike2d, details: Details) -> ArrayLike2d:
-    """Inverse of `dwt2`: exact for every size.
-
-    Parameters
-    ----------
-    approx, details
-        As `dwt2` returns them, possibly with changed coefficients.
-
-    Returns
-    -------
-    (H, W) or (H, W, C)
-    """
+    """Inverse of `dwt2`, possibly of changed coefficients: exact for every size."""
     for lh, hl, hh in reversed(details):
         approx = _synthesize(_synthesize(approx, hl, 1), _synthesize(lh, hh, 1), 0)
     return approx
 
 
 def high_frequency_energy(image: ArrayLike2d, levels: int = 2) -> Float32:
-    """Squared detail coefficients, spread over the pixels they belong to (||DWT(I_p)||^2 of Eq 4).
+    """(H, W) squared detail coefficients, spread over the pixels they belong to (||DWT(I_p)||^2 of Eq 4), mean over
+    channels.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, C) array
-        Channels are averaged.
-    levels : int
-        Number of levels, >= 1. Two see structures of up to four pixels.
-
-    Returns
-    -------
-    (H, W) float32
-        Energy per pixel, squared image units. With H and W multiples of 2^levels its sum is the energy of the
-        image (mean over channels) less that of the low-pass band.
+    Two levels see structures of up to four pixels. Squared image units: with H and W multiples of 2^levels the sum is
+    the energy of the image less that of the low-pass band.
     """
     height, width = image.shape[:2]
-    pixels = np.asarray(image, dtype=np.float32).reshape(height, width, -1)
+    pixels = np.asarray(image, dtype=np.float32).reshape(height, width, -1)  # (H, W, C)
     energy = np.zeros((height, width), dtype=np.float32)
     for level, bands in enumerate(dwt2(pixels, levels)[1], start=1):
         block = 2**level

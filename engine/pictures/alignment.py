@@ -17,52 +17,31 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import map_points, smooth, warp
-from engine.pictures.brightness_curve import predict_brightness
 from engine.pictures.brightness_fit import Fit, fit_warp
 from engine.pictures.features import detect_keypoints, luma, match_within
+from engine.pictures.light import predict_brightness
 
-__all__ = ["Alignment", "AlignmentConfig", "align_image"]
+__all__ = ["Alignment", "align_image"]
 
-
-_SUSPICIOUS = 0.005
+KEYPOINTS = 2000
+"""SIFT keypoints an image."""
+RATIO = 0.8
+"""Lowe's ratio of distances."""
+RANSAC_PIXELS = 3.0
+"""Reprojection error of an inlier, pixels."""
+LEAST_MATCHES = 8
+"""Inliers a SIFT hypothesis needs."""
+LEAST_CORRELATION, SURE_CORRELATION = 0.4, 0.98
+"""Correlation of the brightness of both images below which there is no alignment, and above which no further hypothesis
+is tried."""
+PERSPECTIVE_GAIN = 0.97
+"""A homography must lower the residual to this fraction of the similarity's."""
+SNAP_PIXELS = 0.06
+"""A fitted motion smaller than this everywhere is none: the picture is used without resampling."""
+MARGIN = 3
+"""Pixels by which the mask is eroded."""
+SUSPICIOUS = 0.005
 """Share of contradicting pixels above which brightness is predicted more carefully."""
-
-
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """Knobs of `align_image`.
-
-    Parameters
-    ----------
-    keypoints : int
-        SIFT keypoints an image.
-    ratio : float
-        Lowe's ratio of distances.
-    ransac_pixels : float
-        Reprojection error of an inlier, pixels.
-    least_matches : int
-        Inliers a SIFT hypothesis needs.
-    least_correlation : float
-        Correlation of the brightness of both images below which there is no alignment.
-    sure_correlation : float
-        Correlation above which no further hypothesis is tried.
-    perspective_gain : float
-        A homography must lower the residual to this fraction of the similarity's.
-    snap_pixels : float
-        A fitted motion smaller than this everywhere is none: the picture is used without resampling.
-    margin : int
-        Pixels by which the mask is eroded.
-    """
-
-    keypoints: int = 2000
-    ratio: float = 0.8
-    ransac_pixels: float = 3.0
-    least_matches: int = 8
-    least_correlation: float = 0.4
-    sure_correlation: float = 0.98
-    perspective_gain: float = 0.97
-    snap_pixels: float = 0.06
-    margin: int = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,48 +72,32 @@ class Alignment:
     correlation: float
 
 
-def align_image(
-    reference_image: Float32, suspect_image: Float32, config: AlignmentConfig = AlignmentConfig()
-) -> Alignment | None:
-    """Find the motion that lays the suspect over the reference render.
+def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
+    """Find the motion that lays the suspect, (h, w, 3) of any size, over the render (H, W, 3) of the unmarked
+    reference, both 0..1.
 
-    Parameters
-    ----------
-    reference_image : (H, W, 3) float32
-        Render of the unmarked reference, 0..1.
-    suspect_image : (h, w, 3) float32
-        The picture, 0..1, of any size.
-
-    Returns
-    -------
-    Alignment or None
-        None when nothing fits.
-
-    Raises
-    ------
-    InputError
-        If either is not a finite (H, W, 3) image.
+    None when nothing fits. InputError if either is not a finite (H, W, 3) image.
     """
     reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
     grey, suspect_grey = luma(reference), luma(suspect)
     best: Fit | None = None
-    for matrix in _hypotheses(grey, suspect_grey, config):
+    for matrix in _hypotheses(grey, suspect_grey):
         coarse = fit_warp(grey, suspect_grey, matrix, levels=(8, 4), homography=False)
         if coarse is not None and (best is None or coarse.correlation > best.correlation):
             best = coarse
-        if best is not None and best.correlation > config.sure_correlation:
+        if best is not None and best.correlation > SURE_CORRELATION:
             break
-    if best is None or best.correlation < config.least_correlation:
+    if best is None or best.correlation < LEAST_CORRELATION:
         return None
     fit = fit_warp(grey, suspect_grey, best.matrix, levels=(4, 2, 1), homography=False) or best
     bent = fit_warp(grey, suspect_grey, fit.matrix, levels=(2, 1), homography=True)
-    if bent is not None and bent.rms < config.perspective_gain * fit.rms:
+    if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
         fit = bent
     matrix = fit.matrix
-    if grey.shape == suspect_grey.shape and _largest_motion(matrix, *grey.shape) < config.snap_pixels:
+    if grey.shape == suspect_grey.shape and _largest_motion(matrix, *grey.shape) < SNAP_PIXELS:
         matrix = np.eye(3)
     warped, inside = _resample(suspect, matrix, *grey.shape)
-    mask = _evidence_mask(grey, luma(warped), inside, fit, config.margin)
+    mask = _evidence_mask(grey, luma(warped), inside, fit)
     return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation)
 
 
@@ -147,35 +110,35 @@ def _checked(image: Float32) -> Float32:
     return np.clip(image, 0.0, 1.0)
 
 
-def _hypotheses(grey: Float32, suspect: Float32, config: AlignmentConfig) -> Iterator[Float64]:
+def _hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
     """Motions to try, cheapest first."""
     sy, sx = suspect.shape[0] / grey.shape[0], suspect.shape[1] / grey.shape[1]
     if abs(sx / sy - 1.0) < 0.02:
         yield np.diag([sx, sy, 1.0])
-    yield from _sift_hypotheses(grey, suspect, config)
+    yield from _sift_hypotheses(grey, suspect)
     if abs(sx / sy - 1.0) >= 0.02:  # squeezed, or a crop without a single good keypoint
         yield np.diag([sx, sy, 1.0])
 
 
-def _sift_hypotheses(grey: Float32, suspect: Float32, config: AlignmentConfig) -> Iterator[Float64]:
+def _sift_hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
     import cv2
 
-    a, b = detect_keypoints(grey, config.keypoints), detect_keypoints(suspect, config.keypoints)
-    from_suspect, to_reference = match_within(b.descriptors, a.descriptors, config.ratio)
-    if len(from_suspect) < config.least_matches:
+    a, b = detect_keypoints(grey, KEYPOINTS), detect_keypoints(suspect, KEYPOINTS)
+    from_suspect, to_reference = match_within(b.descriptors, a.descriptors, RATIO)
+    if len(from_suspect) < LEAST_MATCHES:
         return
     source, target = a.points[to_reference], b.points[from_suspect]
     cv2.setRNGSeed(0)
     similarity, inliers = cv2.estimateAffinePartial2D(
-        source, target, method=cv2.RANSAC, ransacReprojThreshold=config.ransac_pixels, maxIters=2000, confidence=0.999
+        source, target, method=cv2.RANSAC, ransacReprojThreshold=RANSAC_PIXELS, maxIters=2000, confidence=0.999
     )
     agreed = 0
-    if similarity is not None and inliers is not None and inliers.sum() >= config.least_matches:
+    if similarity is not None and inliers is not None and inliers.sum() >= LEAST_MATCHES:
         agreed = int(inliers.sum())
         yield np.vstack([similarity, [0.0, 0.0, 1.0]])
-    bent, inliers = cv2.findHomography(source, target, cv2.RANSAC, config.ransac_pixels, maxIters=2000)
+    bent, inliers = cv2.findHomography(source, target, cv2.RANSAC, RANSAC_PIXELS, maxIters=2000)
     # Eight numbers explain more than four by themselves; only a clear majority counts.
-    if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + config.least_matches:
+    if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + LEAST_MATCHES:
         yield np.asarray(bent, dtype=np.float64)
 
 
@@ -193,16 +156,16 @@ def _resample(suspect: Float32, matrix: Float64, height: int, width: int) -> tup
     return warp(prefiltered, matrix, height, width)
 
 
-def _evidence_mask(grey: Float32, warped: Float32, inside: Bool, fit: Fit, margin: int) -> Bool:
+def _evidence_mask(grey: Float32, warped: Float32, inside: Bool, fit: Fit) -> Bool:
     """Inside the suspect, and not where a whole neighbourhood contradicts the reference (fill, captions)."""
     import cv2
 
     wrong = _contradicted(np.clip(fit.gain * grey + fit.offset, 0.0, 1.0), warped, inside)
-    if np.mean(wrong) > _SUSPICIOUS:  # captions, or a tone curve or light that gain and offset do not describe
+    if np.mean(wrong) > SUSPICIOUS:  # captions, or a tone curve or light that gain and offset do not describe
         again = _contradicted(predict_brightness(grey, warped, inside), warped, inside)
         wrong = again if again.sum() < wrong.sum() else wrong
     bad = (wrong | ~inside).astype(np.uint8)
-    size = 2 * margin + 1
+    size = 2 * MARGIN + 1
     grown = cv2.dilate(bad, np.ones((size, size), dtype=np.uint8), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(grown == 0)
 

@@ -7,7 +7,7 @@ import numpy as np
 from engine.model import Float32, Float64
 from engine.numerics.resampling import map_points, sample, smooth
 
-__all__ = ["Fit", "fit_warp", "robust_scale"]
+__all__ = ["Fit", "fit_warp", "robust_line", "robust_scale"]
 
 _SAMPLES = 120_000
 """Most pixels used on one level; those with the steepest gradients."""
@@ -21,16 +21,8 @@ _LEAST_SAMPLES = 60
 class Fit:
     """Motion and brightness of a suspect over a reference: suspect(matrix x) = gain reference(x) + offset.
 
-    Parameters
-    ----------
-    matrix : (3, 3) float64
-        Reference pixel to suspect pixel coordinates.
-    inliers : int
-        Samples within 2.5 robust standard deviations.
-    rms : float
-        Robust standard deviation of the residual, image units.
-    correlation : float
-        Of both images on the samples.
+    `inliers`: samples within 2.5 robust standard deviations; `rms`: that deviation, image units; `correlation` of both
+    images on the samples.
     """
 
     matrix: Float64
@@ -49,23 +41,10 @@ def robust_scale(residual: Float32 | Float64) -> float:
 def fit_warp(
     reference: Float32, suspect: Float32, matrix: Float64, levels: tuple[int, ...], *, homography: bool
 ) -> Fit | None:
-    """Refine a motion.
+    """Refine a motion (3, 3) from reference to suspect pixel coordinates on the brightness, 0..1, of both.
 
-    Parameters
-    ----------
-    reference, suspect : (H, W), (h, w) float32
-        Brightness, 0..1.
-    matrix : (3, 3)
-        Start: reference pixel to suspect pixel coordinates.
-    levels : tuple of int
-        Reduction factors, coarsest first, among 8, 4, 2, 1.
-    homography : bool
-        Eight parameters in place of a similarity's four.
-
-    Returns
-    -------
-    Fit or None
-        None when the images do not overlap enough to say anything.
+    `levels` are reduction factors, coarsest first, among 8, 4, 2, 1; `homography` takes eight parameters in place of a
+    similarity's four. None when the images do not overlap enough to say anything.
     """
     fit: Fit | None = None
     for level in levels:
@@ -96,11 +75,11 @@ def _fit_level(reference: Float32, suspect: Float32, matrix: Float64, level: int
             return None
         w, r, design = seen[usable], values[usable], columns[usable]
         if iteration == 0:
-            gain, offset = _robust_line(r, w)
+            gain, offset = robust_line(r, w)
         residual = w - gain * r - offset
         spread = robust_scale(residual)
         weight = 1.0 / (1.0 + np.square(residual / (2.5 * spread)))
-        jacobian = np.concatenate([gain * design, r[:, None], np.ones_like(r)[:, None]], axis=1)
+        jacobian = np.concatenate([gain * design, r[:, None], np.ones_like(r)[:, None]], axis=1)  # (P, 6 or 10)
         weighted = jacobian * weight[:, None]
         normal = (weighted.T @ jacobian).astype(np.float64)
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
@@ -122,8 +101,8 @@ def _fit_level(reference: Float32, suspect: Float32, matrix: Float64, level: int
     return Fit(matrix, gain, offset, int(inlying.sum()), spread, correlation)
 
 
-def _robust_line(r: Float32, w: Float32) -> tuple[float, float]:
-    """Gain and offset from the quartiles: right for more than half the samples being right."""
+def robust_line(r: Float32, w: Float32) -> tuple[float, float]:
+    """Gain and offset from quantiles: right for more than half the samples being right, and out of register."""
     low_r, high_r = np.quantile(r, [0.2, 0.8])
     low_w, high_w = np.quantile(w, [0.2, 0.8])
     gain = float(np.clip((high_w - low_w) / max(high_r - low_r, 1e-3), 0.2, 3.0))
@@ -138,7 +117,7 @@ def _steepest(image: Float32, level: int, homography: bool) -> tuple[Float64, Fl
     energy = (gx * gx + gy * gy).ravel()
     chosen = np.nonzero(energy > max(1e-8, float(np.quantile(energy, max(0.5, 1 - _SAMPLES / energy.size)))))[0]
     rows, cols = np.divmod(chosen, grey.shape[1])
-    points = np.stack([cols, rows], axis=1) * float(level) + 0.5
+    points = np.stack([cols, rows], axis=1) * float(level) + 0.5  # (P, 2)
     unit = max(image.shape) / 2.0
     u = ((points[:, 0] - image.shape[1] / 2) / unit).astype(np.float32)
     v = ((points[:, 1] - image.shape[0] / 2) / unit).astype(np.float32)

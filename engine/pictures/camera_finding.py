@@ -8,9 +8,8 @@ The picture of another scene fails at the number of agreeing matches, or at the 
 Nothing here sees a key or a chip.
 """
 
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,65 +23,51 @@ from engine.pictures.pose_refinement import refine_level
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
+KEYPOINTS = 2000
+"""SIFT keypoints of the picture."""
+DETECTION_SIZE = 1000
+"""Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced."""
+RATIOS = (0.8, 0.85)
+"""Lowe's ratio of distances over the whole bank, and within each of its views. The first gives few matches, mostly
+right; the second many, mostly wrong."""
+VIEWS = 8
+"""Views of the bank in which the second kind is sought: those with most matches."""
+SAME_PLACE = 0.05
+"""Landmarks nearer to each other than this are one place, in radii of the bank."""
+TOLERANCE = 0.005
+"""Reprojection error of an inlier, in longer sides of the picture."""
+LEAST_START, LEAST_INLIERS = 6, 12
+"""Matches that must agree before the camera is roughly known, and keypoints that must agree with it then."""
+LEAST_CORRELATION = 0.75
+"""Correlation of brightness with the render below which the picture shows something else."""
+COARSE_SIZE, FINE_SIZE = 1000, 2000
+"""Largest longer side of the first and of the last level of the refinement, pixels. Renders at another size than the
+picture's are not quite the reduced picture, so there is no level coarser than needed."""
+ITERATIONS = 12
+"""Renders of one level at most."""
+STEP = 0.005
+"""The refinement ends when its step is smaller, pixels."""
 GUIDED = (1.0, 1.0, 0.5)
 """Tolerances of the rounds of guided matching, in those of the first."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """Knobs of `find_camera`.
+    """How hard `find_camera` tries.
 
     Parameters
     ----------
-    keypoints : int
-        SIFT keypoints of the picture.
-    detection_size : int
-        Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced.
-    ratios : tuple of float
-        Lowe's ratio of distances over the whole bank, and within each of its views, 0..1. The first gives few
-        matches, mostly right; the second many, mostly wrong.
-    views : int
-        Views of the bank in which the second kind is sought: those with most matches.
-    same_place : float
-        Landmarks nearer to each other than this are one place, in radii of the bank.
-    tolerance : float
-        Reprojection error of an inlier, in longer sides of the picture.
-    least_start : int
-        Matches that must agree before the camera is roughly known.
-    least_inliers : int
-        Keypoints that must agree with the camera then.
+    sure_correlation : float
+        Correlation of brightness with the render above which a refinement that converged has not failed.
     focals : tuple of float
         Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after.
     other_focals : tuple of float
         Focal lengths to start from where the refinement from the keypoints' own fails, in those.
-    least_correlation, sure_correlation : float
-        Correlation of brightness with the render below which the picture shows something else, and above which a
-        refinement that converged has not failed.
-    coarse_size, fine_size : int
-        Largest longer side of the first and of the last level of the refinement, pixels. Renders at another size
-        than the picture's are not quite the reduced picture, so there is no level coarser than needed.
-    iterations : int
-        Renders of one level at most.
-    step : float
-        The refinement ends when its step is smaller, pixels.
     """
 
-    keypoints: int = 2000
-    detection_size: int = 1000
-    ratios: tuple[float, float] = (0.8, 0.85)
-    views: int = 8
-    same_place: float = 0.05
-    tolerance: float = 0.005
-    least_start: int = 6
-    least_inliers: int = 12
+    sure_correlation: float = 0.98
     focals: tuple[float, ...] = LADDER
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
-    least_correlation: float = 0.75
-    sure_correlation: float = 0.98
-    coarse_size: int = 1000
-    fine_size: int = 2000
-    iterations: int = 12
-    step: float = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +86,6 @@ class FoundCamera:
         Of picture and render, -1..1.
     step : float
         Root mean square flow of the last step of the refinement, pixels.
-    seconds_by_stage : dict
-        Of "keypoints", "match", "pose" and "refine".
     """
 
     camera: Camera
@@ -110,69 +93,40 @@ class FoundCamera:
     rms: float
     correlation: float
     step: float
-    seconds_by_stage: dict[str, float]
 
 
 def find_camera(
     landmarks: Landmarks, reference_model: GaussianModel, image: Float32, config: CameraConfig = CameraConfig()
 ) -> FoundCamera | None:
-    """Camera from which a picture shows a model.
+    """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
+    recognised.
 
-    Parameters
-    ----------
-    landmarks : Landmarks
-        Of the model, from its record.
-    reference_model : GaussianModel
-        The unmarked reference.
-    image : (h, w, 3) float32
-        The picture, range 0 to 1.
-
-    Returns
-    -------
-    FoundCamera or None
-        None when no view of the model was recognised.
-
-    Raises
-    ------
-    InputError
-        If the picture is not a finite (h, w, 3) image.
+    `landmarks` are those of its record. InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
         raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite")
     grey = luma(np.asarray(image, dtype=np.float32))
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-
-    def lap(stage: str) -> None:
-        nonlocal began
-        now = time.perf_counter()
-        seconds[stage], began = now - began, now
-
     height, width = grey.shape
-    shrink = min(1.0, config.detection_size / max(height, width))
+    shrink = min(1.0, DETECTION_SIZE / max(height, width))
     small = _resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
-    found = detect_keypoints(small, config.keypoints)
+    found = detect_keypoints(small, KEYPOINTS)
     enlarged = found.points * (width / small.shape[1], height / small.shape[0])
     keypoints = Keypoints(enlarged, found.descriptors)
-    lap("keypoints")
-    matches = match_landmarks(keypoints, landmarks, config.ratios, config.same_place * _radius(landmarks), config.views)
-    lap("match")
-    starts = _hypotheses(keypoints, landmarks, matches, (width, height), config)
-    lap("pose")
+    matches = match_landmarks(keypoints, landmarks, RATIOS, SAME_PLACE * _radius(landmarks), VIEWS)
+    starts = _hypotheses(keypoints, landmarks, matches, (width, height), config.focals)
     best: FoundCamera | None = None
     for start in starts:
-        best = _better(best, _refine(reference_model, grey, start, config))
+        best = _better(best, _refine(reference_model, grey, start))
         if best is not None and _is_sure(best, config):
             break
     if best is not None and not _is_sure(best, config):
         for start in _at_other_focals(keypoints, landmarks, max(starts, key=lambda h: h.support), config):
-            best = _better(best, _refine(reference_model, grey, start, config))
+            best = _better(best, _refine(reference_model, grey, start))
             if best is not None and _is_sure(best, config):
                 break
-    lap("refine")
-    return replace(best, seconds_by_stage=seconds) if best is not None else None
+    return best
 
 
 def _better(first: FoundCamera | None, second: FoundCamera | None) -> FoundCamera | None:
@@ -182,7 +136,7 @@ def _better(first: FoundCamera | None, second: FoundCamera | None) -> FoundCamer
 
 
 def _is_sure(found: FoundCamera, config: CameraConfig) -> bool:
-    return found.step < config.step and found.correlation > config.sure_correlation
+    return found.step < STEP and found.correlation > config.sure_correlation
 
 
 def _hypotheses(
@@ -190,10 +144,10 @@ def _hypotheses(
     landmarks: Landmarks,
     matches: Sequence[tuple[Int64, Int64]],
     size: tuple[int, int],
-    config: CameraConfig,
+    focals: tuple[float, ...],
 ) -> list[Hypothesis]:
     """The camera that most keypoints agree with, from each set of matches; by falling support."""
-    tolerance = config.tolerance * max(size)
+    tolerance = TOLERANCE * max(size)
     found = []
     for keypoint, landmark in matches:
         start = hypothesize(
@@ -201,11 +155,11 @@ def _hypotheses(
             keypoints.points[keypoint],
             *size,
             tolerance,
-            config.least_start,
-            config.focals,
+            LEAST_START,
+            focals,
         )
         guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
-        if guided is not None and guided.support >= config.least_inliers:
+        if guided is not None and guided.support >= LEAST_INLIERS:
             found.append(guided)
     return sorted(found, key=lambda hypothesis: -hypothesis.support)
 
@@ -230,7 +184,7 @@ def _at_other_focals(
     keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, config: CameraConfig
 ) -> Iterator[Hypothesis]:
     """Cameras of other focal lengths with which the keypoints agree about as well."""
-    tolerance = config.tolerance * max(hypothesis.camera.width, hypothesis.camera.height)
+    tolerance = TOLERANCE * max(hypothesis.camera.width, hypothesis.camera.height)
     keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, tolerance)
     points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
     for factor in config.other_focals:
@@ -239,21 +193,21 @@ def _at_other_focals(
             yield other
 
 
-def _refine(model: GaussianModel, grey: Float32, hypothesis: Hypothesis, config: CameraConfig) -> FoundCamera | None:
+def _refine(model: GaussianModel, grey: Float32, hypothesis: Hypothesis) -> FoundCamera | None:
     """Refine on brightness, coarse to fine; None when a level does not look like the picture."""
     camera = hypothesis.camera
     height, width = grey.shape
-    largest = min(max(width, height), config.fine_size)
-    size = min(config.coarse_size, largest)
+    largest = min(max(width, height), FINE_SIZE)
+    size = min(COARSE_SIZE, largest)
     while True:
         shrink = size / max(width, height)
         shape = max(16, round(width * shrink)), max(16, round(height * shrink))
-        refined = refine_level(model, _resized(grey, *shape), camera.resized(*shape), config.iterations, config.step)
-        if refined is None or refined.correlation < config.least_correlation:
+        refined = refine_level(model, _resized(grey, *shape), camera.resized(*shape), ITERATIONS, STEP)
+        if refined is None or refined.correlation < LEAST_CORRELATION:
             return None
         camera = _square(refined.camera.resized(width, height))
         if size == largest:
-            return FoundCamera(camera, hypothesis.support, refined.rms, refined.correlation, refined.step, {})
+            return FoundCamera(camera, hypothesis.support, refined.rms, refined.correlation, refined.step)
         size = min(2 * size, largest)
 
 

@@ -21,14 +21,7 @@ RANSAC_SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A camera and the matches that agree with it.
-
-    Parameters
-    ----------
-    inliers : (M,) bool
-    rms : float
-        Reprojection error of the inliers, pixels.
-    """
+    """A camera, which of the M matches agree with it, and the reprojection error of these, pixels."""
 
     camera: Camera
     inliers: Bool
@@ -49,26 +42,11 @@ def hypothesize(
     least: int,
     ladder: tuple[float, ...] = LADDER,
 ) -> Hypothesis | None:
-    """Camera with square pixels and a central principal point that most matches agree with.
+    """Camera with square pixels and a central principal point that most matches agree with, at least `least`; None if
+    there is none.
 
-    Parameters
-    ----------
-    points : (M, 3) float64
-        World.
-    pixels : (M, 2) float64
-        Pixel coordinates, centres at half integers.
-    width, height : int
-        Size of the picture, pixels.
-    tolerance : float
-        Reprojection error of an inlier, pixels.
-    least : int
-        Fewest inliers.
-    ladder : tuple of float
-        Focal lengths tried, in widths of the picture.
-
-    Returns
-    -------
-    Hypothesis or None
+    `points` (M, 3) lie in the world, `pixels` (M, 2) in the picture, centres at half integers; `tolerance` is the
+    reprojection error of an inlier, pixels; the `ladder` of focal lengths tried is in widths of the picture.
     """
     import cv2
 
@@ -111,31 +89,19 @@ def hypothesize(
 def fit_camera(
     points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, zoom: bool = True
 ) -> Hypothesis | None:
-    """Refine a camera by robust Levenberg-Marquardt over pose and focal length.
+    """Refine a camera by robust Levenberg-Marquardt over pose and, to `zoom`, focal length, on points (M, 3) and pixels
+    (M, 2).
 
-    Parameters
-    ----------
-    points : (M, 3)
-    pixels : (M, 2)
-    camera : Camera
-        Start.
-    tolerance : float
-        Reprojection error of an inlier, pixels; errors far above it lose their weight.
-    zoom : bool
-        Fit the focal length too.
-
-    Returns
-    -------
-    Hypothesis or None
-        None when every point ends up behind the camera.
+    Errors far above `tolerance`, an inlier's in pixels, lose their weight. None when every point ends up behind the
+    camera.
     """
     damping, free = 1e-3, PARAMETERS if zoom else PARAMETERS - 1
     cost, error, columns, weight = _linearize(points, pixels, camera, tolerance)
     for _ in range(30):
         columns = columns[..., :free]
         weighted = columns * weight[:, None, None]
-        normal = np.einsum("mik,mil->kl", weighted, columns)
-        right = np.einsum("mik,mi->k", weighted, error)
+        normal = np.einsum("mik,mil->kl", weighted, columns)  # (7, 7)
+        right = np.einsum("mik,mi->k", weighted, error)  # (7,)
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         normal[np.diag_indices_from(normal)] += 1e-9
         step = np.linalg.solve(normal, right)

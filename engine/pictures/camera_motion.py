@@ -14,14 +14,7 @@ PARAMETERS = 7
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
-    """A camera after a motion.
-
-    Parameters
-    ----------
-    motion : (7,)
-    depth : float
-        Unit of the shift, scene units.
-    """
+    """A camera after a motion (7,), whose shift is in units of `depth` (scene units)."""
     import cv2
 
     step = np.eye(4)
@@ -52,24 +45,11 @@ def project(points: Float64, camera: Camera) -> Float64:
 
 
 def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:
-    """Flow of points by each parameter of a motion, pixels.
-
-    Parameters
-    ----------
-    rays : (P, 2)
-        Image coordinates for focal length 1.
-    depth : (P,)
-        In units of the shift.
-    focal : float
-        Pixels.
-
-    Returns
-    -------
-    (P, 2, 7)
-    """
+    """(P, 2, 7) flow of points by each parameter of a motion, pixels, at rays (P, 2) for focal length 1 and depths (P,)
+    in units of the shift."""
     a, b = rays.T
     near = 1.0 / depth
     zero = np.zeros_like(a)
     horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a]
     vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b]
-    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)
+    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)  # (P, 2, 7)

@@ -28,14 +28,7 @@ _LARGEST_BLUR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """Keypoints of one image.
-
-    Parameters
-    ----------
-    points : (P, 2) float64
-        x, y in pixels of the image given.
-    descriptors : (P, 128) uint8
-    """
+    """Keypoints of one image: x, y (P, 2) in its pixels, and descriptors (P, 128)."""
 
     points: Float64
     descriptors: npt.NDArray[np.uint8]
@@ -58,16 +51,9 @@ def noise_level(grey: Float32) -> float:
 
 
 def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = None) -> Keypoints:
-    """SIFT keypoints of a grey image, strongest first.
+    """At most `count` SIFT keypoints of a grey image (H, W), strongest first, where `mask` allows them.
 
-    Parameters
-    ----------
-    grey : (H, W) float32
-        0..1; stretched to its own range first, so that brightness does not decide what is found.
-    count : int
-        At most this many.
-    mask : (H, W) bool, optional
-        Where keypoints may lie.
+    It is stretched to its own range first, so that brightness does not decide what is found.
     """
     import cv2
 
@@ -77,7 +63,7 @@ def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = 
     low, high = float(grey.min()), float(np.quantile(grey[::4, ::4], 0.995)) if grey.size else 0.0
     stretched = np.clip((grey - low) / max(high - low, 1e-3), 0.0, 1.0)
     # Without precise upscaling every point lies a quarter of a pixel too far right and down.
-    sift = cv2.SIFT_create(  # type: ignore[attr-defined]
+    sift = cv2.SIFT_create(  # type: ignore[attr-defined]  # missing in OpenCV's stubs
         nfeatures=count, contrastThreshold=0.02, enable_precise_upscale=True
     )
     found, descriptors = sift.detectAndCompute(
@@ -93,25 +79,17 @@ def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = 
 
 
 def match_within(query: npt.NDArray[np.uint8], target: npt.NDArray[np.uint8], ratio: float) -> tuple[Int64, Int64]:
-    """Nearest neighbours that are clearly nearer than the second nearest (Lowe's test).
+    """Nearest neighbours that are clearly nearer than the second nearest (Lowe's test): indices of queries and targets,
+    (M,) each.
 
-    Parameters
-    ----------
-    query : (P, 128) uint8
-    target : (Q, 128) uint8
-    ratio : float
-        Largest accepted ratio of the two distances, 0..1.
-
-    Returns
-    -------
-    query_index, target_index : (M,) int64
-        At most one match for each target: its nearest query.
+    Of descriptors (P, 128) and (Q, 128); `ratio`, 0..1, is the largest accepted of the two distances. At most one match
+    for each target: its nearest query.
     """
     empty = np.zeros(0, dtype=np.int64)
     if len(query) == 0 or len(target) < 2:
         return empty, empty
     a, b = query.astype(np.float32), target.astype(np.float32)
-    distance = np.einsum("ij,ij->i", a, a)[:, None] + np.einsum("ij,ij->i", b, b)[None, :] - 2.0 * (a @ b.T)
+    distance = np.einsum("ij,ij->i", a, a)[:, None] + np.einsum("ij,ij->i", b, b)[None, :] - 2.0 * (a @ b.T)  # (P, Q)
     rows = np.arange(len(a))
     nearest = np.argmin(distance, axis=1)
     first = distance[rows, nearest].copy()

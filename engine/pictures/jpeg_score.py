@@ -11,12 +11,11 @@ from scipy.fft import dctn, idctn
 from scipy.special import log_ndtr
 
 from engine.model import Bool, Float32, Float64
-from engine.pictures.color_fit import fit_colors
+from engine.pictures.features import LUMA
+from engine.pictures.light import fit_colors
 
 _BETTER = 0.7
 """Tone and uneven light must leave this share of what gain and offset leave."""
-
-LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 STANDARD_LUMA_TABLE = np.array(
     [
@@ -46,29 +45,26 @@ def luma_table(quality: int) -> Float64:
     return np.clip((STANDARD_LUMA_TABLE * factor + 50) // 100, 1, 255)
 
 
+def _tiles(pixels: np.ndarray) -> np.ndarray:
+    """(by, bx, 8, 8, ...) the whole blocks of an image (H, W, ...), a view."""
+    by, bx = pixels.shape[0] // 8, pixels.shape[1] // 8
+    return pixels[: 8 * by, : 8 * bx].reshape(by, 8, bx, 8, *pixels.shape[2:]).swapaxes(1, 2)
+
+
 def blocks_of(luma: Float32 | Float64) -> Float64:
     """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
-    height, width = (size // 8 * 8 for size in luma.shape)
-    tiles = luma[:height, :width].astype(np.float64).reshape(height // 8, 8, width // 8, 8).swapaxes(1, 2)
-    return np.asarray(dctn(tiles - 128.0, axes=(2, 3), norm="ortho"))
+    return np.asarray(dctn(_tiles(luma).astype(np.float64) - 128.0, axes=(2, 3), norm="ortho"))
 
 
 def find_quality(picture: Float32) -> int | None:
-    """libjpeg quality a picture was saved at, judged by how its coefficients sit on a table's multiples.
+    """libjpeg quality a picture (H, W, 3), 0..1, was saved at, judged by how its coefficients sit on a table's
+    multiples.
 
-    Parameters
-    ----------
-    picture : (H, W, 3) float32
-        Range 0 to 1.
-
-    Returns
-    -------
-    int or None
-        None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or
-        compressed too lightly to matter).
+    None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or compressed too
+    lightly to matter).
     """
     luma = 255.0 * picture @ LUMA
-    flat = blocks_of(luma).reshape(-1, 64)
+    flat = blocks_of(luma).reshape(-1, 64)  # (B, 64)
     flat = flat[_unclipped(picture).reshape(-1)]  # clipping moves coefficients off their multiples
     if len(flat) < 40:
         return None
@@ -92,10 +88,7 @@ def find_quality(picture: Float32) -> int | None:
 
 def _unclipped(picture: Float32) -> Bool:
     """(by, bx) blocks without black or white values."""
-    height, width = (size // 8 * 8 for size in picture.shape[:2])
-    inside = (picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)
-    tiles = inside[:height, :width].reshape(height // 8, 8, width // 8, 8 * picture.shape[2])
-    return np.asarray(tiles.all(axis=(1, 3)))
+    return np.asarray(_tiles((picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)).all(axis=(2, 3, 4)))
 
 
 def block_spread(pattern: Float32) -> Float64:
@@ -104,25 +97,12 @@ def block_spread(pattern: Float32) -> Float64:
 
 
 def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Float64, quality: int) -> Float32:
-    """Cotangent image of a JPEG-compressed suspect lying pixel on pixel over the reference.
+    """(H, W, 3) cotangent image, log-likelihood per unit of colour, of a JPEG-compressed suspect pixel on pixel over
+    the reference.
 
-    Parameters
-    ----------
-    reference : (H, W, 3) float32
-        Unmarked render, range 0 to 1, with the suspect's exposure (`match_exposure`).
-    picture : (H, W, 3) float32
-        Suspect in the same pixels, never resampled since it was compressed.
-    mask : (H, W) bool
-        Pixels that carry evidence; blocks touching others are left out.
-    spread : (8, 8) float64
-        Standard deviation of the mark in each coefficient, grey levels.
-    quality : int
-        From `find_quality`.
-
-    Returns
-    -------
-    (H, W, 3) float32
-        In log-likelihood per unit of colour.
+    `reference` is the unmarked render with the suspect's exposure (`match_exposure`), `picture` the suspect, never
+    resampled since it was compressed, both 0..1; blocks that touch pixels outside `mask` are left out; `spread` (8, 8)
+    is the mark's standard deviation in each coefficient, grey levels; `quality` comes from `find_quality`.
     """
     observed = blocks_of(255.0 * picture @ LUMA)
     steps = luma_table(quality)
@@ -133,11 +113,10 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     score = _truncated_mean(low, high) / total
     # A coefficient many deviations from where the reference puts it is something else in the picture.
     score[(np.minimum(np.abs(low), np.abs(high)) > 4.0) & (low * high > 0)] = 0.0
-    height, width = (size // 8 * 8 for size in mask.shape)
-    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
+    whole = np.asarray(_tiles(mask).all(axis=(2, 3)))  # (by, bx)
     score *= whole[:, :, None, None]
     image = np.zeros(mask.shape, dtype=np.float32)
-    image[:height, :width] = idctn(score, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(height, width)
+    _tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
 
 
@@ -159,9 +138,7 @@ def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
     clearly more. All on block means: compression takes contrast from single pixels, which is no exposure, but a
     tone curve would bend to it.
     """
-    height, width = (size // 8 * 8 for size in mask.shape)
-    whole = np.asarray(mask[:height, :width].reshape(height // 8, 8, width // 8, 8).all(axis=(1, 3)))
-    use = _unclipped(picture) & whole
+    use = _unclipped(picture) & _tiles(mask).all(axis=(2, 3))
     if use.sum() < 50:
         return reference
     out = reference.copy()
@@ -192,13 +169,12 @@ def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:
 
 
 def _block_means(plane: Float32) -> Float64:
-    height, width = (size // 8 * 8 for size in plane.shape)
-    return np.asarray(plane[:height, :width].reshape(height // 8, 8, width // 8, 8).mean(axis=(1, 3), dtype=np.float64))
+    return np.asarray(_tiles(plane).swapaxes(1, 2).mean(axis=(1, 3), dtype=np.float64))
 
 
 def _mismatch(observed: Float64, known: Float64, steps: Float64) -> Float64:
     """(8, 8) deviation of the suspect from the reference beyond what rounding to the steps explains."""
-    error = np.square(observed - known).reshape(-1, 64)
+    error = np.square(observed - known).reshape(-1, 64)  # (B, 64)
     typical = np.mean(np.minimum(error, 9.0 * np.quantile(error, 0.9, axis=0)), axis=0).reshape(8, 8)
     return np.asarray(np.sqrt(np.maximum(typical - steps**2 / 12.0, 0.0)) * 0.5)
 

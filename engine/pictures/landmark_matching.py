@@ -6,6 +6,8 @@ match *elsewhere*, and in the few views that look most like the picture the test
 camera is roughly known, by where the landmarks project.
 """
 
+# mypy: allow-untyped-defs
+
 import numpy as np
 from numba import prange
 
@@ -25,7 +27,7 @@ MOST_UNLIKE = 0.55 * 512.0
 
 
 @parallel_kernel
-def _rank(products, squares, points, starts, radius, best, first, rival, in_view):  # type: ignore[no-untyped-def]
+def _rank(products, squares, points, starts, radius, best, first, rival, in_view):
     """For each row: best landmark, its distance, the best distance elsewhere; and by view the best two."""
     for k in prange(products.shape[0]):
         nearest, distance = 0, np.inf
@@ -52,7 +54,7 @@ def _rank(products, squares, points, starts, radius, best, first, rival, in_view
 
 
 @parallel_kernel
-def _nearest_look(pixels, descriptors, places, targets, radius, best, distance):  # type: ignore[no-untyped-def]
+def _nearest_look(pixels, descriptors, places, targets, radius, best, distance):
     for k in prange(len(pixels)):
         x, y = pixels[k, 0], pixels[k, 1]
         nearest, low = -1, np.int64(1) << 40
@@ -70,24 +72,12 @@ def _nearest_look(pixels, descriptors, places, targets, radius, best, distance):
 def match_landmarks(
     keypoints: Keypoints, landmarks: Landmarks, ratios: tuple[float, float], radius: float, views: int
 ) -> list[tuple[Int64, Int64]]:
-    """Match keypoints to landmarks by how they look.
+    """Match keypoints to landmarks by how they look: indices (M,), (M,) of those that stand out in the whole bank; then
+    those too that stand out in their view, with which a keypoint may match several landmarks.
 
-    Parameters
-    ----------
-    keypoints : Keypoints
-        P of a picture.
-    ratios : (float, float)
-        Largest accepted ratio of the distances to best match and rival, 0..1; over the bank and within a view.
-    radius : float
-        Landmarks nearer than this to the best match are the same place, scene units.
-    views : int
-        Views in which matches are sought separately: those with most.
-
-    Returns
-    -------
-    list of (keypoint, landmark), each (M,) int64
-        Pairs of indices: those that stand out in the whole bank; then those too that stand out in their view, with
-        which a keypoint may match several landmarks.
+    `ratios`, 0..1, are the largest accepted of the distances to best match and rival, over the bank and within a view.
+    Landmarks nearer than `radius` (scene units) to the best match are the same place. Matches are sought separately in
+    so many `views`: those with most.
     """
     none = np.zeros(0, dtype=np.int64)
     if len(keypoints) == 0 or len(landmarks) < 2:
@@ -122,28 +112,16 @@ def match_landmarks(
     sure = in_view[..., 1] + own[:, None] < ratios[1] ** 2 * (in_view[..., 2] + own[:, None])  # (P, V)
     likely = np.argsort(-sure.sum(axis=0), kind="stable")[:views]
     row, column = np.nonzero(sure[:, likely])
-    sparse = np.stack([everywhere, best[everywhere]], axis=1)
-    dense = np.stack([row, in_view[row, likely[column], 0].astype(np.int64)], axis=1)
+    sparse = np.stack([everywhere, best[everywhere]], axis=1)  # (M, 2)
+    dense = np.stack([row, in_view[row, likely[column], 0].astype(np.int64)], axis=1)  # (M, 2)
     dense = np.unique(np.concatenate([sparse, dense]), axis=0)
     return [(pairs[:, 0], order[pairs[:, 1]].astype(np.int64)) for pairs in (sparse, dense)]
 
 
 def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, radius: float) -> tuple[Int64, Int64]:
-    """Match keypoints to the landmark that looks most like them among those a camera projects near them.
+    """Match keypoints to the landmark that looks most like them among those a roughly right camera projects near them.
 
-    Parameters
-    ----------
-    keypoints : Keypoints
-        In pixels of the camera's picture.
-    camera : Camera
-        Roughly right.
-    radius : float
-        Farthest in x and in y, pixels.
-
-    Returns
-    -------
-    keypoint, landmark : (M,) int64
-        By rising keypoint, each at most once.
+    `radius` is the farthest in x and in y, pixels. Indices (M,), (M,) by rising keypoint, each at most once.
     """
     places = project(landmarks.points.astype(np.float64), camera)
     size: Float64 = np.array([camera.width, camera.height], dtype=np.float64)

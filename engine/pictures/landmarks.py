@@ -30,21 +30,10 @@ MARGIN = 8
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places of a model that a keypoint detector recognises.
+    """Places of a model that a keypoint detector recognises; InputError if the arrays do not fit together.
 
-    Parameters
-    ----------
-    points : (L, 3) float32
-        World coordinates, scene units.
-    descriptors : (L, 128) uint8
-        See `engine.pictures.features`.
-    views : (L,) int32
-        Number of the view each was seen in.
-
-    Raises
-    ------
-    InputError
-        If the arrays do not fit together.
+    `points` (L, 3) in the world, `descriptors` (L, 128) as in `engine.pictures.features`, `views` (L,) in which each
+    was seen.
     """
 
     points: Float32
@@ -68,21 +57,14 @@ class Landmarks:
 def make_landmarks(
     model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None] | None = None
 ) -> Landmarks:
-    """Detect landmarks in renders of a model.
+    """Detect landmarks in renders of the unmarked reference, in the order of the cameras, strongest first within each.
 
     Parameters
     ----------
-    model : GaussianModel
-        The unmarked reference.
     cameras : sequence of Camera
         Views that cover it; about 48 of 640 x 480 pixels.
     advance : callable, optional
         Called with the fraction done, 0 to 1, after every view.
-
-    Returns
-    -------
-    Landmarks
-        In the order of the cameras; strongest first within each. Empty where nothing is distinctive.
     """
     points, descriptors, views = [], [], []
     for number, camera in enumerate(cameras):
@@ -138,6 +120,6 @@ def _surface(alpha: Float32, depth: Float32) -> Bool:
 
 def lift(pixels: Float64, depth: Float64, camera: Camera) -> Float64:
     """(P, 3) world points at pixel coordinates (P, 2) and camera depths (P,)."""
-    rays = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1).T).T
+    rays = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1).T).T  # (P, 3)
     local = rays * depth[:, None]
     return np.asarray((local - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3])

@@ -8,6 +8,8 @@ exact render, so where the iteration stops, depth edges and haze have not biased
 Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
 """
 
+# mypy: allow-untyped-defs
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +18,7 @@ from numba import prange
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.jit import parallel_kernel, parallel_section
 from engine.numerics.resampling import smooth
-from engine.pictures.brightness_fit import robust_scale
+from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import PARAMETERS, moved
 from engine.pictures.features import luma
 from engine.raster import render_depth
@@ -50,31 +52,20 @@ _UNKNOWNS = PARAMETERS + 2
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A camera and how well its render explains the picture.
+    """A camera of the level's size and how well its render explains the picture.
 
-    Parameters
-    ----------
-    camera : Camera
-        Of the level's size.
-    rms : float
-        Robust standard deviation of the brightness residual, 0..1.
-    correlation : float
-        Of picture and render on the pixels used, -1..1.
-    step : float
-        Root mean square flow of the last motion, pixels of the level.
+    `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
+    used, -1..1. `step`: root mean square flow of the last motion, pixels of the level.
     """
 
     camera: Camera
     rms: float
     correlation: float
     step: float
-    iterations: int
 
 
 @parallel_kernel
-def _normal_equations(  # type: ignore[no-untyped-def]
-    base, residual, gx, gy, depth, weight, focal, cx, cy, gain, spread, rows, flows
-):
+def _normal_equations(base, residual, gx, gy, depth, weight, focal, cx, cy, gain, spread, rows, flows):
     height, width = base.shape
     for j in prange(height):
         column = np.zeros(9)
@@ -106,25 +97,11 @@ def _normal_equations(  # type: ignore[no-untyped-def]
 def refine_level(
     model: GaussianModel, picture: Float32, camera: Camera, iterations: int, tolerance: float
 ) -> Refined | None:
-    """Refine a camera on one level of resolution.
+    """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
+    the picture.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The unmarked reference.
-    picture : (H, W) float32
-        Brightness of the picture, 0..1, at the camera's size.
-    camera : Camera
-        Start, within a few pixels.
-    iterations : int
-        Renders at most.
-    tolerance : float
-        Stops when the motion's root mean square flow is below this, pixels.
-
-    Returns
-    -------
-    Refined or None
-        None where too little of the model is in the picture.
+    `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
+    the motion's root mean square flow is below `tolerance` pixels.
     """
     gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
     memory = Acceleration()
@@ -138,7 +115,7 @@ def refine_level(
             return None
         unit = float(np.median(depth[used]))
         if iteration == 0:
-            gain, offset = _line(base[used], seen[used])
+            gain, offset = robust_line(base[used], seen[used])
         residual = seen - np.float32(gain) * base - np.float32(offset)
         spread = robust_scale(residual[used])
         outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
@@ -174,7 +151,7 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
-    return Refined(camera, spread, correlation, step, iteration + 1)
+    return Refined(camera, spread, correlation, step)
 
 
 class Acceleration:
@@ -197,7 +174,7 @@ class Acceleration:
         move = motion
         if self._moves:
             changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (7, m)
-            moves = np.stack(self._moves).T
+            moves = np.stack(self._moves).T  # (7, m)
             normal = changes.T @ flow @ changes
             normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
             normal[np.diag_indices_from(normal)] += 1e-16
@@ -212,14 +189,6 @@ def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     """(H, W) how far a pixel shows the model and nothing else."""
     usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
-
-
-def _line(base: Float32, seen: Float32) -> tuple[float, float]:
-    """Gain and offset from quantiles: right even while the images are out of register."""
-    low, high = np.quantile(base, [0.2, 0.8])
-    bottom, top = np.quantile(seen, [0.2, 0.8])
-    gain = float(np.clip((top - bottom) / max(high - low, 1e-3), 0.2, 3.0))
-    return gain, float(np.median(seen) - gain * np.median(base))
 
 
 def _correlation(a: Float32, b: Float32) -> float:

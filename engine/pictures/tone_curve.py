@@ -29,35 +29,16 @@ _BENT_KNOTS, _BENT_ROUNDS = 65, 3
 
 @dataclass(frozen=True, eq=False)
 class Toned:
-    """The reference as the picture would show it.
-
-    Parameters
-    ----------
-    predicted : (H, W, 3) float32
-        Expected values of the picture.
-    slope : (H, W, 3) float32
-        Share of a small change of colour that survives clipping, 0..1.
-    """
+    """The reference as the picture would show it: its expected values, and the share of a small change of colour that
+    survives clipping, 0..1; (H, W, 3) each."""
 
     predicted: Float32
     slope: Float32
 
 
 def robust_regression(design: Float32, target: Float32, rounds: int = 4) -> Float64:
-    """Least squares with Cauchy weights on the residual.
-
-    Parameters
-    ----------
-    design : (P, K) float32
-    target : (P,) float32
-    rounds : int
-        Rounds of re-weighting.
-
-    Returns
-    -------
-    (K,) float64
-        Zeros when there are fewer than 4 K rows.
-    """
+    """Least squares (K,) of a design (P, K) with Cauchy weights on the residual; zeros when there are fewer than 4 K
+    rows."""
     k = design.shape[1]
     if len(design) < 4 * k:
         return np.zeros(k)
@@ -76,21 +57,15 @@ def robust_regression(design: Float32, target: Float32, rounds: int = 4) -> Floa
 
 
 def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> Toned:
-    """Fit, in this order: affine colour change, clipping with the picture's own noise, tone curve a channel.
+    """Fit, in this order: affine colour change, clipping with the picture's own noise, tone curve a channel of so many
+    knots.
 
-    Parameters
-    ----------
-    reference, picture : (H, W, 3) float32
-        0..1, in register.
-    mask : (H, W) bool
-        Pixels to fit on.
-    knots : int
-        Of the tone curve.
+    `reference` and `picture` (H, W, 3), 0..1, in register; `mask` (H, W), pixels to fit on.
     """
     where = np.nonzero(mask.ravel())[0]
     where = where[:: max(1, len(where) // _SAMPLES)]
     colors, seen = reference.reshape(-1, 3), picture.reshape(-1, 3)[where]  # (H W, 3), (P, 3)
-    design = np.concatenate([colors[where], np.ones((len(where), 1), dtype=np.float32)], axis=1)
+    design = np.concatenate([colors[where], np.ones((len(where), 1), dtype=np.float32)], axis=1)  # (P, 4)
     free = (seen < _CLIPPED).all(axis=1) & (seen > 1.0 - _CLIPPED).any(axis=1)
     predicted, slope = np.empty_like(reference), np.empty_like(reference)
     for c in range(3):

@@ -29,60 +29,34 @@ def rasterize(
     background: float | tuple[float, float, float] = 0.0,
     settings: RasterSettings = RasterSettings(),
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Image and accumulated opacity, differentiable with respect to every tensor.
+    """Image (H, W, 3) and accumulated opacity (H, W), float32, differentiable with respect to every tensor.
 
-    Tensors on the CPU go through this package's kernels, without copies where they are contiguous float32.
-    Tensors on a CUDA device go through `gsplat` if that is installed, with the same definition of the
-    image.
+    Tensors on the CPU go through this package's kernels, without copies where they are contiguous float32. Tensors on a
+    CUDA device go through `gsplat` if that is installed, with the same definition of the image.
 
     Parameters
     ----------
-    means : (N, 3) float
-    quats : (N, 4) float
-        w, x, y, z; any length but 0.
-    log_scales : (N, 3) float
-    opacity_logits : (N,) float
+    means, quats, log_scales, opacity_logits : (N, 3), (N, 4), (N, 3), (N,) float
+        As in `GaussianModel`; quaternions of any length but 0.
     viewmat : (4, 4) float
         World to camera. Its gradient takes twelve numbers as free; the camera's centre is -R^T t.
     K : (3, 3) float
         Intrinsics, pixels; gradients at fx, fy, cx, cy.
-    width, height : int
-        Image size, pixels.
-    sh : (N, 1, 4, 9 or 16, 3) float, optional
-        Spherical-harmonic colours; either this or `colors`.
-    colors : (N, 3) float, optional
-        Colours as they are.
-    background : float or three, optional
-
-    Returns
-    -------
-    image : (height, width, 3) float32
-    alpha : (height, width) float32
+    sh, colors : (N, 1, 4, 9 or 16, 3) or (N, 3) float
+        Spherical-harmonic colours, or colours as they are: one of them.
 
     Raises
     ------
     InputError
-        If not exactly one of `sh` and `colors` is given, a shape is wrong, or tensors are on a CUDA device
-        and gsplat is missing or cannot honour the settings.
+        If not exactly one of `sh` and `colors` is given, a shape is wrong, or tensors are on a CUDA device and gsplat
+        is missing or cannot honour the settings.
     """
     if (sh is None) == (colors is None):
         raise InputError("give either sh or colors")
     if means.is_cuda:
-        return cuda.rasterize(
-            means,
-            quats,
-            log_scales,
-            opacity_logits,
-            viewmat,
-            K,
-            width,
-            height,
-            sh=sh,
-            colors=colors,
-            background=background,
-            settings=settings,
-        )
-    image, alpha = _Rasterize.apply(  # type: ignore[no-untyped-call]
+        model = (means, quats, log_scales, opacity_logits)
+        return cuda.rasterize(*model, viewmat, K, width, height, sh, colors, background, settings)
+    image, alpha = _Rasterize.apply(  # type: ignore[no-untyped-call]  # torch leaves it untyped
         means, quats, log_scales, opacity_logits, viewmat, K, sh, colors, (width, height, background, settings)
     )
     return image, alpha
@@ -125,16 +99,8 @@ class _Rasterize(torch.autograd.Function):
         if of_image is None:
             of_image = np.zeros_like(rendering.image)
         g = backward(rendering, of_image, of_alpha)
-        arrays = (
-            g.means,
-            g.quats,
-            g.log_scales,
-            g.opacity_logits,
-            g.viewmat,
-            g.K,
-            None if rendering.own_colors else g.sh,
-            g.colors if rendering.own_colors else None,
-        )
+        colors = (None, g.colors) if rendering.own_colors else (g.sh, None)
+        arrays = (g.means, g.quats, g.log_scales, g.opacity_logits, g.viewmat, g.K, *colors)
         results = [
             torch.from_numpy(array).to(tensor.dtype) if tensor is not None and needed else None
             for array, tensor, needed in zip(arrays, ctx.inputs, ctx.needs_input_grad, strict=False)

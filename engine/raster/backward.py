@@ -22,34 +22,21 @@ from engine.raster.tiles import (
     BATCH,
     FIELD,
     FIELDS,
-    GRID_X,
-    GRID_Y,
     STAGE_ROW,
     STATE,
     blend,
-    end_by_impact,
     lay_grid,
     living_blocks,
-    log2_alpha,
+    open_item,
     open_tile,
+    place_of,
     stage_batch,
 )
 
-__all__ = [
-    "WEIGHT_SUMS",
-    "backward_scratch",
-    "gather_maxima",
-    "gather_sums",
-    "pair_colors",
-    "pair_weights",
-    "pair_width",
-]
-
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 _f = np.float32
-_i = np.int32
-_AHEAD = 32
+_AHEAD = 32  # pairs: about the time that a line takes from memory
 _SIXTEEN = (0,) * 16
 
 WEIGHT_SUMS = 4
@@ -73,9 +60,7 @@ def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):
         own[field + place] = _f(0.0)
     for y in range(y0, min(y0 + TILE, height)):
         for x in range(x0, min(x0 + TILE, width)):
-            p, q = x - x0, y - y0
-            place = ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
-            own[field + place] = pixels[(y * width + x) * channels + channel]
+            own[field + place_of(x - x0, y - y0)] = pixels[(y * width + x) * channels + channel]
 
 
 @inlined
@@ -98,31 +83,16 @@ def write_sums(own, rows, count, spare, out, to):
 
 
 @parallel_kernel
-def pair_colors(
-    records,
-    discs,
-    channel_tuple,
-    pair_tuple,
-    ids,
-    starts,
-    width,
-    height,
-    tiles_x,
-    limits,
-    impact,
-    cotangent,
-    out,
-    scratch,
-    items,
-    counter,
-):
+def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench):
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
 
     `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of
     `pair_tuple`). The rest as in `forward.blend_tiles`.
     """
+    records, discs, ids, starts, width, height, tiles_x, limits = lists
+    scratch, items, counter = bench
     channels, pair = len(channel_tuple), len(pair_tuple)
-    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     stage = FIELDS + channels * FIELD
     rows = stage + (BATCH + 1) * STAGE_ROW
@@ -142,42 +112,21 @@ def pair_colors(
                 continue
             row = tile // tiles_x
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
             for channel in range(channels):
                 fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own,
-                    stage,
-                    list_,
-                    records,
-                    discs,
-                    cotangent,
-                    0,
-                    ids,
-                    at,
-                    size,
-                    end,
-                    _f(x0),
-                    _f(y0),
-                    alive,
-                    log2_skip,
+                    own, stage, list_, records, discs, cotangent, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    item = list_[t]
-                    place = np.int64(item & _i(15)) * 16
-                    j = np.int64(item >> _i(4))
-                    from_ = stage + j * STAGE_ROW
-                    dx = load(own, GRID_X + place) - own[from_]
-                    dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy, discs)
-                    a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    place, j, _, _, _, q = open_item(own, stage, list_[t], discs)
+                    _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         to = rows + (j * pair + channel) * 16
                         store(own, to, fma(w, load(own, FIELDS + channel * FIELD + place), load(own, to)))
-                    if impact is not None:
-                        after = end_by_impact(own, place, a, w, after, clamp, impact[ids[at + j]], threshold)
                     store(own, STATE + place, after)
                 write_sums(own, rows, size * pair, spare, out, at * pair)
                 clear_rows(own, rows, size * pair)
@@ -188,31 +137,16 @@ def pair_colors(
 
 
 @parallel_kernel
-def pair_weights(
-    records,
-    discs,
-    ids,
-    starts,
-    width,
-    height,
-    tiles_x,
-    limits,
-    impact,
-    pixel_map,
-    sums,
-    maxima,
-    scratch,
-    items,
-    counter,
-):
-    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w
-    (`maxima`)."""
-    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+def pair_weights(lists, pixel_map, sums, maxima, bench):
+    """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
+    records, discs, ids, starts, width, height, tiles_x, limits = lists
+    scratch, items, counter = bench
+    log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     stage = FIELDS + FIELD
     rows = stage + (BATCH + 1) * STAGE_ROW
-    top = rows + BATCH * WEIGHT_SUMS * 16
-    spare = top + BATCH * 16
+    peaks = rows + BATCH * WEIGHT_SUMS * 16
+    spare = peaks + BATCH * 16
     counter[0] = 0
     for worker in prange(scratch.shape[0]):
         own = scratch[worker]
@@ -228,36 +162,17 @@ def pair_weights(
                 continue
             row = tile // tiles_x
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
             fill_field(own, FIELDS, pixel_map, 1, 0, x0, y0, width, height)
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own,
-                    stage,
-                    list_,
-                    records,
-                    discs,
-                    pixel_map,
-                    0,
-                    ids,
-                    at,
-                    size,
-                    end,
-                    _f(x0),
-                    _f(y0),
-                    alive,
-                    log2_skip,
+                    own, stage, list_, records, discs, pixel_map, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    item = list_[t]
-                    place = np.int64(item & _i(15)) * 16
-                    j = np.int64(item >> _i(4))
-                    from_ = stage + j * STAGE_ROW
-                    dx = load(own, GRID_X + place) - own[from_]
-                    dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy, discs)
-                    a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    place, j, _, _, _, q = open_item(own, stage, list_[t], discs)
+                    _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * (WEIGHT_SUMS * 16)
                     w2 = w * w
                     m = load(own, FIELDS + place)
@@ -265,13 +180,11 @@ def pair_weights(
                     store(own, to + 16, load(own, to + 16) + w2)
                     store(own, to + 32, fma(w, m, load(own, to + 32)))
                     store(own, to + 48, fma(w2, m, load(own, to + 48)))
-                    store(own, top + j * 16, maximum(load(own, top + j * 16), w))
-                    if impact is not None:
-                        after = end_by_impact(own, place, a, w, after, clamp, impact[ids[at + j]], threshold)
+                    store(own, peaks + j * 16, maximum(load(own, peaks + j * 16), w))
                     store(own, STATE + place, after)
                 write_sums(own, rows, size * WEIGHT_SUMS, spare, sums, at * WEIGHT_SUMS)
                 for group in range(BATCH // 16):
-                    store(own, spare, max_rows(own, top + group * 256, _SIXTEEN))
+                    store(own, spare, max_rows(own, peaks + group * 256, _SIXTEEN))
                     for k in range(min(16, size - group * 16)):
                         maxima[at + group * 16 + k] = own[spare + k]
                 clear_rows(own, rows, BATCH * (WEIGHT_SUMS + 1))

@@ -22,7 +22,7 @@ __all__ = ["list_pairs", "list_starts", "place_pairs"]
 _KERNEL_VERSION = 1
 
 _f = np.float32
-_AHEAD = 16
+_AHEAD = 16  # Gaussians: about the time that a line takes from memory
 _PER_TILE = _f(1.0 / TILE)
 
 

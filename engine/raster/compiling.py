@@ -17,10 +17,7 @@ __all__ = ["warm_up"]
 def warm_up(progress: Callable[[float], None] | None = None) -> None:
     """Compile all kernels (about 20 s once a machine) or load them from numba's disk cache (well under 1 s).
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with the fraction done, 0 to 1.
+    `progress` is called with the fraction done, 0 to 1.
     """
     model, camera = _scene()
     view = prepare_view(model, camera)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from engine.errors import InputError
 from engine.raster.settings import RasterSettings
@@ -32,7 +32,6 @@ def rasterize(
     K: torch.Tensor,
     width: int,
     height: int,
-    *,
     sh: torch.Tensor | None,
     colors: torch.Tensor | None,
     background: float | tuple[float, float, float],
@@ -40,11 +39,8 @@ def rasterize(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """`engine.raster.autograd.rasterize` on tensors of a CUDA device.
 
-    Raises
-    ------
-    InputError
-        If gsplat is not installed, or a setting differs from what is fixed in its kernels (alpha_clamp,
-        alpha_skip, transmittance_stop, impact_stop).
+    InputError if gsplat is not installed, or a setting differs from what is fixed in its kernels (alpha_clamp,
+    alpha_skip, transmittance_stop).
     """
     if importlib.util.find_spec("gsplat") is None:
         raise InputError("tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU")
@@ -59,24 +55,18 @@ def rasterize(
     shades = colors if sh is None else sh
     if shades is None:
         raise InputError("give either sh or colors")
-    options: dict[str, Any] = {
-        "near_plane": settings.near,
-        "eps2d": settings.eps2d,
-        "sh_degree": degree,
-        "packed": False,
-        "backgrounds": behind[None],
-        "rasterize_mode": "classic",
-    }
+    raw = (means.float(), quats.float(), log_scales.float().exp(), opacity_logits.float().sigmoid(), shades.float())
     image, alpha, _ = rasterization(
-        means.float(),
-        quats.float(),
-        log_scales.float().exp(),
-        opacity_logits.float().sigmoid(),
-        shades.float(),
+        *raw,
         viewmat.float()[None],
         K.float()[None],
         width,
         height,
-        **options,
+        near_plane=settings.near,
+        eps2d=settings.eps2d,
+        sh_degree=degree,
+        packed=False,
+        backgrounds=behind[None],
+        rasterize_mode="classic",
     )
     return image[0], alpha[0, ..., 0]

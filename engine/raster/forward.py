@@ -13,25 +13,22 @@ from engine.raster.tiles import (
     BATCH,
     FIELD,
     FIELDS,
-    GRID_X,
-    GRID_Y,
     STAGE_ROW,
     STATE,
     blend,
-    end_by_impact,
     lay_grid,
     living_blocks,
-    log2_alpha,
+    open_item,
     open_tile,
+    place_of,
     stage_batch,
 )
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 _f = np.float32
-_i = np.int32
 
 
 def forward_scratch(channels: int) -> int:
@@ -40,42 +37,23 @@ def forward_scratch(channels: int) -> int:
 
 
 @parallel_kernel
-def blend_tiles(
-    records,
-    discs,
-    colors,
-    channel_tuple,
-    ids,
-    starts,
-    width,
-    height,
-    tiles_x,
-    limits,
-    background,
-    impact,
-    image,
-    alpha,
-    scratch,
-    items,
-    counter,
-    evaluated,
-):
+def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluated, bench):
     """Image and accumulated alpha.
 
     Parameters
     ----------
-    records, colors : flat, `RECORD` and C numbers a Gaussian
-    discs : flat, `RECORD` numbers a disc (2DGS), or None for Gaussians
+    lists : `geometry.Geometry.lists`
     channel_tuple : tuple of length C: the number of channels is part of the compiled type
-    ids, starts : the tiles' lists
-    limits : float32 (log2 of the smallest alpha, largest alpha, transmittance that ends a pixel, tau of Eq 8)
+    colors : flat, C numbers a Gaussian
     background : (C,)
-    impact : (N,) W^freq of Eq 8, or None
-    counter : (1,) int64, the queue of tiles
+    image, alpha : flat (H, W, C) and (H, W), out
     evaluated : (tiles,) int64 out, (Gaussian, block) items blended: 16 pixel fragments each
+    bench : `workspace.Workspace.tile_bench`
     """
+    records, discs, ids, starts, width, height, tiles_x, limits = lists
+    scratch, items, counter = bench
     channels = len(channel_tuple)
-    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     stage = FIELDS + channels * FIELD
     counter[0] = 0
@@ -101,20 +79,11 @@ def blend_tiles(
                     own, stage, list_, records, discs, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    item = list_[t]
-                    block = item & _i(15)
-                    place = np.int64(block) * 16
-                    from_ = stage + np.int64(item >> _i(4)) * STAGE_ROW
-                    dx = load(own, GRID_X + place) - own[from_]
-                    dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy, discs)
-                    a, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    place, _, from_, _, _, q = open_item(own, stage, list_[t], discs)
+                    _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         field = FIELDS + channel * FIELD + place
                         store(own, field, fma(w, own[from_ + RECORD + channel], load(own, field)))
-                    if impact is not None:
-                        value = impact[ids[at + np.int64(item >> _i(4))]]
-                        after = end_by_impact(own, place, a, w, after, clamp, value, threshold)
                     store(own, STATE + place, after)
                 work += count
                 at += size
@@ -122,8 +91,7 @@ def blend_tiles(
             evaluated[tile] = work
             for y in range(y0, min(y0 + TILE, height)):
                 for x in range(x0, min(x0 + TILE, width)):
-                    p, q_ = x - x0, y - y0
-                    place = ((q_ >> 2) * 4 + (p >> 2)) * 16 + (q_ & 3) * 4 + (p & 3)
+                    place = place_of(x - x0, y - y0)
                     rest = abs(own[STATE + place])
                     pixel = y * width + x
                     alpha[pixel] = _f(1.0) - rest

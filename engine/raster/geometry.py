@@ -1,6 +1,7 @@
 """The passes that do not depend on colours, in order: project, sort, count, fill."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,23 +28,18 @@ _EMPTY = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A model seen by a camera: everything blending needs except colours.
+    """A model of `count` Gaussians N seen by a camera: everything blending needs except colours.
 
     Parameters
     ----------
-    count : int
-        Gaussians in the model, N.
-    records : flat (at least N * RECORD,)
-        See `engine.raster.projection`; only the visible rows are written.
-    discs : flat (at least N * RECORD,) or None
-        See `engine.raster.disc_projection`; None where Gaussians are drawn.
+    records, discs : flat (at least N * RECORD,)
+        See `engine.raster.projection` and `disc_projection` (None where Gaussians are drawn); only the visible rows are
+        written.
     visible : (V,) int32
         Indices of the visible Gaussians, nearest first.
-    ids : (P,) int32
-        The tiles' lists, one after the other.
-    starts : (tiles + 1,) int64
-        Where each tile's list begins.
-    firsts : (max(N, 16) + 1,) int32, slots : (P,) int32
+    ids, starts : (P,) int32, (tiles + 1,) int64
+        The tiles' lists, one after the other, and where each begins.
+    firsts, slots : (max(N, 16) + 1,) int32, (P,) int32
         ``slots[firsts[i]:firsts[i + 1]]``: places of Gaussian i in `ids`. Empty if they were not asked for.
     """
 
@@ -70,10 +66,15 @@ class Geometry:
 
     @property
     def limits(self) -> Float32:
-        """The numbers that decide what is blended, as the kernels take them."""
+        """What is blended: log2 of the smallest alpha, the largest, and the transmittance at which a pixel ends."""
         s = self.settings
-        threshold = np.inf if s.impact_stop is None else s.impact_stop
-        return np.array([s.log2_alpha_skip, s.alpha_clamp, s.transmittance_stop, threshold], dtype=np.float32)
+        return np.array([s.log2_alpha_skip, s.alpha_clamp, s.transmittance_stop], dtype=np.float32)
+
+    @property
+    def lists(self) -> tuple[Any, ...]:
+        """What every pass over the tiles reads, in this order, as one argument of its kernel."""
+        width, height = self.camera.width, self.camera.height
+        return self.records, self.discs, self.ids, self.starts, width, height, self.tiles_x, self.limits
 
 
 def padded(model: GaussianModel) -> GaussianModel:
@@ -104,21 +105,10 @@ def build_geometry(
     keep: bool,
     tile_mask: Bool | None = None,
 ) -> tuple[Geometry, Int32]:
-    """Project, sort and bin.
+    """Project, sort and bin; returns the geometry, and (N,) how many tiles each Gaussian touches, in the workspace.
 
-    Parameters
-    ----------
-    keep : bool
-        True: the result owns its arrays and has `slots`, so that gradients can follow. False: its arrays
-        live in the workspace and `slots` is empty.
-    tile_mask : (tiles_y, tiles_x) bool, optional
-        Tiles to draw.
-
-    Returns
-    -------
-    Geometry
-    sizes : (N,) int32
-        Tiles each Gaussian touches; lives in the workspace.
+    `keep`: the result owns its arrays and has `slots`, so that gradients can follow; else its arrays live in the
+    workspace and `slots` is empty. `tile_mask` (tiles_y, tiles_x): tiles to draw.
     """
     n = len(model)
     tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)

@@ -19,7 +19,6 @@ from engine.raster.projection import pack_lens
 from engine.raster.settings import RasterSettings
 from engine.raster.sh_kernels import SH_SCRATCH, differentiate_sh
 from engine.raster.spherical_harmonics import sh_colors
-from engine.raster.tiles import ITEMS
 from engine.raster.view import View, prepare_view
 from engine.raster.workspace import Workspace, borrow_workspace
 
@@ -30,15 +29,9 @@ _NONE = np.zeros(0, dtype=np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """An image with what its gradient needs; made by `draw`.
+    """An image (H, W, 3) and alpha (H, W) with what their gradient needs; made by `draw`.
 
-    Parameters
-    ----------
-    colors : (N, 3) float32
-    own_colors : bool
-        The colours were given, not taken from the model's SH.
-    image : (H, W, 3) float32
-    alpha : (H, W) float32
+    `own_colors`: the colours (N, 3) were given, not taken from the model's SH.
     """
 
     model: GaussianModel
@@ -55,21 +48,16 @@ class Gradients:
 
     Parameters
     ----------
-    means : (N, 3) float32
     quats : (N, 4) float32
         Through the normalisation: orthogonal to the quaternion.
-    log_scales : (N, 3) float32
-    opacity_logits : (N,) float32
     centers : (2, N) float32
         With respect to x and y of the projected centres, pixels, the projected shapes held.
     colors : (N, 3) float32
         With respect to the view-dependent colours.
     sh : (N, K, 3) float32
         Empty, (0, K, 3), when the colours were given.
-    viewmat : (4, 4) float64
-        The twelve numbers taken as free; the last row is 0.
-    K : (3, 3) float64
-        At fx, fy, cx, cy; 0 elsewhere.
+    viewmat, K : (4, 4), (3, 3) float64
+        The twelve numbers of the pose taken as free, the last row is 0; fx, fy, cx, cy, 0 elsewhere.
     """
 
     means: Float32
@@ -109,18 +97,10 @@ def draw(
     background: npt.ArrayLike = 0.0,
     settings: RasterSettings = RasterSettings(),
     colors: Float32 | None = None,
-    impact: Float32 | None = None,
 ) -> Rendering:
-    """Image of a model, keeping what `backward` needs.
-
-    Parameters
-    ----------
-    model, camera, background, settings, impact
-        As for `render`.
-    colors : (N, 3) float32, optional
-        Colours in place of those from the model's SH.
-    """
-    view = prepare_view(model, camera, settings, impact=impact)
+    """Image of a model, keeping what `backward` needs; `colors` (N, 3) stand for those from the model's SH. See
+    `render`."""
+    view = prepare_view(model, camera, settings)
     used = sh_colors(model.sh, model.means, camera.position) if colors is None else colors
     used = np.ascontiguousarray(used, dtype=np.float32)
     if used.shape != (len(model), 3):
@@ -181,29 +161,12 @@ def backward(
 
 def _moments(rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32, work: Workspace) -> Float32:
     """(pairs * PAIR_NUMBERS,) moments and colour sums of every pair."""
-    geometry, camera, workers = rendering.view.geometry, rendering.view.camera, thread_count()
+    geometry = rendering.view.geometry
     sums: Float32 = work.array("pairs", (len(geometry.ids) * PAIR_NUMBERS,))
-    pair_moments(
-        geometry.records,
-        rendering.colors.reshape(-1),
-        (0,) * 3,
-        (0,) * (MOMENTS + 3),
-        geometry.ids,
-        geometry.starts,
-        camera.width,
-        camera.height,
-        geometry.tiles_x,
-        geometry.limits,
-        rendering.view.impact,
-        rendering.image.reshape(-1),
-        rendering.alpha.reshape(-1),
-        cotangent.reshape(-1),
-        cotangent_alpha.reshape(-1),
-        sums,
-        work.array("moments", (workers, moments_scratch(3))),
-        work.array("items", (workers, ITEMS), np.int32),
-        work.array("queue", (1,), np.int64),
-    )
+    pictures = (rendering.image, rendering.alpha, cotangent, cotangent_alpha)
+    flat = (array.reshape(-1) for array in (rendering.colors, *pictures))
+    bench = work.tile_bench(moments_scratch(3))
+    pair_moments(geometry.lists, (0,) * 3, (0,) * (MOMENTS + 3), *flat, sums, bench)
     return sums
 
 
@@ -237,23 +200,17 @@ def _geometry_gradients(model: GaussianModel, view: View, sums: Float32, toward:
     chunks = -(-len(full) // CHUNK)
     into = result if n == len(full) else Gradients.empty(full, with_sh=False)
     by_chunk = np.empty((chunks, 32), dtype=np.float32)
+    raw = (full.means, full.quats, full.log_scales, full.opacity_logits)
+    out = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
     parameter_gradients(
-        full.means.reshape(-1),
-        full.quats.reshape(-1),
-        full.log_scales.reshape(-1),
-        full.opacity_logits,
+        tuple(array.reshape(-1) for array in raw),
         pack_lens(view.camera, geometry.settings),
         sums,
         geometry.firsts,
         geometry.slots,
         toward,
         aligned((chunks, GRADIENT_SCRATCH)),
-        into.means.reshape(-1),
-        into.quats.reshape(-1),
-        into.log_scales.reshape(-1),
-        into.opacity_logits,
-        into.centers.reshape(-1),
-        by_chunk,
+        (*(array.reshape(-1) for array in out), by_chunk),
     )
     if into is not result:
         for name in ("means", "quats", "log_scales", "opacity_logits"):

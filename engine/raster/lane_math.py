@@ -1,16 +1,14 @@
 """Exponential and logarithm to base 2 on sixteen lanes."""
 
-# mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
+# mypy: allow-untyped-defs, allow-untyped-decorators, allow-untyped-calls
 from typing import Any
 
 import numpy as np
-from numba.extending import intrinsic
 
-from engine.raster.lanes import FLOATS, INTS, floats, fused, ints, lanes
+from engine.raster.lanes import FLOATS, INTS, floats, fused, ints, ir_function, lanes
 
 _ROUND = 12582912.0
-"""1.5 * 2^23: adding it rounds a float32 below 2^22 to the nearest integer and leaves that in the low
-bits."""
+"""1.5 * 2^23: adding it rounds a float32 below 2^22 to the nearest integer and leaves that in the low bits."""
 
 
 def _least_squares(function: Any, low: float, high: float, degree: int, relative: bool) -> list[float]:
@@ -36,33 +34,24 @@ def _horner(b: Any, coefficients: list[float], x: Any) -> Any:
     return value
 
 
-@intrinsic
-def exp2(typing: Any, x: Any) -> Any:
-    """2^x for |x| <= 126, relative error 2e-7. Outside, garbage (but never a trap): the caller masks or
-    clamps."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        # No fast-math flags on the two additions of the constant: they are the rounding.
-        shifted = b.fadd(args[0], floats(_ROUND))
-        fraction = b.fsub(args[0], b.fsub(shifted, floats(_ROUND)))  # in [-1/2, 1/2]
-        exponent = b.shl(b.bitcast(shifted, INTS), ints(23))
-        return b.bitcast(b.add(b.bitcast(_horner(b, _EXP2, fraction), INTS), exponent), FLOATS)
-
-    return lanes(lanes), emit
+@ir_function(lanes, lanes)
+def exp2(b, x):
+    """2^x for |x| <= 126, relative error 2e-7. Outside, garbage (but never a trap): the caller masks or clamps."""
+    # No fast-math flags on the two additions of the constant: they are the rounding.
+    shifted = b.fadd(x, floats(_ROUND))
+    fraction = b.fsub(x, b.fsub(shifted, floats(_ROUND)))  # in [-1/2, 1/2]
+    exponent = b.shl(b.bitcast(shifted, INTS), ints(23))
+    return b.bitcast(b.add(b.bitcast(_horner(b, _EXP2, fraction), INTS), exponent), FLOATS)
 
 
-@intrinsic
-def log2(typing: Any, x: Any) -> Any:
+@ir_function(lanes, lanes)
+def log2(b, x):
     """log2(x) for positive normal x, absolute error about 2e-7 plus rounding."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        bits = b.bitcast(args[0], INTS)
-        # Exponent such that the mantissa lies in [sqrt(1/2), sqrt(2)).
-        half = int(np.float32(np.sqrt(0.5)).view(np.int32))
-        exponent = b.ashr(b.sub(bits, ints(half)), ints(23))
-        mantissa = b.bitcast(b.sub(bits, b.shl(exponent, ints(23))), FLOATS)
-        fraction = b.fsub(mantissa, floats(1.0))
-        series = b.fmul(_horner(b, _LOG2, fraction), fraction)
-        return b.fadd(b.sitofp(exponent, FLOATS), series)
-
-    return lanes(lanes), emit
+    bits = b.bitcast(x, INTS)
+    # Exponent such that the mantissa lies in [sqrt(1/2), sqrt(2)).
+    half = int(np.float32(np.sqrt(0.5)).view(np.int32))
+    exponent = b.ashr(b.sub(bits, ints(half)), ints(23))
+    mantissa = b.bitcast(b.sub(bits, b.shl(exponent, ints(23))), FLOATS)
+    fraction = b.fsub(mantissa, floats(1.0))
+    series = b.fmul(_horner(b, _LOG2, fraction), fraction)
+    return b.fadd(b.sitofp(exponent, FLOATS), series)

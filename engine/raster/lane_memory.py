@@ -1,7 +1,8 @@
 """Lanes to and from memory. Arrays are flat float32; indices count elements."""
 
-# mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
+# mypy: allow-untyped-defs, allow-untyped-decorators, allow-untyped-calls
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,23 @@ import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
-from engine.raster.lanes import BOOLS, FLOATS, INT32, INTS, LANES, broadcast, call_llvm, floats, lanes
+from engine.raster.lanes import (
+    BOOLS,
+    FLOATS,
+    INT32,
+    INTS,
+    LANES,
+    broadcast,
+    call_llvm,
+    floats,
+    ir_function,
+    lanes,
+    make_intrinsic,
+)
 
 INT16 = ir.IntType(16)
+_LANE_NUMBERS = ir.Constant(INTS, list(range(LANES)))
 _CACHE_LINE = 64
 _HUGE_PAGE = 2 << 20
 _shifts = itertools.cycle(range(0, 64 * 17 * 16, 64 * 17))
@@ -35,69 +48,67 @@ def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.ND
     return raw[start : start + size].view(kind).reshape(shape)
 
 
-def pointer_to(context: Any, b: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """IR: address of array[index]."""
-    return b.gep(context.make_array(array_type)(context, b, array).data, [index])
+def on_array(result: Any, *arguments: Any) -> Callable[..., Any]:
+    """Decorator: an intrinsic of an array and these types, out of a function that emits its IR from the builder, a
+    function from an index of the array to its address, and the values; of a tuple (None) it gets the length."""
+
+    def decorate(emit: Callable[..., Any]) -> Any:
+        def lower(context: Any, b: Any, sig: Any, args: Any) -> Any:
+            data = context.make_array(sig.args[0])(context, b, args[0]).data
+            pairs = zip(sig.args[1:], args[1:], strict=True)
+            values = [len(kind) if isinstance(kind, types.BaseTuple) else value for kind, value in pairs]
+            out = emit(b, lambda index: b.gep(data, [index]), *values)
+            return context.get_dummy_value() if result is types.void else out
+
+        def typing(array: Any, *given: Any) -> Any:
+            return result(array, *(g if t is None else t for t, g in zip(arguments, given, strict=True)))
+
+        return make_intrinsic(typing, lower, emit)
+
+    return decorate
 
 
-def _vector_pointer(context: Any, b: Any, sig: Any, args: Any) -> Any:
-    return b.bitcast(pointer_to(context, b, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
+def vector_at(b: Any, pointer: Any, row: int = 0) -> Any:
+    """IR: an address as that of a vector, so many vectors further on."""
+    return b.gep(b.bitcast(pointer, FLOATS.as_pointer()), [ir.Constant(INT32, row)])
 
 
-@intrinsic
-def load(typing: Any, array: Any, index: Any) -> Any:
+def load_vector(b: Any, pointer: Any, row: int = 0) -> Any:
+    """IR: the vector at an address, or so many further on."""
+    value = b.load(vector_at(b, pointer, row), typ=FLOATS)
+    value.align = 4
+    return value
+
+
+@on_array(lanes, types.intp)
+def load(b, at, index):
     """array[index : index + 16]."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        value = b.load(_vector_pointer(context, b, sig, args), typ=FLOATS)
-        value.align = 4
-        return value
-
-    return lanes(array, types.intp), emit
+    return load_vector(b, at(index))
 
 
-@intrinsic
-def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
+@on_array(types.void, types.intp, lanes)
+def store(b, at, index, value):
     """array[index : index + 16] = value."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        b.store(args[2], _vector_pointer(context, b, sig, args)).align = 4
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, lanes), emit
-
-
-@intrinsic
-def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
-    """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no
-    further."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = _vector_pointer(context, b, sig, args)
-        kind = ir.FunctionType(FLOATS, [pointer.type, INT32, BOOLS, FLOATS])
-        function = cgutils.get_or_insert_function(b.module, kind, f"llvm.masked.load.v{LANES}f32.p0")
-        return b.call(function, [pointer, ir.Constant(INT32, 4), _first_lanes(b, args[2]), floats(0)])
-
-    return lanes(array, types.intp, types.int32), emit
-
-
-@intrinsic
-def store_some(typing: Any, array: Any, index: Any, count: Any, value: Any) -> Any:
-    """array[index : index + count] = the first lanes; count may be anything, also negative."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = _vector_pointer(context, b, sig, args)
-        kind = ir.FunctionType(ir.VoidType(), [FLOATS, pointer.type, INT32, BOOLS])
-        function = cgutils.get_or_insert_function(b.module, kind, f"llvm.masked.store.v{LANES}f32.p0")
-        b.call(function, [args[3], pointer, ir.Constant(INT32, 4), _first_lanes(b, args[2])])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.int32, lanes), emit
+    b.store(value, vector_at(b, at(index))).align = 4
 
 
 def _first_lanes(b: Any, count: Any) -> Any:
     """IR: mask of the lanes below count."""
-    return b.icmp_signed("<", ir.Constant(INTS, list(range(LANES))), broadcast(b, count, INTS))
+    return b.icmp_signed("<", _LANE_NUMBERS, broadcast(b, count, INTS))
+
+
+@on_array(lanes, types.intp, types.int32)
+def load_some(b, at, index, count):
+    """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no further."""
+    arguments = [vector_at(b, at(index)), ir.Constant(INT32, 4), _first_lanes(b, count), floats(0)]
+    return call_llvm(b, f"llvm.masked.load.v{LANES}f32.p0", FLOATS, arguments)
+
+
+@on_array(types.void, types.intp, types.int32, lanes)
+def store_some(b, at, index, count, value):
+    """array[index : index + count] = the first lanes; count may be anything, also negative."""
+    arguments = [value, vector_at(b, at(index)), ir.Constant(INT32, 4), _first_lanes(b, count)]
+    call_llvm(b, f"llvm.masked.store.v{LANES}f32.p0", ir.VoidType(), arguments)
 
 
 def shuffle(b: Any, x: Any, y: Any, lanes_of_xy: list[int]) -> Any:
@@ -105,116 +116,82 @@ def shuffle(b: Any, x: Any, y: Any, lanes_of_xy: list[int]) -> Any:
     return b.shuffle_vector(x, y, ir.Constant(INTS, lanes_of_xy))
 
 
-@intrinsic
-def unzip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
+_THREE, _FOUR = types.UniTuple(lanes, 3), types.UniTuple(lanes, 4)
+
+
+@ir_function(_THREE, lanes, lanes, lanes)
+def unzip3(b, x, y, z):
     """48 numbers r g b r g b ... in three vectors, as (r, g, b)."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        parts = []
-        for channel in range(3):
-            wanted = [3 * i + channel for i in range(LANES)]  # positions in the 48
-            low = shuffle(b, args[0], args[1], [p if p < 32 else 0 for p in wanted])
-            parts.append(shuffle(b, low, args[2], [i if p < 32 else p - 16 for i, p in enumerate(wanted)]))
-        return context.make_tuple(b, sig.return_type, parts)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+    parts = []
+    for channel in range(3):
+        wanted = [3 * i + channel for i in range(LANES)]  # positions in the 48
+        low = shuffle(b, x, y, [p if p < 32 else 0 for p in wanted])
+        parts.append(shuffle(b, low, z, [i if p < 32 else p - 16 for i, p in enumerate(wanted)]))
+    return cgutils.pack_array(b, parts)
 
 
-@intrinsic
-def zip3(typing: Any, x: Any, y: Any, z: Any) -> Any:
+@ir_function(_THREE, lanes, lanes, lanes)
+def zip3(b, x, y, z):
     """(r, g, b) as 48 numbers r g b r g b ... in three vectors: the inverse of `unzip3`."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        parts = []
-        for part in range(3):
-            sources = [divmod(part * LANES + i, 3) for i in range(LANES)]  # (lane, channel)
-            pair = shuffle(b, args[0], args[1], [lane + 16 * min(c, 1) for lane, c in sources])
-            chosen = [i if c < 2 else 16 + lane for i, (lane, c) in enumerate(sources)]
-            parts.append(shuffle(b, pair, args[2], chosen))
-        return context.make_tuple(b, sig.return_type, parts)
-
-    return types.UniTuple(lanes, 3)(lanes, lanes, lanes), emit
+    parts = []
+    for part in range(3):
+        sources = [divmod(part * LANES + i, 3) for i in range(LANES)]  # (lane, channel)
+        pair = shuffle(b, x, y, [lane + 16 * min(c, 1) for lane, c in sources])
+        parts.append(shuffle(b, pair, z, [i if c < 2 else 16 + lane for i, (lane, c) in enumerate(sources)]))
+    return cgutils.pack_array(b, parts)
 
 
-@intrinsic
-def unzip4(typing: Any, a: Any, b_: Any, c: Any, d: Any) -> Any:
+@ir_function(_FOUR, lanes, lanes, lanes, lanes)
+def unzip4(b, w, x, y, z):
     """64 numbers w x y z w x y z ... in four vectors, as (w, x, y, z)."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        parts = []
-        for channel in range(4):
-            picks = [4 * i + channel for i in range(8)] * 2  # of 32 numbers, 8 belong to the channel
-            low = shuffle(b, args[0], args[1], picks)
-            high = shuffle(b, args[2], args[3], picks)
-            parts.append(shuffle(b, low, high, [*range(8), *range(16, 24)]))
-        return context.make_tuple(b, sig.return_type, parts)
-
-    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
+    parts = []
+    for channel in range(4):
+        picks = [4 * i + channel for i in range(8)] * 2  # of 32 numbers, 8 belong to the channel
+        low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
+        parts.append(shuffle(b, low, high, [*range(8), *range(16, 24)]))
+    return cgutils.pack_array(b, parts)
 
 
-@intrinsic
-def zip4(typing: Any, w: Any, x: Any, y: Any, z: Any) -> Any:
+@ir_function(_FOUR, lanes, lanes, lanes, lanes)
+def zip4(b, w, x, y, z):
     """(w, x, y, z) as 64 numbers w x y z w x y z ... in four vectors: the inverse of `unzip4`."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        parts = []
-        for part in range(4):
-            from_lane = [part * 4 + i // 4 for i in range(LANES)]
-            low = shuffle(b, args[0], args[1], [lane + 16 * (i % 2) for i, lane in enumerate(from_lane)])
-            high = shuffle(b, args[2], args[3], [lane + 16 * (i % 2) for i, lane in enumerate(from_lane)])
-            parts.append(shuffle(b, low, high, [i if i % 4 < 2 else 16 + i for i in range(LANES)]))
-        return context.make_tuple(b, sig.return_type, parts)
-
-    return types.UniTuple(lanes, 4)(lanes, lanes, lanes, lanes), emit
+    parts = []
+    for part in range(4):
+        picks = [part * 4 + i // 4 + 16 * (i % 2) for i in range(LANES)]
+        low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
+        parts.append(shuffle(b, low, high, [i if i % 4 < 2 else 16 + i for i in range(LANES)]))
+    return cgutils.pack_array(b, parts)
 
 
-@intrinsic
-def prefetch(typing: Any, array: Any, index: Any) -> Any:
+@on_array(types.void, types.intp)
+def prefetch(b, at, index):
     """Ask for the cache line of array[index]."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = b.bitcast(pointer_to(context, b, sig.args[0], args[0], args[1]), ir.IntType(8).as_pointer())
-        read, near, data = (ir.Constant(INT32, v) for v in (0, 3, 1))
-        call_llvm(b, "llvm.prefetch.p0", ir.VoidType(), [pointer, read, near, data])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp), emit
+    read, near, data = (ir.Constant(INT32, v) for v in (0, 3, 1))
+    pointer = b.bitcast(at(index), ir.IntType(8).as_pointer())
+    call_llvm(b, "llvm.prefetch.p0", ir.VoidType(), [pointer, read, near, data])
 
 
-@intrinsic
-def fetch_add(typing: Any, array: Any, index: Any, amount: Any) -> Any:
+@on_array(types.int64, types.intp, types.int64)
+def fetch_add(b, at, index, amount):
     """Atomically add to an int64 array; returns the value before."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = pointer_to(context, b, sig.args[0], args[0], args[1])
-        return b.atomic_rmw("add", pointer, args[2], "monotonic")
-
-    return types.int64(array, types.intp, types.int64), emit
+    return b.atomic_rmw("add", at(index), amount, "monotonic")
 
 
-@intrinsic
-def append_set_bits(typing: Any, array: Any, index: Any, bits: Any, base: Any) -> Any:
+@on_array(types.void, types.intp, types.int32, types.int32)
+def append_set_bits(b, at, index, bits, base):
     """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        pointer = pointer_to(context, b, sig.args[0], args[0], args[1])
-        chosen = b.bitcast(b.trunc(args[2], INT16), BOOLS)
-        values = b.or_(broadcast(b, args[3], INTS), ir.Constant(INTS, list(range(LANES))))
-        call_llvm(b, f"llvm.masked.compressstore.v{LANES}i32", ir.VoidType(), [values, pointer, chosen])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.int32, types.int32), emit
+    chosen = b.bitcast(b.trunc(bits, INT16), BOOLS)
+    values = b.or_(broadcast(b, base, INTS), _LANE_NUMBERS)
+    call_llvm(b, f"llvm.masked.compressstore.v{LANES}i32", ir.VoidType(), [values, at(index), chosen])
 
 
-@intrinsic
-def count_bits(typing: Any, x: Any) -> Any:
-    """Number of set bits of an int32."""
-    return types.int32(types.int32), lambda context, b, sig, args: call_llvm(b, "llvm.ctpop.i32", INT32, [args[0]])
+@ir_function(types.int32, types.int32)
+def count_bits(b, x):
+    """Number of set bits."""
+    return call_llvm(b, "llvm.ctpop.i32", INT32, [x])
 
 
-@intrinsic
-def lowest_bit(typing: Any, x: Any) -> Any:
-    """Index of the lowest set bit of a non-zero int32."""
-    return types.int32(types.int32), lambda context, b, sig, args: call_llvm(
-        b, "llvm.cttz.i32", INT32, [args[0], ir.Constant(ir.IntType(1), 1)]
-    )
+@ir_function(types.int32, types.int32)
+def lowest_bit(b, x):
+    """Index of the lowest set bit of a number that is not 0."""
+    return call_llvm(b, "llvm.cttz.i32", INT32, [x, ir.Constant(ir.IntType(1), 1)])

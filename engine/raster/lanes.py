@@ -6,7 +6,8 @@ narrower ones (AVX2, SSE, Arm). Floating-point freedoms are `FLOAT_FLAGS`; `exp2
 freedom to re-associate would cancel its rounding constant.
 """
 
-# mypy: allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
+# mypy: allow-untyped-defs, allow-untyped-decorators, allow-subclassing-any, allow-untyped-calls
+import inspect
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -85,7 +86,6 @@ def call_llvm(b: Any, name: str, result: Any, arguments: list[Any], fast: bool =
 
 
 # --- operators: lanes with lanes, or with a float32 scalar
-# ---------------------------------------------------------
 
 _PAIRS = ((lanes, lanes), (lanes, types.float32), (types.float32, lanes))
 
@@ -94,77 +94,69 @@ def _operands(b: Any, sig: Any, args: Any) -> list[Any]:
     return [broadcast(b, a) if t == types.float32 else a for t, a in zip(sig.args, args, strict=True)]
 
 
-def _define(symbol: Any, result: Any, emit: Callable[..., Any]) -> None:
+def _define(symbol: Any, result: Any, operands: tuple[tuple[Any, ...], ...], emit: Callable[..., Any]) -> None:
     @infer_global(symbol)
     class _Template(ConcreteTemplate):
-        cases = [signature(result, *pair) for pair in _PAIRS]  # noqa: RUF012
+        cases = [signature(result, *types_) for types_ in operands]  # noqa: RUF012
 
-    def lower(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        return emit(b, *_operands(b, sig, args))
-
-    for pair in _PAIRS:
-        lower_builtin(symbol, *pair)(lower)
+    for types_ in operands:
+        lower_builtin(symbol, *types_)(lambda context, b, sig, args: emit(b, *_operands(b, sig, args)))
 
 
 def _arithmetic(opcode: str) -> Callable[..., Any]:
-    return lambda b, x, y: getattr(b, opcode)(x, y, flags=FLAGS)
+    return lambda b, *operands: getattr(b, opcode)(*operands, flags=FLAGS)
 
 
 def _comparison(symbol: str) -> Callable[..., Any]:
     return lambda b, x, y: b.fcmp_ordered(symbol, x, y)
 
 
-for _symbol, _opcode in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-    (operator.iadd, "fadd"),
-    (operator.isub, "fsub"),
-    (operator.imul, "fmul"),
-):
-    _define(_symbol, lanes, _arithmetic(_opcode))
-for _symbol, _compare in ((operator.ge, ">="), (operator.gt, ">"), (operator.le, "<="), (operator.lt, "<")):
-    _define(_symbol, mask, _comparison(_compare))
+for _name, _opcode in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
+    _define(getattr(operator, _name), lanes, _PAIRS, _arithmetic(_opcode))
+for _name in ("add", "sub", "mul"):
+    _define(getattr(operator, f"i{_name}"), lanes, _PAIRS, _arithmetic(f"f{_name}"))
+for _name, _symbol in {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}.items():
+    _define(getattr(operator, _name), mask, _PAIRS, _comparison(_symbol))
+_define(operator.and_, mask, ((mask, mask),), lambda b, x, y: b.and_(x, y))
+_define(operator.or_, mask, ((mask, mask),), lambda b, x, y: b.or_(x, y))
+_define(operator.neg, lanes, ((lanes,),), _arithmetic("fneg"))
+
+# --- intrinsics
 
 
-def _define_mask(symbol: Any, opcode: str) -> None:
-    @infer_global(symbol)
-    class _Template(ConcreteTemplate):
-        cases = [signature(mask, mask, mask)]  # noqa: RUF012
+def make_intrinsic(typing: Callable[..., Any], lower: Callable[..., Any], emit: Callable[..., Any]) -> Any:
+    """A numba intrinsic of types and lowering that carries the name, the words and the signature of `emit`."""
 
-    lower_builtin(symbol, mask, mask)(lambda context, b, sig, args: getattr(b, opcode)(*args))
+    def typed(context: Any, *types_: Any) -> Any:
+        return typing(*types_), lower
 
-
-_define_mask(operator.and_, "and_")
-_define_mask(operator.or_, "or_")
-
-
-@infer_global(operator.neg)
-class _Negation(ConcreteTemplate):
-    cases = [signature(lanes, lanes)]  # noqa: RUF012
+    typed.__name__, typed.__doc__ = emit.__name__, emit.__doc__
+    typed.__signature__ = inspect.signature(emit)  # type: ignore[attr-defined]  # how numba learns the parameters
+    return intrinsic(typed)
 
 
-lower_builtin(operator.neg, lanes)(lambda context, b, sig, args: b.fneg(args[0], flags=FLAGS))
+def ir_function(result: Any, *arguments: Any) -> Callable[..., Any]:
+    """Decorator: an intrinsic of these types out of a function that emits its IR from the builder and the values."""
 
-# --- elementary operations
-# -----------------------------------------------------------------------------------------
+    def decorate(emit: Callable[..., Any]) -> Any:
+        return make_intrinsic(lambda *_: result(*arguments), lambda context, b, sig, args: emit(b, *args), emit)
+
+    return decorate
 
 
-@intrinsic
-def spread(typing: Any, x: Any) -> Any:
+def mixed(emit: Callable[..., Any]) -> Any:
+    """Decorator: as `ir_function`, of lanes to lanes; each argument may also be a float32 scalar."""
+    return make_intrinsic(
+        lambda *given: lanes(*(lanes if t == lanes else types.float32 for t in given)),
+        lambda context, b, sig, args: emit(b, *_operands(b, sig, args)),
+        emit,
+    )
+
+
+@ir_function(lanes, types.float32)
+def spread(b, x):
     """A float32 in every lane."""
-    return lanes(types.float32), lambda context, b, sig, args: broadcast(b, args[0])
-
-
-@intrinsic
-def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """x * y + z in one rounding; each of the three may be a float32 scalar."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        return fused(b, *_operands(b, sig, args))
-
-    return lanes(*(lanes if t == lanes else types.float32 for t in (x, y, z))), emit
+    return broadcast(b, x)
 
 
 def fused(b: Any, x: Any, y: Any, z: Any) -> Any:
@@ -172,68 +164,59 @@ def fused(b: Any, x: Any, y: Any, z: Any) -> Any:
     return call_llvm(b, f"llvm.fma.v{LANES}f32", FLOATS, [x, y, z], fast=True)
 
 
-def _pick(symbol: str) -> Any:
-    @intrinsic
-    def pick(typing: Any, x: Any, y: Any) -> Any:
-        def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-            left, right = _operands(b, sig, args)
-            return b.select(b.fcmp_ordered(symbol, left, right), left, right)
-
-        return lanes(*(lanes if t == lanes else types.float32 for t in (x, y))), emit
-
-    return pick
+@mixed
+def fma(b, x, y, z):
+    """x * y + z in one rounding."""
+    return fused(b, x, y, z)
 
 
-minimum = _pick("<")
-maximum = _pick(">")
+@mixed
+def minimum(b, x, y):
+    """The smaller; y where either is NaN."""
+    return b.select(b.fcmp_ordered("<", x, y), x, y)
 
 
-@intrinsic
-def select(typing: Any, condition: Any, x: Any, y: Any) -> Any:
+@mixed
+def maximum(b, x, y):
+    """The larger; y where either is NaN."""
+    return b.select(b.fcmp_ordered(">", x, y), x, y)
+
+
+@ir_function(lanes, mask, lanes, lanes)
+def select(b, condition, x, y):
     """x where the condition holds, else y."""
-    return lanes(mask, lanes, lanes), lambda context, b, sig, args: b.select(*args)
+    return b.select(condition, x, y)
 
 
-@intrinsic
-def bits_of(typing: Any, condition: Any) -> Any:
+@ir_function(types.int32, mask)
+def bits_of(b, condition):
     """The mask as the low 16 bits of an int32, lane 0 first."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        return b.zext(b.bitcast(args[0], ir.IntType(LANES)), INT32)
-
-    return types.int32(mask), emit
+    return b.zext(b.bitcast(condition, ir.IntType(LANES)), INT32)
 
 
-@intrinsic
-def minus_magnitude(typing: Any, x: Any) -> Any:
+@ir_function(lanes, lanes)
+def minus_magnitude(b, x):
     """-|x|: sets the sign bit."""
-
-    def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-        return b.bitcast(b.or_(b.bitcast(args[0], INTS), ints(-(2**31))), FLOATS)
-
-    return lanes(lanes), emit
+    return b.bitcast(b.or_(b.bitcast(x, INTS), ints(-(2**31))), FLOATS)
 
 
-def _unary(name: str) -> Any:
-    @intrinsic
-    def function(typing: Any, x: Any) -> Any:
-        def emit(context: Any, b: Any, sig: Any, args: Any) -> Any:
-            return call_llvm(b, f"llvm.{name}.v{LANES}f32", FLOATS, [args[0]], fast=True)
-
-        return lanes(lanes), emit
-
-    return function
+@ir_function(lanes, lanes)
+def root(b, x):
+    """Square root."""
+    return call_llvm(b, f"llvm.sqrt.v{LANES}f32", FLOATS, [x], fast=True)
 
 
-root = _unary("sqrt")
-round_down = _unary("floor")
+@ir_function(lanes, lanes)
+def round_down(b, x):
+    """The largest integer that is no larger."""
+    return call_llvm(b, f"llvm.floor.v{LANES}f32", FLOATS, [x], fast=True)
 
 
 def constant_lanes(values: list[float]) -> Any:
     """A function without arguments that returns these 16 numbers."""
 
-    @intrinsic
-    def function(typing: Any) -> Any:
-        return lanes(), lambda context, b, sig, args: ir.Constant(FLOATS, [float(v) for v in values])
+    @ir_function(lanes)
+    def function(b):
+        return ir.Constant(FLOATS, [float(v) for v in values])
 
     return function

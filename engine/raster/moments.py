@@ -23,22 +23,20 @@ from engine.raster.tiles import (
     BATCH,
     FIELD,
     FIELDS,
-    GRID_X,
-    GRID_Y,
     STAGE_ROW,
     STATE,
     blend,
-    end_by_impact,
     lay_grid,
     living_blocks,
-    log2_alpha,
+    open_item,
     open_tile,
+    place_of,
     stage_batch,
 )
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
@@ -47,7 +45,6 @@ PAIR_NUMBERS = 16
 """Numbers a pair takes in the output: the moments, the colour sums, zeros."""
 
 _f = np.float32
-_i = np.int32
 
 
 def moments_scratch(channels: int) -> int:
@@ -63,8 +60,7 @@ def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0,
         own[behind + place] = _f(0.0)
     for y in range(y0, min(y0 + TILE, height)):
         for x in range(x0, min(x0 + TILE, width)):
-            p, q = x - x0, y - y0
-            place = ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
+            place = place_of(x - x0, y - y0)
             pixel = y * width + x
             total = cotangent_alpha[pixel] * alpha[pixel]
             for channel in range(channels):
@@ -73,34 +69,16 @@ def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0,
 
 
 @parallel_kernel
-def pair_moments(
-    records,
-    colors,
-    channel_tuple,
-    row_tuple,
-    ids,
-    starts,
-    width,
-    height,
-    tiles_x,
-    limits,
-    impact,
-    image,
-    alpha,
-    cotangent,
-    cotangent_alpha,
-    out,
-    scratch,
-    items,
-    counter,
-):
+def pair_moments(lists, channel_tuple, row_tuple, colors, image, alpha, cotangent, cotangent_alpha, out, bench):
     """Per pair: six moments and C colour sums, in `PAIR_NUMBERS` numbers of the flat `out`.
 
     `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their
-    cotangents, all flat; `row_tuple` has length MOMENTS + C. The rest as there.
+    cotangents, all flat; `row_tuple` has length MOMENTS + C. The rest as there; discs are not differentiated.
     """
+    records, _, ids, starts, width, height, tiles_x, limits = lists
+    scratch, items, counter = bench
     channels, rows_each = len(channel_tuple), len(row_tuple)
-    log2_skip, clamp, stop, threshold = limits[0], limits[1], limits[2], limits[3]
+    log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     alpha_field = FIELDS + channels * FIELD
     behind_field = alpha_field + FIELD
@@ -122,6 +100,7 @@ def pair_moments(
                 continue
             row = tile // tiles_x
             x0, y0 = (tile - row * tiles_x) * TILE, row * TILE
+            left, top = _f(x0), _f(y0)
             alive = open_tile(own, x0, y0, width, height)
             for channel in range(channels):
                 fill_field(own, FIELDS + channel * FIELD, cotangent, channels, channel, x0, y0, width, height)
@@ -130,30 +109,10 @@ def pair_moments(
             while at < end and alive != 0:
                 size = min(BATCH, end - at)
                 count = stage_batch(
-                    own,
-                    stage,
-                    list_,
-                    records,
-                    None,
-                    colors,
-                    channels,
-                    ids,
-                    at,
-                    size,
-                    end,
-                    _f(x0),
-                    _f(y0),
-                    alive,
-                    log2_skip,
+                    own, stage, list_, records, None, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    item = list_[t]
-                    place = np.int64(item & _i(15)) * 16
-                    j = np.int64(item >> _i(4))
-                    from_ = stage + j * STAGE_ROW
-                    dx = load(own, GRID_X + place) - own[from_]
-                    dy = load(own, GRID_Y + place) - own[from_ + 1]
-                    q = log2_alpha(own, from_, dx, dy, None)
+                    place, j, from_, dx, dy, q = open_item(own, stage, list_[t], None)
                     raw, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * rows_each * 16
                     u = load(own, alpha_field + place)  # dL/dw: cotangent . color
@@ -176,8 +135,6 @@ def pair_moments(
                     store(own, to + 48, fma(sx, dx, load(own, to + 48)))
                     store(own, to + 64, fma(sx, dy, load(own, to + 64)))
                     store(own, to + 80, fma(sy, dy, load(own, to + 80)))
-                    if impact is not None:
-                        after = end_by_impact(own, place, raw, w, after, clamp, impact[ids[at + j]], threshold)
                     store(own, STATE + place, after)
                 for j in range(size):
                     store(out, (at + j) * PAIR_NUMBERS, sum_rows(own, rows + j * rows_each * 16, row_tuple))

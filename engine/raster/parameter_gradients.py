@@ -18,23 +18,18 @@ from engine.raster.lanes import constant_lanes, maximum, minimum, select, spread
 from engine.raster.moments import PAIR_NUMBERS
 from engine.raster.projection import affine_rows, covariance, log2_opacity, rotation, rows3, scale_lanes, unit_quats
 
-__all__ = ["CAMERA_SUMS", "CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
+__all__ = ["CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""
-
-CAMERA_SUMS = 19
-"""Rotation (9) and translation (3) in the camera frame; fx, fy, cx, cy; dL/d(camera position) by the
-colours (3)."""
 
 GRADIENT_SCRATCH = 3 * 256 + 32 * 16
 """Floats of scratch a chunk needs."""
 
 _f = np.float32
-_i = np.int32
-_AHEAD = 24
+_AHEAD = 24  # pairs: about the time that a line takes from memory
 _TURNED, _SEEN, _SUMS = 256, 512, 768
 _SIXTEEN = (0,) * 16
 _lane_number = constant_lanes([float(lane) for lane in range(16)])
@@ -132,36 +127,22 @@ def add_row(own, row, g, mean, j0, t0, j1, t1, counted):
 
 
 @parallel_kernel
-def parameter_gradients(
-    means,
-    quats,
-    log_scales,
-    logits,
-    lens,
-    values,
-    firsts,
-    slots,
-    toward,
-    scratch,
-    d_means,
-    d_quats,
-    d_log_scales,
-    d_logits,
-    d_centers,
-    d_camera,
-):
+def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
     """Gradients of N >= 16 Gaussians and of the camera.
 
     Parameters
     ----------
-    means, quats, log_scales, logits, lens : as for `projection.project`
+    raw : means, quats, log_scales, logits; they and `lens` as for `projection.project`
     values : flat (pairs, PAIR_NUMBERS), from `moments.pair_moments`
     firsts, slots : see `geometry.Geometry`
     toward : flat (N, 3), dL/dmeans by way of the colours' viewing direction, or empty
     scratch : (chunks, GRADIENT_SCRATCH)
-    d_centers : flat (2, N) out, by the projected centre, pixels
-    d_camera : (chunks, 32) out, `CAMERA_SUMS` numbers a chunk
+    out : gradients of raw, as flat; of the projected centres, pixels, flat (2, N); and (chunks, 32), of which 19 are
+        the camera's sums: rotation (9) and translation (3) in its frame; fx, fy, cx, cy; its position by way of the
+        colours (3)
     """
+    means, quats, log_scales, logits = raw
+    d_means, d_quats, d_log_scales, d_logits, d_centers, d_camera = out
     n = logits.shape[0]
     R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])
     t = (lens[9], lens[10], lens[11])

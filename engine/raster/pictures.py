@@ -9,36 +9,23 @@ from engine.numerics.jit import parallel_section
 from engine.raster.geometry import build_geometry
 from engine.raster.settings import RasterSettings
 from engine.raster.spherical_harmonics import evaluate, sh_colors
-from engine.raster.view import blend_colors, checked_impact, prepare_view
+from engine.raster.view import blend_colors, prepare_view
 from engine.raster.workspace import borrow_workspace
 
 __all__ = ["render", "render_depth"]
 
 
 def render(
-    model: GaussianModel,
-    camera: Camera,
-    background: npt.ArrayLike = 0.0,
-    settings: RasterSettings = RasterSettings(),
-    impact: Float32 | None = None,
+    model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
 ) -> Float32:
-    """Image of a model.
+    """(H, W, 3) float32 image of a model, at least 0, not clipped at 1.
 
     Parameters
     ----------
-    camera : Camera
-        H x W pixels.
     background : scalar or (3,), optional
         Colour behind everything.
     settings : RasterSettings, optional
         Definition of the image.
-    impact : (N,) float32, optional
-        W^freq of Eq 8, needed with ``settings.impact_stop``.
-
-    Returns
-    -------
-    (H, W, 3) float32
-        At least 0, not clipped at 1.
 
     Raises
     ------
@@ -50,31 +37,20 @@ def render(
         behind[:] = background
     except ValueError as error:
         raise InputError("background must be one number or three") from error
-    weights = checked_impact(impact, len(model), settings)
     with parallel_section(), borrow_workspace() as work:
         geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
         colors = work.array("colors", (len(model), 3))
         evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)
-        image, _, _ = blend_colors(geometry, colors, behind, weights, work)
+        image, _, _ = blend_colors(geometry, colors, behind, work)
     return image
 
 
 def render_depth(
     model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
 ) -> tuple[Float32, Float32, Float32]:
-    """Image, accumulated opacity and expected depth of a model, in one pass over the pixels.
+    """Image (H, W, 3) as `render`'s, accumulated opacity (H, W) and expected depth (H, W), in one pass over the pixels.
 
-    Parameters
-    ----------
-    model, camera, background, settings
-        As for `render`.
-
-    Returns
-    -------
-    image : (H, W, 3) float32
-    alpha : (H, W) float32
-    depth : (H, W) float32
-        Mean camera z of what is blended, weighted by blending weight, scene units; 0 where alpha is 0.
+    Depth is the mean camera z of what is blended, weighted by blending weight, scene units; 0 where the opacity is 0.
     """
     behind = np.zeros(4, dtype=np.float32)
     behind[:3] = background

@@ -43,9 +43,6 @@ class RasterSettings:
     transmittance_stop : float
         A Gaussian that would bring a pixel's transmittance to this or less is not blended and ends the pixel.
         Default 1e-4.
-    impact_stop : float or None
-        The paper's Eq 8: end a pixel as soon as the sum of alpha * W_j^freq over the Gaussians blended there
-        reaches this (tau, paper 0.95). Needs `impact` in `prepare_view`. Default None: off.
     kernel : {"auto", "gaussian", "disc"}
         What is drawn: Gaussians, or the discs of 2DGS, which rays meet exactly in perspective and which have a
         low pass of their own in place of `eps2d` (`engine.raster.disc_projection`). Discs have the first two
@@ -57,7 +54,6 @@ class RasterSettings:
     alpha_clamp: float = 0.999
     alpha_skip: float = ALPHA_SKIP
     transmittance_stop: float = 1e-4
-    impact_stop: float | None = None
     kernel: str = "auto"
 
     def __post_init__(self) -> None:
@@ -71,8 +67,6 @@ class RasterSettings:
             raise InputError(f"transmittance_stop is {self.transmittance_stop}, expected 0 to 1")
         if self.kernel not in KERNELS:
             raise InputError(f"kernel must be one of {', '.join(KERNELS)}, got {self.kernel!r}")
-        if self.impact_stop is not None and not 0.0 < self.impact_stop < math.inf:
-            raise InputError(f"impact_stop (tau of Eq 8) is {self.impact_stop}, expected more than 0")
 
     @property
     def log2_alpha_skip(self) -> float:

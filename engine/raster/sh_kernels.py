@@ -17,7 +17,7 @@ from engine.raster.lanes import maximum, root, spread
 
 __all__ = ["SH_SCRATCH", "differentiate_sh", "evaluate_sh", "spread_sh"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 SH_SCRATCH = 3 * 16 + 5 * 256
 """Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""
@@ -32,12 +32,34 @@ _C30, _C31, _C32, _C33, _C34 = (_f(c) for c in SH_C3)
 
 
 @inlined
-def sh_lanes(own, coefficients):
-    """Basis values of the 16 directions at own[0:48] (x, y, z rows, any length), transposed: 16 of one
-    Gaussian a row."""
+def unit_directions(own):
+    """The 16 directions at own[0:48] (x, y, z rows, any length) at unit length, and what they were multiplied by."""
     x, y, z = load(own, 0), load(own, 16), load(own, 32)
     scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
-    x, y, z = x * scale, y * scale, z * scale
+    return x * scale, y * scale, z * scale, scale
+
+
+@inlined
+def load_colors(array, at, row):
+    """(r, g, b) of the first `row` / 3 <= 16 colours from array[at] on, zeros after them."""
+    return unzip3(
+        load_some(array, at, _i(row)), load_some(array, at + 16, _i(row - 16)), load_some(array, at + 32, _i(row - 32))
+    )
+
+
+@inlined
+def store_colors(array, at, row, r, g, b):
+    """The first `row` / 3 <= 16 colours to array[at] and on."""
+    first, second, third = zip3(r, g, b)
+    store_some(array, at, _i(row), first)
+    store_some(array, at + 16, _i(row - 16), second)
+    store_some(array, at + 32, _i(row - 32), third)
+
+
+@inlined
+def sh_lanes(own, coefficients):
+    """Basis values of the 16 directions at own[0:48], transposed: 16 of one Gaussian a row."""
+    x, y, z, _ = unit_directions(own)
     for k in range(coefficients, 16):
         store(own, _BASIS + k * 16, spread(_f(0.0)))
     store(own, _BASIS, spread(_C0))
@@ -97,11 +119,7 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
             sh_lanes(own, coefficients)
             for g in range(filled):
                 at = who[g] * row
-                r, g_, b = unzip3(
-                    load_some(sh, at, _i(row)),
-                    load_some(sh, at + 16, _i(row - 16)),
-                    load_some(sh, at + 32, _i(row - 32)),
-                )
+                r, g_, b = load_colors(sh, at, row)
                 y = load(own, _TURNED + g * 16)
                 store(own, _PRODUCTS + g * 16, r * y)
                 store(own, _PRODUCTS + 256 + g * 16, g_ * y)
@@ -135,19 +153,13 @@ def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):
                 for channel in range(3):
                     value = cotangent[3 * i + channel] if colors[3 * i + channel] > _f(0.0) else _f(0.0)
                     store(own, channel * 16, y * value)
-                r, g_, b = zip3(load(own, 0), load(own, 16), load(own, 32))
-                at = i * row
-                store_some(out, at, _i(row), r)
-                store_some(out, at + 16, _i(row - 16), g_)
-                store_some(out, at + 32, _i(row - 32), b)
+                store_colors(out, i * row, row, load(own, 0), load(own, 16), load(own, 32))
 
 
 @inlined
 def direction_gradient(own, coefficients):
     """d/d(unit direction) of sum_k h_k Y_k for 16 Gaussians; h_k are the rows at _PRODUCTS."""
-    x, y, z = load(own, 0), load(own, 16), load(own, 32)
-    scale = spread(_f(1.0)) / root(maximum(x * x + y * y + z * z, _f(1e-30)))
-    x, y, z = x * scale, y * scale, z * scale
+    x, y, z, scale = unit_directions(own)
     gx = load(own, _PRODUCTS + 48) * -_C1
     gy = load(own, _PRODUCTS + 16) * -_C1
     gz = load(own, _PRODUCTS + 32) * _C1
@@ -210,11 +222,8 @@ def differentiate_sh(cotangent, colors, sh, coefficients, means, position, scrat
                 v0 = cotangent[3 * i] if colors[3 * i] > _f(0.0) else _f(0.0)
                 v1 = cotangent[3 * i + 1] if colors[3 * i + 1] > _f(0.0) else _f(0.0)
                 v2 = cotangent[3 * i + 2] if colors[3 * i + 2] > _f(0.0) else _f(0.0)
-                o0, o1, o2 = zip3(y * v0, y * v1, y * v2)
-                store_some(out, at, _i(row), o0)
-                store_some(out, at + 16, _i(row - 16), o1)
-                store_some(out, at + 32, _i(row - 32), o2)
-                r, g_, b = unzip3(
+                store_colors(out, at, row, y * v0, y * v1, y * v2)
+                r, g_, b = unzip3(  # not `load_colors`: by it LLVM fuses another of the products below
                     load_some(sh, at, _i(row)),
                     load_some(sh, at + 16, _i(row - 16)),
                     load_some(sh, at + 32, _i(row - 32)),
@@ -223,7 +232,5 @@ def differentiate_sh(cotangent, colors, sh, coefficients, means, position, scrat
             transpose(own, _BASIS, _PRODUCTS)
             gx, gy, gz, x, y_, z, scale = direction_gradient(own, coefficients)
             along = gx * x + gy * y_ + gz * z  # a unit vector moves only across itself
-            t0, t1, t2 = zip3((gx - along * x) * scale, (gy - along * y_) * scale, (gz - along * z) * scale)
-            store_some(toward, 3 * first, _i(3 * size), t0)
-            store_some(toward, 3 * first + 16, _i(3 * size - 16), t1)
-            store_some(toward, 3 * first + 32, _i(3 * size - 32), t2)
+            tx, ty, tz = (gx - along * x) * scale, (gy - along * y_) * scale, (gz - along * z) * scale
+            store_colors(toward, 3 * first, 3 * size, tx, ty, tz)

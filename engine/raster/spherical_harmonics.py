@@ -28,24 +28,17 @@ def _checked(sh: Float32, means: Float32, camera_position: npt.ArrayLike) -> tup
 
 
 def sh_colors(sh: Float32, means: Float32, camera_position: npt.ArrayLike, wanted: Int32 = _ALL) -> Float32:
-    """Colours of Gaussians seen from a point: ``max(0, 0.5 + sum_k Y_k(d) sh[k])``, d from camera to
-    Gaussian.
+    """Colours (N, 3) of Gaussians seen from a point: ``max(0, 0.5 + sum_k Y_k(d) sh[k])``, d from camera to Gaussian;
+    not clipped at 1.
 
     Parameters
     ----------
-    sh : (N, K, 3) float32
-        Coefficients, K = 1, 4, 9 or 16.
-    means : (N, 3) float32
-        Centres.
+    sh, means : (N, K, 3), (N, 3) float32
+        Coefficients, K = 1, 4, 9 or 16, and centres.
     camera_position : (3,)
         Centre of the camera, scene units.
     wanted : (N,) int32, optional
         Gaussians where it is 0 are left out (their colours are undefined).
-
-    Returns
-    -------
-    (N, 3) float32
-        Colours, at least 0, not clipped at 1.
 
     Raises
     ------
@@ -74,23 +67,16 @@ def sh_colors_backward(
     colors: Float32 | None = None,
     out: Float32 | None = None,
 ) -> Float32:
-    """Gradient of `sh_colors` with respect to the coefficients.
+    """Gradient (N, K, 3) of `sh_colors` with respect to the coefficients; 0 for a channel clamped at 0.
 
     Parameters
     ----------
     cotangent : (N, 3) float32
         dL/dcolors.
-    sh, means, camera_position
-        As given to `sh_colors`.
     colors : (N, 3) float32, optional
         What `sh_colors` returned, to spare its evaluation (it says where the clamp at 0 holds).
     out : (N, K, 3) float32, optional
         C-contiguous array for the result; fresh memory costs more than the computation.
-
-    Returns
-    -------
-    (N, K, 3) float32
-        dL/dsh; 0 for a channel clamped at 0.
 
     Raises
     ------

@@ -3,10 +3,9 @@
 A worker keeps one tile at a time in its own flat float32 scratch. 4 x 4 pixels are a block, one vector; 16
 blocks are a tile, so a field of a tile is 256 numbers in block order. The scratch holds
 
-    STATE      transmittance T; minus |T| once the pixel has ended
+    STATE            transmittance T; minus |T| once the pixel has ended
     GRID_X, GRID_Y   pixel centres relative to the tile's corner
-    OCCLUSION  sum of alpha * impact, for Eq 8's stop
-    FIELDS     one field per channel (colours out, or cotangents in), then what the pass needs
+    FIELDS           one field per channel (colours out, or cotangents in), then what the pass needs
 
 Gaussians come in batches of `BATCH`. For each, one vector test finds the blocks its ellipse reaches; the
 (Gaussian, block) items of a batch go to a compact list, and the inner loop runs over that list without a
@@ -26,41 +25,21 @@ from engine.raster.lanes import bits_of, constant_lanes, fma, maximum, minimum, 
 from engine.raster.projection import RECORD
 from engine.raster.settings import BLOCK, TILE
 
-__all__ = [
-    "BATCH",
-    "FIELD",
-    "FIELDS",
-    "GRID_X",
-    "GRID_Y",
-    "ITEMS",
-    "OCCLUSION",
-    "STAGE_ROW",
-    "STATE",
-    "blend",
-    "end_by_impact",
-    "lay_grid",
-    "living_blocks",
-    "log2_alpha",
-    "open_tile",
-    "stage_batch",
-]
-
 BATCH = 32
 """Gaussians per batch; pixels that have ended are looked for once a batch."""
 
 FIELD = TILE * TILE
-STATE, GRID_X, GRID_Y, OCCLUSION, FIELDS = 0, FIELD, 2 * FIELD, 3 * FIELD, 4 * FIELD
+STATE, GRID_X, GRID_Y, FIELDS = 0, FIELD, 2 * FIELD, 3 * FIELD
 
 STAGE_ROW = 24
-"""Floats per staged Gaussian: its record or disc (u, v relative to the tile) at 0, its colours from `RECORD`
-on."""
+"""Floats per staged Gaussian: its record or disc (u, v relative to the tile) at 0, its colours from `RECORD` on."""
 
 ITEMS = BATCH * 16 + 16
 """Length of the item list (int32 each: 16 * place in the batch + block)."""
 
 _f = np.float32
 _i = np.int32
-_AHEAD = 24
+_AHEAD = 24  # list entries: about the time that a line takes from memory
 _HALF_LOG2_E = _f(-0.5 * math.log2(math.e))
 
 _block_left = constant_lanes([BLOCK * (block % 4) + 0.5 for block in range(16)])
@@ -77,26 +56,25 @@ def lay_grid(own):
 
 
 @inlined
-def blocks_in_image(x0, y0, width, height):
-    """Bit per block of the tile at (x0, y0): has it pixels inside the image?"""
+def place_of(p, q):
+    """Place in a field of the pixel in column p and row q of a tile."""
+    return ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
+
+
+@inlined
+def open_tile(own, x0, y0, width, height):
+    """Transmittance 1; pixels outside the image have ended. Returns the blocks with pixels inside it, a bit each."""
+    for block in range(16):
+        store(own, STATE + block * 16, spread(_f(1.0)))
+    if x0 + TILE > width or y0 + TILE > height:
+        for place in range(FIELD):
+            if x0 + own[GRID_X + place] > width or y0 + own[GRID_Y + place] > height:
+                own[STATE + place] = _f(0.0)
     alive = _i(0)
     for block in range(16):
         if y0 + (block >> 2) * 4 < height and x0 + (block & 3) * 4 < width:
             alive |= _i(1 << block)
     return alive
-
-
-@inlined
-def open_tile(own, x0, y0, width, height):
-    """Transmittance 1 and no occlusion; pixels outside the image have ended. Returns the blocks inside it."""
-    for block in range(16):
-        store(own, STATE + block * 16, spread(_f(1.0)))
-        store(own, OCCLUSION + block * 16, spread(_f(0.0)))
-    if x0 + TILE > width or y0 + TILE > height:
-        for place in range(FIELD):
-            if x0 + own[GRID_X + place] > width or y0 + own[GRID_Y + place] > height:
-                own[STATE + place] = _f(0.0)
-    return blocks_in_image(x0, y0, width, height)
 
 
 @inlined
@@ -115,8 +93,8 @@ def living_blocks(own, alive, stop):
 def reached_blocks(records, o, gx, gy, log2_skip):
     """Bit per block: does q reach log2_skip inside the rectangle of the block's pixel centres?
 
-    q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in
-    y. The lanes are the 16 blocks.
+    q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in y.
+    The lanes are the 16 blocks.
     """
     a, b, c, l = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
     left, top = _block_left() - gx, _block_top() - gy
@@ -175,11 +153,16 @@ def disc_log2_alpha(own, row, dx, dy):
 
 
 @inlined
-def log2_alpha(own, row, dx, dy, discs):
-    """q of a staged Gaussian or disc at offsets (dx, dy) from its centre: alpha = 2^q."""
+def open_item(own, stage, item, discs):
+    """An item's place in a field, number in the batch and staged row; and over its block the offsets (dx, dy) from
+    the centre and q: alpha = 2^q."""
+    place, j = np.int64(item & _i(15)) * 16, np.int64(item >> _i(4))
+    row = stage + j * STAGE_ROW
+    dx, dy = load(own, GRID_X + place) - own[row], load(own, GRID_Y + place) - own[row + 1]
     if discs is not None:
-        return disc_log2_alpha(own, row, dx, dy)
-    return fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
+        return place, j, row, dx, dy, disc_log2_alpha(own, row, dx, dy)
+    q = fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
+    return place, j, row, dx, dy, q
 
 
 @inlined
@@ -195,13 +178,3 @@ def blend(q, transmittance, log2_skip, clamp, stop):
     after = transmittance - weight
     blended = after > stop
     return alpha, select(blended, weight, zero), select(blended, after, minus_magnitude(transmittance))
-
-
-@inlined
-def end_by_impact(own, place, alpha, weight, after, clamp, impact, threshold):
-    """Eq 8: end the pixels whose sum of alpha * impact has reached the threshold; returns their
-    transmittance."""
-    zero = spread(_f(0.0))
-    total = load(own, OCCLUSION + place) + select(weight > zero, minimum(alpha, clamp) * impact, zero)
-    store(own, OCCLUSION + place, total)
-    return select(total >= threshold, minus_magnitude(after), after)

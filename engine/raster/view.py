@@ -20,7 +20,6 @@ from engine.raster.backward import (
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
 from engine.raster.settings import RasterSettings
-from engine.raster.tiles import ITEMS
 from engine.raster.workspace import Workspace, borrow_workspace
 
 __all__ = ["View", "blend_colors", "prepare_view"]
@@ -50,55 +49,30 @@ def widened(array: Float32, first: int, last: int, width: int) -> Float32:
 
 
 def blend_colors(
-    geometry: Geometry, colors: Float32, background: Float32, impact: Float32 | None, work: Workspace
+    geometry: Geometry, colors: Float32, background: Float32, work: Workspace
 ) -> tuple[Float32, Float32, int]:
     """Image (H, W, C) and alpha (H, W) of colours (N, C) with C a compiled width; and fragments evaluated."""
     camera, channels = geometry.camera, colors.shape[1]
-    workers = thread_count()
     image = np.empty((camera.height, camera.width, channels), dtype=np.float32)
     alpha = np.empty((camera.height, camera.width), dtype=np.float32)
     evaluated = work.array("evaluated", (len(geometry.starts) - 1,), np.int64)
-    blend_tiles(
-        geometry.records,
-        geometry.discs,
-        colors.reshape(-1),
-        (0,) * channels,
-        geometry.ids,
-        geometry.starts,
-        camera.width,
-        camera.height,
-        geometry.tiles_x,
-        geometry.limits,
-        background,
-        impact,
-        image.reshape(-1),
-        alpha.reshape(-1),
-        work.array("forward", (workers, forward_scratch(channels))),
-        work.array("items", (workers, ITEMS), np.int32),
-        work.array("queue", (1,), np.int64),
-        evaluated,
-    )
+    bench = work.tile_bench(forward_scratch(channels))
+    out = image.reshape(-1), alpha.reshape(-1), evaluated
+    blend_tiles(geometry.lists, (0,) * channels, colors.reshape(-1), background, *out, bench)
     return image, alpha, 16 * int(evaluated.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Frozen geometry of one model and camera; made by `prepare_view`.
+    """Frozen geometry of one model and camera; made by `prepare_view`. `depth_of_all` (N,) is every Gaussian's camera
+    z.
 
-    Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a
-    real scene of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
-
-    Parameters
-    ----------
-    depth_of_all : (N,) float32
-        Camera z of every Gaussian, scene units.
-    impact : (N,) float32 or None
-        W^freq of Eq 8, if the settings ask for that stop.
+    Holds 32 bytes a Gaussian, 8 bytes a visible one and 8 bytes a (tile, Gaussian) pair: about 30 MB for a real scene
+    of 500k Gaussians at 1 megapixel. It keeps no reference to the model.
     """
 
     geometry: Geometry
     depth_of_all: Float32
-    impact: Float32 | None
 
     @property
     def camera(self) -> Camera:
@@ -116,25 +90,10 @@ class View:
         return self.depth_of_all[self.geometry.visible]
 
     def render(self, colors: Float32, background: npt.ArrayLike | None = None) -> tuple[Float32, Float32]:
-        """Blend colours front to back (Eq 3).
+        """Blend colours front to back (Eq 3): image (H, W, C) and accumulated opacity (H, W), 0 to 1.
 
-        Parameters
-        ----------
-        colors : (N, C) float32
-            One colour per Gaussian of the model, any number of channels.
-        background : scalar or (C,), optional
-            Colour behind everything. Default 0.
-
-        Returns
-        -------
-        image : (H, W, C) float32
-        alpha : (H, W) float32
-            Accumulated opacity, 0 to 1.
-
-        Raises
-        ------
-        InputError
-            If a shape is wrong.
+        `colors` (N, C) float32, one per Gaussian of the model, any number of channels; `background` a scalar or (C,), 0
+        by default. InputError if a shape is wrong.
         """
         colors = np.asarray(colors)
         if colors.ndim != 2 or len(colors) != self.geometry.count or colors.shape[1] < 1:
@@ -147,35 +106,17 @@ class View:
         images = []
         with parallel_section(), borrow_workspace() as work:
             for first, last, width in channel_groups(colors.shape[1]):
-                image, alpha, _ = blend_colors(
-                    self.geometry,
-                    widened(colors, first, last, width),
-                    widened(behind, first, last, width),
-                    self.impact,
-                    work,
-                )
+                shades, rest = widened(colors, first, last, width), widened(behind, first, last, width)
+                image, alpha, _ = blend_colors(self.geometry, shades, rest, work)
                 images.append(image[..., : last - first])
         return images[0] if len(images) == 1 else np.concatenate(images, axis=-1), alpha
 
     def backward_colors(self, cotangent: Float32) -> Float32:
-        """Gradient of `render`'s image with respect to the colours: ``sum_p w_i(p) cotangent(p)``.
+        """(N, C) gradient of `render`'s image with respect to the colours, ``sum_p w_i(p) cotangent(p)``, for (H, W, C)
+        dL/dimage.
 
-        Linear in the cotangent, independent of the colours, and the same bits whatever the number of threads.
-
-        Parameters
-        ----------
-        cotangent : (H, W, C) float32
-            dL/dimage.
-
-        Returns
-        -------
-        (N, C) float32
-            dL/dcolors; 0 for Gaussians that are not seen.
-
-        Raises
-        ------
-        InputError
-            If the shape is wrong.
+        Linear in the cotangent, independent of the colours, and the same bits whatever the number of threads; 0 for
+        Gaussians that are not seen. InputError if the shape is wrong.
         """
         geometry = self.geometry
         camera = geometry.camera
@@ -188,51 +129,20 @@ class View:
             for first, last, width in channel_groups(cotangent.shape[2]):
                 pair = pair_width(width)
                 sums = work.array("pairs", (len(geometry.ids) * pair,))
-                pair_colors(
-                    geometry.records,
-                    geometry.discs,
-                    (0,) * width,
-                    (0,) * pair,
-                    geometry.ids,
-                    geometry.starts,
-                    camera.width,
-                    camera.height,
-                    geometry.tiles_x,
-                    geometry.limits,
-                    self.impact,
-                    widened(cotangent, first, last, width).reshape(-1),
-                    sums,
-                    work.array("backward", (workers, backward_scratch(width, pair))),
-                    work.array("items", (workers, ITEMS), np.int32),
-                    work.array("queue", (1,), np.int64),
-                )
+                bench = work.tile_bench(backward_scratch(width, pair))
+                flat = widened(cotangent, first, last, width).reshape(-1)
+                pair_colors(geometry.lists, (0,) * width, (0,) * pair, flat, sums, bench)
                 gather_sums(sums, (0,) * pair, geometry.firsts, geometry.slots, workers, out[:, first:last])
         return out
 
     def weights(self) -> tuple[Float32, Float32, Float32]:
-        """Blending weights w = alpha T of every Gaussian, over the pixels.
-
-        Returns
-        -------
-        sum_w, sum_w2, max_w : (N,) float32
-            Sum of w (pixels covered), sum of w^2, largest w. 0 for Gaussians that are not seen.
-        """
+        """Of the blending weights w = alpha T of every Gaussian, over the pixels: sum of w (pixels covered), sum of w^2
+        and largest w, (N,) each; 0 for Gaussians that are not seen."""
         sums, maxima = self._pixel_sums(None)
         return sums[:, 0].copy(), sums[:, 1].copy(), maxima
 
     def weighted(self, pixel_map: Float32 | None = None) -> tuple[Float32, Float32]:
-        """Sums of a pixel map over the pixels of every Gaussian, in one pass.
-
-        Parameters
-        ----------
-        pixel_map : (H, W) float32, optional
-            Default: 1 everywhere.
-
-        Returns
-        -------
-        sum_w_map, sum_w2_map : (N,) float32
-            Sum over pixels of w * map and of w^2 * map.
-        """
+        """Sums over pixels of w * map and of w^2 * map, (N,) each, for a map (H, W) that is 1 everywhere by default."""
         camera = self.geometry.camera
         if pixel_map is None:
             sums, _ = self._pixel_sums(None)
@@ -255,67 +165,32 @@ class View:
         largest = np.empty(geometry.count, dtype=np.float32)
         with parallel_section(), borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
-            pair_weights(
-                geometry.records,
-                geometry.discs,
-                geometry.ids,
-                geometry.starts,
-                camera.width,
-                camera.height,
-                geometry.tiles_x,
-                geometry.limits,
-                self.impact,
-                pixel_map.reshape(-1),
-                sums,
-                maxima,
-                work.array("backward", (workers, backward_scratch(1, WEIGHT_SUMS + 1))),
-                work.array("items", (workers, ITEMS), np.int32),
-                work.array("queue", (1,), np.int64),
-            )
+            bench = work.tile_bench(backward_scratch(1, WEIGHT_SUMS + 1))
+            pair_weights(geometry.lists, pixel_map.reshape(-1), sums, maxima, bench)
             gather_sums(sums, (0,) * WEIGHT_SUMS, geometry.firsts, geometry.slots, workers, out)
             gather_maxima(maxima, geometry.firsts, geometry.slots, workers, largest)
         return out, largest
 
 
-def checked_impact(impact: Float32 | None, count: int, settings: RasterSettings) -> Float32 | None:
-    """The weights of Eq 8's stop, or None when the settings do not use them."""
-    if settings.impact_stop is None:
-        return None
-    if impact is None or np.shape(impact) != (count,):
-        raise InputError(f"impact_stop needs impact of shape ({count},)")
-    return np.ascontiguousarray(impact, dtype=np.float32)
-
-
 def prepare_view(
-    model: GaussianModel,
-    camera: Camera,
-    settings: RasterSettings = RasterSettings(),
-    tile_mask: Bool | None = None,
-    impact: Float32 | None = None,
+    model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings(), tile_mask: Bool | None = None
 ) -> View:
-    """Project, sort and bin a model once, for many images or gradients of its colours.
+    """Project, sort and bin a model once, for many images or gradients of its colours, which are not looked at.
 
     Parameters
     ----------
-    model : GaussianModel
-        N Gaussians; their colours are not looked at.
-    camera : Camera
-        H x W pixels.
     settings : RasterSettings, optional
         Definition of the image.
     tile_mask : (ceil(H / 16), ceil(W / 16)) bool, optional
         Tiles to draw; the others show the background. Cost follows the mask.
-    impact : (N,) float32, optional
-        W^freq of the paper's Eq 8, needed with ``settings.impact_stop``.
 
     Raises
     ------
     InputError
         If a shape is wrong or the image is too large.
     """
-    weights = checked_impact(impact, len(model), settings)
     with parallel_section(), borrow_workspace() as work:
         geometry, _ = build_geometry(model, camera, settings, work, keep=True, tile_mask=tile_mask)
     row = camera.viewmat[2]
     depths = (model.means @ row[:3].astype(np.float32) + np.float32(row[3])).astype(np.float32)
-    return View(geometry, depths, weights)
+    return View(geometry, depths)

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.numerics.jit import thread_count
 from engine.raster.lane_memory import aligned
+from engine.raster.tiles import ITEMS
 
 __all__ = ["Workspace", "borrow_workspace", "release_memory"]
 
@@ -38,6 +40,13 @@ class Workspace:
             have = aligned((size + size // 8,), dtype)
             self._arrays[name] = have
         return have[:size].reshape(shape)
+
+    def tile_bench(self, numbers: int) -> tuple[Any, ...]:
+        """What the workers of a pass over tiles write to: scratch of so many floats each, a list of items each, and
+        the queue of tiles that they share."""
+        workers = thread_count()
+        scratch, items = self.array("tile scratch", (workers, numbers)), self.array("items", (workers, ITEMS), np.int32)
+        return scratch, items, self.array("queue", (1,), np.int64)
 
 
 @contextmanager

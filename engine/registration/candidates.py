@@ -34,21 +34,15 @@ def invariant_features(model: GaussianModel, index: npt.NDArray[np.int64] | slic
     for l in range(1, degree + 1):
         band = sh[:, l * l : (l + 1) ** 2]
         columns.append(np.sqrt(np.square(band).sum(axis=(1, 2))))
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1)  # (n, F)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """n pairs of Gaussians that look alike, each suspect and each reference Gaussian at most once.
 
-    Parameters
-    ----------
-    reference, suspect : (n,) int64
-        Indices.
-    x, y : (n, 3) float64
-        Suspect and reference positions.
-    size : (n,) float64
-        Log of the reference's size over the suspect's: a vote for the log of the scale.
+    `reference` and `suspect` (n,) are indices, `x` and `y` (n, 3) the suspect's and the reference's positions; `size`
+    (n,) is the log of the reference's size over the suspect's: a vote for the log of the scale.
     """
 
     reference: Int64
@@ -65,30 +59,14 @@ class Candidates:
         return Candidates(self.reference[keep], self.suspect[keep], self.x[keep], self.y[keep], self.size[keep])
 
 
-def pair_up(reference: GaussianModel, suspect: GaussianModel, ref_index: Int64, sus_index: Int64) -> Candidates:
-    """Candidates from two index lists of equal length."""
-    # The two larger axes: the smallest is often clipped or plain noise.
-    ref_size = sorted_log_scales(reference, ref_index)[:, 1:].mean(axis=1)
-    sus_size = sorted_log_scales(suspect, sus_index)[:, 1:].mean(axis=1)
-    return Candidates(
-        ref_index,
-        sus_index,
-        suspect.means[sus_index].astype(np.float64),
-        reference.means[ref_index].astype(np.float64),
-        ref_size - sus_size,
-    )
+def log_sizes(model: GaussianModel, index: npt.NDArray[np.int64]) -> Float64:
+    """(n,) mean of the two larger log scales: the smallest is often clipped or plain noise."""
+    return np.asarray(sorted_log_scales(model, index)[:, 1:].mean(axis=1))
 
 
 class FeatureIndex:
-    """The reference's rarest Gaussians in feature space, ready to be asked.
-
-    Parameters
-    ----------
-    degree : int
-        SH degree up to which energies are used.
-    colors : bool
-        Whether DC is used.
-    """
+    """The reference's rarest Gaussians in feature space (SH energies up to `degree`, DC if `colors`), ready to be
+    asked."""
 
     def __init__(self, reference: GaussianModel, degree: int, *, colors: bool) -> None:
         self.reference, self.degree, self.colors = reference, degree, colors
@@ -130,20 +108,13 @@ class FeatureIndex:
     def candidates(
         self, suspect: GaussianModel, count: int, rng: np.random.Generator, *, queries: int, deep: bool
     ) -> Candidates:
-        """Suspect Gaussians from every region, each with its nearest look: at most `count` pairs.
+        """Suspect Gaussians from every region, each with its nearest look: at most `count` pairs, the least ambiguous
+        ones.
 
-        Parameters
-        ----------
-        count : int
-            Pairs kept, those whose look is the least ambiguous.
-        queries : int
-            Gaussians asked for.
-        deep : bool
-            Draw the queries at random instead of taking the rarest: in a large foreign scene that holds a
-            small piece of the reference, the rarest-looking Gaussians are the foreign ones.
+        `queries` Gaussians are asked for; `deep` draws them at random instead of taking the rarest: in a large foreign
+        scene that holds a small piece of the reference, the rarest-looking Gaussians are the foreign ones.
         """
-        m, most = len(suspect), 10 * queries
-        pool = np.arange(m) if m <= most else np.sort(rng.choice(m, most, replace=False))
+        pool = sample_rows(len(suspect), 10 * queries, rng)
         features = self._columns(invariant_features(suspect, pool, self.degree))
         white = np.clip((features - self.centre) / self.scale, -5, 5)
         rarity = self._rarity(white)
@@ -156,15 +127,15 @@ class FeatureIndex:
         query = rare[by_region(suspect.means[pool[rare]], priority, queries)]
         k = min(2, len(rows))
         distance, near = tree.query(white[query], k=k, workers=2)
-        distance, near = distance.reshape(-1, k), near.reshape(-1, k)
+        distance, near = distance.reshape(-1, k), near.reshape(-1, k)  # (q, k)
         # Lowe's ratio: a partner that is much nearer than the next is probably the right one.
         ratio = (distance[:, 0] + 0.01) / (distance[:, -1] + 0.01)
         order = np.lexsort((distance[:, 0], ratio))
         _, first = np.unique(near[order, 0], return_index=True)  # each reference once: copies must not vote twice
         chosen = order[np.sort(first)][:count]
-        return pair_up(
-            self.reference, suspect, rows[near[chosen, 0]].astype(np.int64), pool[query[chosen]].astype(np.int64)
-        )
+        mine, theirs = rows[near[chosen, 0]].astype(np.int64), pool[query[chosen]].astype(np.int64)
+        x, y = suspect.means[theirs].astype(np.float64), self.reference.means[mine].astype(np.float64)
+        return Candidates(mine, theirs, x, y, log_sizes(self.reference, mine) - log_sizes(suspect, theirs))
 
 
 def by_region(means: npt.NDArray[np.float32], priority: Float64, count: int, parts: int = 4) -> Int64:

@@ -36,17 +36,8 @@ GAIN = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Deformed:
-    """Matches of a deformed suspect.
-
-    Parameters
-    ----------
-    matches : (M,) int32
-        Reference Gaussian of each suspect Gaussian, -1 where there is none.
-    quality : (M,) float32
-        Trust in each match, 0..1.
-    tried : int
-        Alignments weighed.
-    """
+    """Matches of a deformed suspect: reference Gaussian of each of its M, -1 where there is none; trust in each match,
+    0..1; and how many alignments were weighed."""
 
     matches: Int32
     quality: Float32
@@ -62,20 +53,10 @@ def unexplained(
     floor: Deviations,
     rng: np.random.Generator,
 ) -> npt.NDArray[np.int64]:
-    """Suspect Gaussians, of a sample, for which a similarity is not the whole story; none where it is.
+    """Suspect Gaussians (n,), of a sample, for which a similarity `fit` is not the whole story; none where it is.
 
-    Parameters
-    ----------
-    matches : (M,) int32
-        Under the similarity.
-    deviations : Deviations or None
-        Errors under the similarity, None where nothing was matched.
-
-    Returns
-    -------
-    (n,) int64
-        Indices of suspect Gaussians in regions that are not explained, or all of the sample where the errors of
-        the similarity vary smoothly over the suspect.
+    Those in regions that its `matches` (M,) do not explain, or all of the sample where its errors vary smoothly over
+    the suspect. `deviations` are the errors under it, None where nothing was matched.
     """
     rows = sample_rows(len(suspect), GLANCE, rng)
     if deviations is None:
@@ -104,17 +85,9 @@ def _common_share(points: Float32, errors: Float64) -> float:
 def register_deformed(
     index: ReferenceIndex, suspect: GaussianModel, todo: Int64, rng: np.random.Generator
 ) -> Deformed | None:
-    """Match a deformed suspect piece by piece.
+    """Match a deformed suspect piece by piece, beginning at its Gaussians `todo` (n,), in no order.
 
-    Parameters
-    ----------
-    todo : (n,) int64
-        Suspect Gaussians to begin at, in no order.
-
-    Returns
-    -------
-    Deformed or None
-        None where no patch of the suspect is one of the reference.
+    None where no patch of the suspect is one of the reference.
     """
     reference = index.model
     looks = index.looks(min(reference.sh_degree, suspect.sh_degree))
@@ -154,5 +127,5 @@ def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
     """Which of some Gaussians lie where hardly any of these is matched."""
     points = suspect.means[rows].astype(np.float64)
     k = min(AROUND, len(rows))
-    beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)
+    beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)  # (n, k)
     return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)

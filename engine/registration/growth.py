@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
+from engine.registration.candidates import sample_rows
 from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
 from engine.registration.warp import Affine, blend, fit_affine, unturned, warped
 
@@ -35,20 +36,9 @@ EXPLAINED = 0.2
 class Field:
     """Where a deformed suspect belongs.
 
-    Parameters
-    ----------
-    nodes : (A, 3) float64
-        Places in the suspect.
-    maps : (A, 3, 4) float64
-        Affine map into the reference's frame at each.
-    explained : (A,) bool
-        Whether the reference explains what lies about each.
-    matcher : Matcher
-        The reference laid out for the errors that remain.
-    deviations : Deviations
-        These errors, and the global change of colour.
-    rounds : int
-        Rounds of growth.
+    `nodes` (A, 3) are places in the suspect, `maps` (A, 3, 4) the affine map into the reference's frame at each,
+    `explained` (A,) whether the reference explains what lies about each. `matcher` lays the reference out for the
+    errors that remain, `deviations`, with the global change of colour.
     """
 
     nodes: Float64
@@ -72,30 +62,18 @@ def grow(
     floor: Deviations,
     rng: np.random.Generator,
 ) -> Field | None:
-    """Extend matched pairs over the suspect, as far as the reference goes.
+    """Extend matched pairs over the suspect, as far as the reference goes; None where not even the pairs hold together.
 
-    Parameters
-    ----------
-    pairs : (n,) int64, (n,) int64
-        Reference and suspect index of pairs, nearly all of them right.
-    deviations : Deviations
-        Their errors after local maps.
-    floor : Deviations
-        Errors below which nothing is measured.
-
-    Returns
-    -------
-    Field or None
-        None where not even the pairs hold together.
+    `pairs` are reference and suspect indices (n,), nearly all of them right, `deviations` their errors after local
+    maps, `floor` those below which nothing is measured.
     """
-    m = len(suspect)
-    rows = np.arange(m) if m <= SAMPLE else np.sort(rng.choice(m, SAMPLE, replace=False))
+    rows = sample_rows(len(suspect), SAMPLE, rng)
     part = suspect.take(rows)
     points = part.means.astype(np.float64)
     nodes = points[np.sort(rng.choice(len(points), min(NODES, len(points)), replace=False))]
     tree = cKDTree(nodes)
     home = np.asarray(tree.query(points, workers=2)[1])
-    beside = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)
+    beside = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)  # (A, 7)
     reach = 2.5 * np.median(beside[:, 1:], axis=1) if beside.shape[1] > 1 else np.full(len(nodes), np.inf)
 
     same = Similarity.identity()
@@ -148,7 +126,7 @@ def _measure(
 
 def _first_map(source: Float64, target: Float64) -> Affine:
     """One map for all, as a prior for the first fits: of least squares."""
-    design = np.concatenate([source, np.ones((len(source), 1))], axis=1)
+    design = np.concatenate([source, np.ones((len(source), 1))], axis=1)  # (n, 4)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
     out: Affine = solution.T
     return out
@@ -160,7 +138,7 @@ def _fit_nodes(
     """Maps of all nodes that have matches within reach, from their nearest ones; others keep what they had."""
     k = min(PAIRS, len(source))
     distance, index = cKDTree(source).query(nodes, k=k, workers=2)
-    distance, index = distance.reshape(-1, k), index.reshape(-1, k)
+    distance, index = distance.reshape(-1, k), index.reshape(-1, k)  # (A, k)
     near = distance[:, min(7, k - 1)] < reach
     prior = maps[near]
     fresh = ~known[near]

@@ -22,14 +22,8 @@ from engine.registration.kernels import BINS, best_triples, degrees_of_agreement
 class Agreement:
     """How exactly two candidates must agree.
 
-    Parameters
-    ----------
-    size : float
-        Difference of the two changes of log size.
-    edge : float
-        Difference between the log ratio of the distances and the change of log size.
-    angle : float
-        Radians, between the two rotations and along the line; infinity leaves rotations out.
+    `size`: difference of the two changes of log size. `edge`: between the log ratio of the distances and the change of
+    log size. `angle`: radians, between the two rotations and along the line; infinity leaves rotations out.
     """
 
     size: float
@@ -41,13 +35,8 @@ class Agreement:
 class Hypothesis:
     """A similarity and what speaks for it.
 
-    Parameters
-    ----------
-    evidence : float
-        Log likelihood ratio, in nats, of the residuals against chance pairs, at the best tolerance, less what
-        the same similarity gets for shuffled pairs.
-    inliers : (k,) int64
-        Candidates within that tolerance.
+    `evidence`: log likelihood ratio, in nats, of the residuals against chance pairs, at the best tolerance, less what
+    the same similarity gets for shuffled pairs. `inliers` (k,): candidates within that tolerance.
     """
 
     fit: Similarity
@@ -82,22 +71,8 @@ def propose(
 ) -> tuple[list[Hypothesis], int]:
     """Hypotheses from candidates, best first, and how many triples were scored.
 
-    Parameters
-    ----------
-    turn : (n, 4) float64
-        Rotation of each pair as unit quaternion, reference after suspect.
-    extent : float
-        Size of the reference, scene units.
-    chance : (BINS,) float64
-        From `chance_table`.
-    seeds, draws : int
-        Candidates around which triples are drawn, and triples drawn at each.
-    seed : int
-        Of the draws.
-
-    Returns
-    -------
-    list of Hypothesis, int
+    `turn` (n, 4): rotation of each pair as unit quaternion, reference after suspect. `extent`: size of the reference,
+    scene units. `chance` (BINS,): from `chance_table`. `draws` triples are drawn around each of `seeds` candidates.
     """
     if len(pairs) < 4:
         return [], 0
@@ -125,7 +100,7 @@ def propose(
             better = robust_umeyama(pairs.x[inliers], pairs.y[inliers], rounds=5)
             if better is None:
                 break
-            moved = np.concatenate([[better.scale], better.t])
+            moved = np.concatenate([[better.scale], better.t])  # (4,)
             new, new_at = evidence(pairs.x, pairs.y, pairs.size, better.R, moved, tol_size, extent, chance)
             if new <= score:
                 break
@@ -134,7 +109,7 @@ def propose(
         if any(np.isin(inliers, other.inliers).mean() > 0.5 for other in found):
             continue  # the same again
         # Two crowds laid upon each other explain much by accident, and shuffled pairs just as well.
-        moved = np.concatenate([[fit.scale], fit.t])
+        moved = np.concatenate([[fit.scale], fit.t])  # (4,)
         accident = max(
             evidence(pairs.x, pairs.y[p], pairs.size[p], fit.R, moved, tol_size, extent, chance)[0] for p in shuffles
         )

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from engine.model import Float32, GaussianModel
 from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.registration.candidates import sample_rows
 from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
 
 ROUNDS = 8
@@ -24,16 +25,10 @@ DECOYS = 3
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """A similarity that was found right.
+    """A similarity that was found right, its measured errors and the global change of colour.
 
-    Parameters
-    ----------
-    matcher : Matcher or None
-        The reference laid out for the errors that were measured; None where the order tells the pairs.
-    deviations : Deviations
-        The measured errors and the global change of colour.
-    order_quality : (M,) float32 or None
-        If suspect Gaussian i is reference Gaussian i: trust in each pair.
+    `matcher` lays the reference out for these errors; it is None where the order tells the pairs: suspect Gaussian i is
+    reference Gaussian i, and `order_quality` (M,) is the trust in each pair.
     """
 
     fit: Similarity
@@ -53,27 +48,11 @@ def judge(
     *,
     min_matches: int,
 ) -> Verdict | None:
-    """Refine a proposal and accept or refuse it.
+    """Refine a proposal and accept or refuse it; None if it explains no more than its decoys.
 
-    Parameters
-    ----------
-    fit : Similarity
-        The proposal.
-    inliers : (k,) int, (k,) int, optional
-        Reference and suspect index of pairs that speak for it; they tell how noisy the suspect is.
-    rows : (s,) int
-        Suspect Gaussians to look at.
-    floor_matcher : Matcher
-        The reference laid out for the smallest errors.
-    rng : numpy Generator
-        Of the decoys.
-    min_matches : int
-        Fewest distinct reference Gaussians that `rows` must be matched to.
-
-    Returns
-    -------
-    Verdict or None
-        None if the proposal explains no more than its decoys.
+    `inliers`: reference and suspect index (k,) of pairs that speak for it; they tell how noisy the suspect is. `rows`
+    (s,): suspect Gaussians to look at, which must be matched to at least `min_matches` distinct reference Gaussians.
+    `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
     """
     floor = floor_matcher.deviations
     matcher, deviations = floor_matcher, floor
@@ -168,8 +147,7 @@ def same_order(
     Two scenes sorted along the same space-filling curve agree roughly in position by accident. So the pairs
     must agree in size, opacity and colour, too, by far better than shuffled pairs do.
     """
-    n = len(reference)
-    rows = np.arange(n) if n <= ORDER_SAMPLE else np.sort(rng.choice(n, ORDER_SAMPLE, replace=False))
+    rows = sample_rows(len(reference), ORDER_SAMPLE, rng)
     ref, sus = reference.take(rows), suspect.take(rows)
     fit = fit_suspect(sus.means, ref.means)
     if fit is None:

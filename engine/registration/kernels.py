@@ -1,5 +1,7 @@
 """Kernels of the hypotheses: which candidates agree, and what a similarity of three of them explains."""
 
+# mypy: allow-untyped-defs
+
 import math
 
 import numba
@@ -14,7 +16,7 @@ BINS = 48
 
 
 @inlined
-def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):  # type: ignore[no-untyped-def]
+def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
     shift = 0.5 * (size[i] + size[j])
     if abs(size[i] - size[j]) > tol_size:
         return False
@@ -39,7 +41,7 @@ def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):  # t
 
 
 @parallel_kernel
-def degrees_of_agreement(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line):  # type: ignore[no-untyped-def]
+def degrees_of_agreement(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line):
     """With how many others each candidate agrees."""
     n = len(x)
     out = np.zeros(n, np.int32)
@@ -53,7 +55,7 @@ def degrees_of_agreement(x, y, size, turn, tol_size, tol_edge, cos_half, cos_lin
 
 
 @kernel
-def _frame(p, out):  # type: ignore[no-untyped-def]
+def _frame(p, out):
     """Orthonormal frame of a triangle p (3, 3) into out (rows); False if it is degenerate."""
     ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
@@ -71,7 +73,7 @@ def _frame(p, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _triple(x, y, i, j, k, turn, moved):  # type: ignore[no-untyped-def]
+def _triple(x, y, i, j, k, turn, moved):
     """Similarity of three pairs: R into turn, (scale, t) into moved; False if degenerate."""
     a, b = np.empty((3, 3)), np.empty((3, 3))
     for c in range(3):
@@ -98,7 +100,7 @@ def _triple(x, y, i, j, k, turn, moved):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def evidence(x, y, size, turn, moved, tol_size, extent, chance):  # type: ignore[no-untyped-def]
+def evidence(x, y, size, turn, moved, tol_size, extent, chance):
     """Best log likelihood ratio over the tolerances, and which; after Moisan and Stival, IJCV 2004."""
     n, log_scale = len(x), math.log(moved[0])
     counts = np.zeros(BINS)
@@ -127,9 +129,7 @@ def evidence(x, y, size, turn, moved, tol_size, extent, chance):  # type: ignore
 
 
 @parallel_kernel
-def best_triples(  # type: ignore[no-untyped-def]
-    x, y, size, turn, seeds, draws, tol_size, tol_edge, cos_half, cos_line, extent, chance, seed
-):
+def best_triples(x, y, size, turn, seeds, draws, tol_size, tol_edge, cos_half, cos_line, extent, chance, seed):
     """Best triple around each seed: R (n, 3, 3), (scale, t) (n, 4), evidence, bin and tries (n,) each."""
     count = len(seeds)
     turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))

@@ -5,6 +5,8 @@ match is made in position, size, opacity, base colour and rotation together, eac
 error, and these errors are learnt from the matches. No secret of the mark enters.
 """
 
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -91,7 +93,7 @@ def floor_deviations(extent: float) -> Deviations:
 
 
 @parallel_kernel
-def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, inverse):  # type: ignore[no-untyped-def]
+def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, inverse):
     out = np.empty((len(means), 10), np.float32)
     for i in numba.prange(len(means)):
         for a in range(3):
@@ -115,21 +117,9 @@ def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, 
 def joint_vectors(
     model: GaussianModel, fit: Similarity, deviations: Deviations, centre: Float64, *, suspect: bool = True
 ) -> Float32:
-    """Position (about `centre`), sorted log scales, opacity logit and DC, each over its expected error.
-
-    Parameters
-    ----------
-    fit : Similarity
-        Takes the model into the reference's frame.
-    centre : (3,) float64
-        Subtracted from the positions, for the sake of float32.
-    suspect : bool
-        Whether the colour change applies.
-
-    Returns
-    -------
-    (n, 10) float32
-    """
+    """(n, 10) float32: position (about `centre`, for the sake of float32), sorted log scales, opacity logit and DC,
+    each over its expected error; `fit` takes the model into the reference's frame, the colour change applies to a
+    `suspect` only."""
     gain, offset = (deviations.gain, deviations.offset) if suspect else (np.ones(3), np.zeros(3))
     with parallel_section():
         vectors: Float32 = _joint(
@@ -205,20 +195,8 @@ def estimate_deviations(
     pairs: tuple[npt.NDArray[Any], npt.NDArray[Any]],
     fit: Similarity,
     floor: Deviations,
-    *,
-    colors: bool = True,
 ) -> Deviations:
-    """Robust errors of matched pairs.
-
-    Parameters
-    ----------
-    pairs : (n,) int, (n,) int
-        Reference and suspect index of each pair, most of them right.
-    floor : Deviations
-        Nothing below this.
-    colors : bool
-        Whether to believe the colours at all; if not, only the capped tail of the colour distance counts.
-    """
+    """Robust errors of matched pairs (reference and suspect index, most of them right), nothing below `floor`."""
     unit = Deviations(np.ones(3), np.ones(3), 1.0, np.ones(3), 1.0, np.ones(3), np.zeros(3))
     ref, sus = reference.take(pairs[0]), suspect.take(pairs[1])
     origin = np.zeros(3)
@@ -234,7 +212,7 @@ def estimate_deviations(
         position=sigma[:3],
         size=sigma[3:6],
         opacity=float(sigma[6]),
-        color=sigma[7:] if colors else np.full(3, 1e3),
+        color=sigma[7:],
         rotation=rotation if rotation < 0.5 else np.inf,  # random rotations have a median angle of 2.3
         gain=gain,
         offset=offset,
@@ -269,7 +247,7 @@ def _tint(suspect: Float64, reference: Float64) -> tuple[Float64, Float64]:
     return gain, offset
 
 
-def paired(neighbours: Neighbours, rows: npt.NDArray[Any] | None = None) -> tuple[Int32, npt.NDArray[np.int64]]:
+def paired(neighbours: Neighbours) -> tuple[Int32, npt.NDArray[np.int64]]:
     """Reference and suspect index of the matched Gaussians."""
     hit = np.flatnonzero(neighbours.index >= 0)
-    return neighbours.index[hit], hit if rows is None else rows[hit]
+    return neighbours.index[hit], hit

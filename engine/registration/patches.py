@@ -46,13 +46,7 @@ COUNTED = 600
 
 
 class Looks:
-    """The reference laid out by what deformations leave alone.
-
-    Parameters
-    ----------
-    degree : int
-        SH degree up to which energies are used.
-    """
+    """The reference laid out by what deformations leave alone, SH energies up to `degree`."""
 
     def __init__(self, reference: GaussianModel, degree: int) -> None:
         self.reference, self.degree = reference, degree
@@ -79,22 +73,13 @@ def _looks(model: GaussianModel, degree: int) -> Float64:
     columns = [logits / 0.15, *(np.clip(sh[:, 0], -DC_CLIP, DC_CLIP).T / 0.05)]
     for l in range(1, degree + 1):
         columns.append(np.sqrt(np.square(sh[:, l * l : (l + 1) ** 2]).sum(axis=(1, 2))) / 0.05)
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1)  # (n, F)
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A piece of the suspect and where it belongs.
-
-    Parameters
-    ----------
-    suspect, reference : (n,) int64
-        Pairs that the map explains.
-    map : (3, 4) float64
-        x_reference = map[:, :3] @ x_suspect + map[:, 3].
-    deviations : Deviations
-        Errors of these pairs.
-    """
+    """A piece of the suspect and where it belongs: pairs (n,), (n,) that an affine map (3, 4) of suspect into reference
+    explains, and their errors."""
 
     suspect: Int64
     reference: Int64
@@ -110,23 +95,10 @@ def find_patches(
     floor: Deviations,
     rng: np.random.Generator,
 ) -> list[Patch]:
-    """Patches about the given Gaussians that have a place in the reference.
+    """Patches about Gaussians `centers` (c,) that have a place in the reference; none where the suspect is another
+    scene.
 
-    Parameters
-    ----------
-    looks : Looks
-        Of the reference.
-    places : cKDTree
-        Of the suspect's centres.
-    centers : (c,) int
-        Suspect Gaussians about which patches are taken.
-    floor : Deviations
-        Errors below which nothing is measured.
-
-    Returns
-    -------
-    list of Patch
-        Empty where the suspect is another scene.
+    `places` is the tree of the suspect's centres, `floor` the errors below which nothing is measured.
     """
     count = min(PATCH, len(suspect))
     found = []
@@ -144,7 +116,7 @@ def _find_patch(
     part = suspect.take(rows)
     reference = looks.reference
     k = min(LOOK_ALIKES, len(reference))
-    near = np.asarray(looks.tree.query(_looks(part, looks.degree), k=k)[1]).reshape(len(rows), k)
+    near = np.asarray(looks.tree.query(_looks(part, looks.degree), k=k)[1]).reshape(len(rows), k)  # (n, k)
     who = np.repeat(np.arange(len(rows)), k)
     target = near.reshape(-1).astype(np.int64)
     x, y = part.means[who].astype(np.float64), reference.means[target].astype(np.float64)
@@ -169,7 +141,7 @@ def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int6
     distance2 = np.square(middles).sum(axis=1)[:, None] + np.square(y).sum(axis=1) - 2.0 * (middles @ y.T)
     near = distance2 <= np.square(radii)[:, None]  # (Q, P)
     # pairs of one Gaussian are one witness
-    support = near.reshape(len(first), len(first), -1).any(axis=2).sum(axis=1)
+    support = near.reshape(len(first), len(first), -1).any(axis=2).sum(axis=1)  # (Q,)
     chosen: list[tuple[Int64, float]] = []
     taken = np.zeros(len(first), dtype=bool)
     for i in np.argsort(-support, kind="stable"):
@@ -200,10 +172,10 @@ def _draw(
     A, base = A[believable], base[believable]
     if not len(A):
         return None
-    t = b[base[:, 0]] - np.einsum("dij,dj->di", A, a[base[:, 0]])
+    t = b[base[:, 0]] - np.einsum("dij,dj->di", A, a[base[:, 0]])  # (D, 3)
     error2 = np.square(np.einsum("dij,nj->dni", A, a) + t[:, None] - b).sum(axis=2)  # (D, n)
     best = int(np.argmax((error2 < tolerance**2).sum(axis=1)))
-    map_: Affine = np.concatenate([A[best], t[best][:, None]], axis=1)
+    map_: Affine = np.concatenate([A[best], t[best][:, None]], axis=1)  # (3, 4)
     for _ in range(3):
         inlying = np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
         if len(np.unique(names[inlying])) < 8:

@@ -37,40 +37,32 @@ LOOSE = Agreement(size=0.35, edge=0.30, angle=0.40)
 
 FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
+CANDIDATES = 3000
+"""Candidate pairs per search stage; the time of a stage grows with its square."""
+SEEDS, DRAWS = 64, 64
+"""Candidates around which triples are drawn, and triples per such candidate."""
+MIN_SCALE, MAX_SCALE = 1e-3, 1e3
+"""Scales outside are not believed."""
+MIN_EVIDENCE = 12.0
+"""Nats of evidence a hypothesis needs before it is judged against the whole models."""
+SAMPLE, GLANCE = 4000, 400
+"""Suspect Gaussians on which a hypothesis is judged and refined, and on which the turns of the axes are compared."""
+MIN_MATCHES = 5
+"""Distinct reference Gaussians matched in that sample below which nothing is found."""
 
 
 @dataclass(frozen=True)
 class RegistrationConfig:
-    """Knobs of the registration.
+    """What the registration looks for.
 
     Parameters
     ----------
-    candidates : int
-        Candidate pairs per search stage; the time of a stage grows with its square.
-    seeds, draws : int
-        Candidates around which triples are drawn, and triples per such candidate.
-    min_scale, max_scale : float
-        Scales outside are not believed.
-    min_evidence : float
-        Nats of evidence a hypothesis needs before it is judged against the whole models.
-    sample : int
-        Suspect Gaussians on which a hypothesis is judged and refined.
-    min_matches : int
-        Distinct reference Gaussians matched in that sample below which nothing is found.
     colorless : bool
         Whether to search once more without colours, which costs time where nothing is found.
     deformed : bool
         Whether to look for a deformation where no similarity is the whole story.
     """
 
-    candidates: int = 3000
-    seeds: int = 64
-    draws: int = 64
-    min_scale: float = 1e-3
-    max_scale: float = 1e3
-    min_evidence: float = 12.0
-    sample: int = 4000
-    min_matches: int = 5
     colorless: bool = True
     deformed: bool = True
 
@@ -90,13 +82,9 @@ class Registration:
         Trust in each match, 0..1; 0 where there is none.
     derived_fraction : float
         Share of the reference's Gaussians that were found.
-    suspect_fraction : float
-        Share of the suspect's Gaussians that the reference explains.
     found : bool
         Whether the suspect holds a piece of the reference. If not, the similarity is the identity, and
         nothing is matched.
-    identity_order : bool
-        Whether Gaussian i of the suspect is Gaussian i of the reference.
     hypotheses_tried : int
         Alignments weighed, at least 1. They were chosen without the chips.
     deformed : bool
@@ -109,9 +97,7 @@ class Registration:
     matches: Int32
     match_quality: Float32
     derived_fraction: float
-    suspect_fraction: float
     found: bool
-    identity_order: bool
     hypotheses_tried: int
     deformed: bool = False
 
@@ -130,17 +116,8 @@ def register(
 ) -> Registration:
     """Find the reference, or pieces of it, in a suspect model.
 
-    Parameters
-    ----------
-    reference : GaussianModel or ReferenceIndex
-        The unmarked reference.
-    seed : int
-        Of the samples and triples drawn; the same seed gives the same answer.
-
-    Returns
-    -------
-    Registration
-        With `found` False if the suspect holds no recognizable piece; that is an answer, not an error.
+    The reference is the unmarked one; an index serves many suspects. The same seed, of the samples and triples drawn,
+    gives the same answer. `found` is False if the suspect holds no recognizable piece; that is an answer, not an error.
     """
     index = reference if isinstance(reference, ReferenceIndex) else ReferenceIndex(reference)
     n, m = len(index.model), len(suspect)
@@ -152,40 +129,27 @@ def register(
         tried += 1
         verdict = same_order(index.model, suspect, index.floor, rng)
         if verdict is not None:
-            return _answer(index, suspect, verdict, tried, ordered=True)
-    verdict, count = _same_frame(index, suspect, rng, config)
+            return _answer(index, suspect, verdict, tried)
+    verdict, count = _same_frame(index, suspect, rng)
     tried += count
     if verdict is None:
         verdict, count = _search(index, suspect, rng, config)
         tried += count
-    rigid = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried, ordered=False)
-    return _bend(index, suspect, rigid, verdict, rng, config) if config.deformed else rigid
+    rigid = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried)
+    return _bend(index, suspect, rigid, verdict, rng) if config.deformed else rigid
 
 
 def _nothing(m: int, tried: int) -> Registration:
-    return Registration(
-        1.0,
-        np.eye(3),
-        np.zeros(3),
-        np.full(m, -1, np.int32),
-        np.zeros(m, np.float32),
-        0.0,
-        0.0,
-        False,
-        False,
-        max(1, tried),
-    )
+    unmatched = np.full(m, -1, np.int32), np.zeros(m, np.float32)
+    return Registration(1.0, np.eye(3), np.zeros(3), *unmatched, 0.0, False, max(1, tried))
 
 
-def _answer(
-    index: ReferenceIndex, suspect: GaussianModel, verdict: Verdict, tried: int, *, ordered: bool
-) -> Registration:
+def _answer(index: ReferenceIndex, suspect: GaussianModel, verdict: Verdict, tried: int) -> Registration:
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
-    n, m = len(index.model), len(suspect)
     if verdict.matcher is None:
         assert verdict.order_quality is not None
         quality = verdict.order_quality
-        matches = np.where(quality > 0, np.arange(m), -1).astype(np.int32)
+        matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
     else:
         neighbours = verdict.matcher.match(suspect, verdict.fit, verdict.deviations)
         quality = verdict.matcher.quality(neighbours)
@@ -195,11 +159,14 @@ def _answer(
     if verdict.matcher is not None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
         fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
-    seen = np.zeros(n, np.bool_)
-    seen[matches[rows]] = True
-    return Registration(
-        fit.scale, fit.R, fit.t, matches, quality, float(seen.mean()), len(rows) / m, True, ordered, tried
-    )
+    return Registration(fit.scale, fit.R, fit.t, matches, quality, _found(index.model, matches), True, tried)
+
+
+def _found(reference: GaussianModel, matches: Int32) -> float:
+    """Share of the reference's Gaussians that are among the matches."""
+    seen = np.zeros(len(reference), np.bool_)
+    seen[matches[matches >= 0]] = True
+    return float(seen.mean())
 
 
 def _bend(
@@ -208,7 +175,6 @@ def _bend(
     rigid: Registration,
     verdict: Verdict | None,
     rng: np.random.Generator,
-    config: RegistrationConfig,
 ) -> Registration:
     """Step 4: the registration by a field of local maps, where that explains clearly more."""
     reference = index.model
@@ -222,23 +188,11 @@ def _bend(
     rows = np.flatnonzero(bent.matches >= 0)
     part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
     fit = fit_suspect(suspect.means[part], reference.means[bent.matches[part]]) or rigid.similarity
-    if not config.min_scale <= fit.scale <= config.max_scale:
+    if not MIN_SCALE <= fit.scale <= MAX_SCALE:
         return rigid
-    seen = np.zeros(len(reference), np.bool_)
-    seen[bent.matches[rows]] = True
-    return Registration(
-        fit.scale,
-        fit.R,
-        fit.t,
-        bent.matches,
-        bent.quality,
-        float(seen.mean()),
-        len(rows) / len(suspect),
-        True,
-        False,
-        rigid.hypotheses_tried + bent.tried,
-        deformed=True,
-    )
+    tried = rigid.hypotheses_tried + bent.tried
+    share = _found(reference, bent.matches)
+    return Registration(fit.scale, fit.R, fit.t, bent.matches, bent.quality, share, True, tried, deformed=True)
 
 
 def _axis_rotations() -> list[Float64]:
@@ -247,11 +201,9 @@ def _axis_rotations() -> list[Float64]:
     return sorted(turns, key=lambda r: (-float(np.trace(r)), r.tolist()))
 
 
-def _same_frame(
-    index: ReferenceIndex, suspect: GaussianModel, rng: np.random.Generator, config: RegistrationConfig
-) -> tuple[Verdict | None, int]:
+def _same_frame(index: ReferenceIndex, suspect: GaussianModel, rng: np.random.Generator) -> tuple[Verdict | None, int]:
     """Step 2: no scale, no translation, at most a turn of the axes."""
-    rows = sample_rows(len(suspect), 400, rng)
+    rows = sample_rows(len(suspect), GLANCE, rng)
     part = suspect.take(rows)
     turns = _axis_rotations()
     hits = []
@@ -261,10 +213,10 @@ def _same_frame(
         if len(hits) == 1 and hits[0] > 0.5 * len(rows):
             break
     best = int(np.argmax(hits))
-    if hits[best] < max(config.min_matches, 0.01 * len(rows)):
+    if hits[best] < max(MIN_MATCHES, 0.01 * len(rows)):
         return None, len(hits)
     fit = Similarity(1.0, turns[best], np.zeros(3))
-    return _judge(index, suspect, fit, None, rng, config), len(hits)
+    return _judge(index, suspect, fit, None, rng), len(hits)
 
 
 def _search(
@@ -275,13 +227,13 @@ def _search(
     tried = 0
     stages = [(True, False), (True, True)] + ([(False, False)] if config.colorless else [])
     for colors, deep in stages:
-        queries = (10 if deep else 2) * config.candidates
+        queries = (10 if deep else 2) * CANDIDATES
         if deep and len(suspect) <= queries // 5:
             continue  # they were all asked before
         looks = index.features(degree, colors=colors)
-        pairs = looks.candidates(suspect, config.candidates, rng, queries=queries, deep=deep)
+        pairs = looks.candidates(suspect, CANDIDATES, rng, queries=queries, deep=deep)
         votes = np.exp(pairs.size)
-        pairs = pairs.take((votes >= config.min_scale / 2) & (votes <= config.max_scale * 2))
+        pairs = pairs.take((votes >= MIN_SCALE / 2) & (votes <= MAX_SCALE * 2))
         conjugate = suspect.quats[pairs.suspect] * np.array([1, -1, -1, -1])
         turn = quaternion_product(index.model.quats[pairs.reference], conjugate)
         for level in (EXACT, LOOSE):
@@ -292,18 +244,18 @@ def _search(
                     agreement,
                     index.extent,
                     index.chance,
-                    seeds=config.seeds,
-                    draws=config.draws,
+                    seeds=SEEDS,
+                    draws=DRAWS,
                     seed=int(rng.integers(2**31)),
                 )
                 tried += count
                 for h in hypotheses[:2]:
-                    if h.evidence < config.min_evidence:
+                    if h.evidence < MIN_EVIDENCE:
                         break
-                    if not config.min_scale <= h.fit.scale <= config.max_scale:
+                    if not MIN_SCALE <= h.fit.scale <= MAX_SCALE:
                         continue
                     inliers = (pairs.reference[h.inliers], pairs.suspect[h.inliers])
-                    verdict = _judge(index, suspect, h.fit, inliers, rng, config)
+                    verdict = _judge(index, suspect, h.fit, inliers, rng)
                     if verdict is not None:
                         return verdict, tried
     return None, tried
@@ -315,7 +267,6 @@ def _judge(
     fit: Similarity,
     inliers: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None,
     rng: np.random.Generator,
-    config: RegistrationConfig,
 ) -> Verdict | None:
-    rows = sample_rows(len(suspect), config.sample, rng)
-    return judge(index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=config.min_matches)
+    rows = sample_rows(len(suspect), SAMPLE, rng)
+    return judge(index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=MIN_MATCHES)

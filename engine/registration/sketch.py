@@ -16,14 +16,13 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.model import Float32, Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_section
 from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import quaternion_product
-from engine.registration.candidates import by_region, invariant_features, sorted_log_scales
+from engine.registration.candidates import by_region, invariant_features, log_sizes
 from engine.registration.kernels import degrees_of_agreement
 from engine.registration.registering import LOOSE
 
@@ -62,17 +61,8 @@ _POINT = np.dtype([("mean", "<f4", 3), ("looks", "<f2", 6), ("size", "<f2"), ("q
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """P Gaussians of a model, at most POINTS.
-
-    Parameters
-    ----------
-    means : (P, 3) float32
-    looks : (P, 6) float32
-        What no similarity changes: two log size ratios, opacity logit, DC.
-    sizes : (P,) float32
-        Mean log of the two larger scales.
-    quats : (P, 4) float32
-    """
+    """P Gaussians of a model, at most POINTS: centres, looks (P, 6) that no similarity changes (two log size ratios,
+    opacity logit, DC), sizes (P,), the mean log of the two larger scales, and rotations."""
 
     means: Float32
     looks: Float32
@@ -111,7 +101,7 @@ def make_sketch(model: GaussianModel) -> Sketch:
     rarity = _rarity(invariant_features(model, rows, 0))
     rows = rows[np.sort(by_region(model.means[rows], rarity, POINTS, REGIONS))]
     looks = invariant_features(model, rows, 0).astype(np.float32)
-    return Sketch(model.means[rows], looks, _sizes(model, rows), model.quats[rows])
+    return Sketch(model.means[rows], looks, log_sizes(model, rows).astype(np.float32), model.quats[rows])
 
 
 class SuspectIndex:
@@ -126,13 +116,8 @@ class SuspectIndex:
         )
 
     def resemblance(self, sketch: Sketch) -> int:
-        """How many of a sketch's Gaussians have partners here that agree with one of them: see ALIKE.
-
-        Returns
-        -------
-        int
-            0 to MOST_PAIRS - 1.
-        """
+        """How many of a sketch's Gaussians, 0 to MOST_PAIRS - 1, have partners here that agree with one of them: see
+        ALIKE."""
         near = self._grid.query(sketch.looks / _ERRORS, _no_turn(len(sketch)), box=_BOX, limit2=_LIMIT2)
         found = np.flatnonzero(near.index >= 0)
         if len(found) < 2:
@@ -144,7 +129,7 @@ class SuspectIndex:
             degrees = degrees_of_agreement(
                 self.model.means[theirs].astype(np.float64),
                 sketch.means[mine].astype(np.float64),
-                (sketch.sizes[mine] - _sizes(self.model, theirs)).astype(np.float64),
+                (sketch.sizes[mine] - log_sizes(self.model, theirs).astype(np.float32)).astype(np.float64),
                 quaternion_product(sketch.quats[mine].astype(np.float64), conjugate),
                 LOOSE.size,
                 LOOSE.edge,
@@ -170,11 +155,6 @@ def _uncrowded(points: Float32) -> Int64:
     _, starts, counts = np.unique(bucket[rows], return_index=True, return_counts=True)
     kept[rows[np.arange(len(rows)) - np.repeat(starts, counts) < CROWD]] = True
     return np.flatnonzero(kept)
-
-
-def _sizes(model: GaussianModel, rows: npt.NDArray[np.int64]) -> Float32:
-    # The two larger axes: the smallest is often clipped or plain noise.
-    return np.asarray(sorted_log_scales(model, rows)[:, 1:].mean(axis=1), dtype=np.float32)
 
 
 def _rarity(looks: Float64) -> Float64:

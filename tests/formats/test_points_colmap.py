@@ -37,8 +37,6 @@ def check(points: ColmapPoints) -> None:
     np.testing.assert_array_equal(points.positions, [row[1:4] for row in ROWS])
     np.testing.assert_array_equal(points.colors, [row[4:7] for row in ROWS])
     assert points.colors.dtype == np.uint8
-    np.testing.assert_array_equal(points.errors, [0.75, -1.0])
-    np.testing.assert_array_equal(points.tracks, [2, 0])
 
 
 def test_text_and_binary_say_the_same() -> None:

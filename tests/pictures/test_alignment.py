@@ -11,7 +11,7 @@ import pytest
 from engine.errors import InputError
 from engine.numerics.resampling import map_points
 from engine.pictures import alignment as image_alignment
-from engine.pictures.alignment import AlignmentConfig, align_image
+from engine.pictures.alignment import align_image
 from engine.pictures.brightness_fit import Fit, fit_warp
 from tests.pictures.image_cases import SIDE, attack, marked, picture, turn
 
@@ -126,4 +126,4 @@ def test_bad_input_is_refused() -> None:
     broken = picture(0).copy()
     broken[0, 0, 0] = np.nan
     with pytest.raises(InputError, match="finite"):
-        align_image(picture(0), broken, AlignmentConfig())
+        align_image(picture(0), broken)

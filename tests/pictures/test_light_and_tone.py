@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from engine.pictures.alignment import align_image
-from engine.pictures.brightness_curve import predict_brightness
-from engine.pictures.color_fit import fit_colors
-from engine.pictures.light_field import fit_light
+from engine.pictures.light import fit_colors, fit_light, predict_brightness
 from engine.pictures.residual import image_cotangent
 from engine.sim.attacks import image_attack
 from tests.pictures.image_cases import marked, picture, z_score

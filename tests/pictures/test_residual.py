@@ -7,7 +7,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.pictures.alignment import align_image
-from engine.pictures.residual import ResidualConfig, image_cotangent
+from engine.pictures.residual import image_cotangent
 from engine.pictures.tone_curve import fit_tone, robust_regression
 from tests.pictures.image_cases import attack, marked, picture, z_score
 
@@ -140,7 +140,3 @@ def test_bad_input_is_refused() -> None:
     case = marked()
     with pytest.raises(InputError, match="shapes differ"):
         image_cotangent(case.plain, case.image[:-1], np.ones(case.plain.shape[:2], dtype=bool))
-    with pytest.raises(InputError, match="levels"):
-        ResidualConfig(levels=0)
-    with pytest.raises(InputError, match="positive"):
-        ResidualConfig(noise_floor=0.0)

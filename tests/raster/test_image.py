@@ -62,24 +62,6 @@ def test_settings(settings: RasterSettings) -> None:
         assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
 
 
-def test_stop_by_impact() -> None:
-    """Eq 8: a pixel ends once sum alpha * W^freq reaches tau."""
-    model = random_model(200, 6, 1)
-    impact = np.random.default_rng(0).uniform(0.0, 1.0, 200).astype(np.float32)
-    settings = RasterSettings(impact_stop=0.95)
-    expected, _ = twin_image(model, camera(), settings=settings, impact=impact)
-    assert_same_image(render(model, camera(), settings=settings, impact=impact), expected)
-    assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
-    view = prepare_view(model, camera(), settings, impact=impact)
-    colors = np.random.default_rng(1).normal(size=(200, 3)).astype(np.float32)
-    cotangent = np.random.default_rng(2).normal(size=(47, 53, 3)).astype(np.float32)
-    image, _ = view.render(colors)
-    pullback = view.backward_colors(cotangent)
-    assert np.vdot(image, cotangent) == pytest.approx(np.vdot(colors, pullback), rel=1e-3)
-    with pytest.raises(InputError, match="impact"):
-        render(model, camera(), settings=settings)
-
-
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 8, 16, 19])
 def test_any_number_of_channels(channels: int) -> None:
     model = random_model(120, 7, 1)
@@ -143,15 +125,7 @@ def test_wrong_shapes_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad",
-    [
-        {"eps2d": -1.0},
-        {"near": 0.0},
-        {"alpha_clamp": 1.0},
-        {"alpha_skip": 0.0},
-        {"transmittance_stop": 0.0},
-        {"impact_stop": 0.0},
-    ],
+    "bad", [{"eps2d": -1.0}, {"near": 0.0}, {"alpha_clamp": 1.0}, {"alpha_skip": 0.0}, {"transmittance_stop": 0.0}]
 )
 def test_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(InputError):

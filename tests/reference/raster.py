@@ -90,7 +90,6 @@ def rasterize(
     settings: RasterSettings = RasterSettings(),
     colors: torch.Tensor | None = None,
     background: float = 0.0,
-    impact: np.ndarray | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Image (H, W, C), alpha (H, W), and every Gaussian's blending weights (N, H, W)."""
     centres, covariances, depths, drawn = project(p, width, height, settings)
@@ -100,7 +99,6 @@ def rasterize(
         torch.arange(height, dtype=torch.float64) + 0.5, torch.arange(width, dtype=torch.float64) + 0.5, indexing="ij"
     )
     transmittance = torch.ones(height, width, dtype=torch.float64)
-    occlusion = torch.zeros(height, width, dtype=torch.float64)
     ended = torch.zeros(height, width, dtype=torch.bool)
     image = torch.zeros(height, width, colors.shape[1], dtype=torch.float64)
     weights = torch.zeros(len(colors), height, width, dtype=torch.float64)
@@ -123,7 +121,4 @@ def rasterize(
         weights[i] = weight.detach()
         image = image + weight[..., None] * colors[i]
         transmittance = torch.where(blended, after, transmittance)
-        if settings.impact_stop is not None and impact is not None:
-            occlusion = occlusion + torch.where(blended, alpha.detach() * float(impact[i]), none)
-            ended = ended | (occlusion >= settings.impact_stop)
     return image + transmittance[..., None] * background, 1 - transmittance, weights

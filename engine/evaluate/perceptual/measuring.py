@@ -13,8 +13,7 @@ from engine.evaluate.bars_images import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.evaluate.study import Row
 from engine.model import Camera, Float32
-from engine.numerics.image_metrics import difference_picture, psnr, ssim
-from engine.numerics.multiscale_ssim import ms_ssim_distance
+from engine.numerics.image_metrics import difference_picture, ms_ssim_distance, psnr, ssim
 from engine.pipeline.profiles import profile
 from engine.pipeline.rigs import make_rig
 from engine.raster import render

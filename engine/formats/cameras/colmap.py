@@ -37,14 +37,8 @@ _NAMES = {lens.number: name for name, lens in _LENSES.items()}
 class PosedPhoto:
     """A photo of a reconstruction: where it was taken from, and through which lens.
 
-    Parameters
-    ----------
-    name : str
-        Of the file, as the reconstruction gives it; may hold folders. Not to be trusted as a path.
-    camera : Camera
-        The lens without its distortion.
-    distortion : (4,) floats
-        OpenCV's k1, k2, p1, p2; zeros for a pinhole.
+    `name` is that of the file, as the reconstruction gives it; it may hold folders and is not to be trusted as a path.
+    `camera` is the lens without its distortion, which is OpenCV's k1, k2, p1, p2; zeros for a pinhole.
     """
 
     name: str
@@ -70,10 +64,7 @@ class _Image:
 
 
 def read_colmap(cameras: bytes, images: bytes, cameras_file: str, images_file: str, *, binary: bool) -> list[Camera]:
-    """Cameras of all images, in the order of the images' names; says so where it ignores lens distortion.
-
-    Parameters and errors as for `read_photos`.
-    """
+    """As `read_photos`, cameras only; says so where it ignores lens distortion."""
     photos = read_photos(cameras, images, cameras_file, images_file, binary=binary)
     distorted = sum(any(photo.distortion) for photo in photos)
     if distorted:
@@ -84,21 +75,9 @@ def read_colmap(cameras: bytes, images: bytes, cameras_file: str, images_file: s
 def read_photos(
     cameras: bytes, images: bytes, cameras_file: str, images_file: str, *, binary: bool
 ) -> list[PosedPhoto]:
-    """All images with their cameras and distortion, in the order of their names.
+    """All images with their cameras and distortion, in the order of their names, out of the content of the two files.
 
-    Parameters
-    ----------
-    cameras, images : bytes
-        Content of the two files.
-    cameras_file, images_file : str
-        Their names, for messages.
-    binary : bool
-        Whether they are binary.
-
-    Raises
-    ------
-    CameraError
-        The files are broken, or a camera model is no pinhole with mild distortion.
+    CameraError if they are broken, or a camera model is no pinhole with mild distortion.
     """
     lenses = (_binary_cameras if binary else _text_cameras)(cameras, cameras_file)
     posed = (_binary_images if binary else _text_images)(images, images_file)
@@ -112,7 +91,7 @@ def read_photos(
         norm = math.hypot(*image.quat)
         if not (0.5 < norm < 2.0 and all(abs(value) < _LARGEST for value in image.t)):
             raise CameraError(f"{image.where}: the pose is no rotation and translation")
-        to_camera = quaternion_to_rotation(np.array(image.quat) / norm).reshape(3, 3)
+        to_camera = quaternion_to_rotation(np.array(image.quat) / norm).reshape(3, 3)  # (3, 3)
         position = -to_camera.T @ np.array(image.t)
         camera = make_camera(to_camera.T, position, lens.K, lens.width, lens.height, image.where)
         result.append(PosedPhoto(image.name, camera, lens.distortion))

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from engine.errors import CameraError, InputError
+from engine.errors import CameraError
 from engine.formats.cameras.documents import read_inria, read_nerf
+from engine.formats.guards import opening, read_regular
 from engine.formats.writing import write_whole
 from engine.model import Camera
 
@@ -49,36 +50,19 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Camera]:
         Lens distortion is ignored: all cameras of this program are pinholes.
     """
     path = Path(path)
-    if "\0" in str(path):
-        raise InputError(f"{str(path)!r}: is no file name")
-    try:
+    with opening(path, str(path)):
         if path.is_dir():
             return _read_folder(path)
         if path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
             return _read_colmap(path.parent, path.suffix)
         return _read_json(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | os.PathLike[str]) -> int:
-    """Write cameras in the layout of INRIA's cameras.json, with the principal point besides.
+    """Write cameras in the layout of INRIA's cameras.json, with the principal point besides; returns the bytes written.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    path : path
-        Replaced in one step once the new file is complete.
-
-    Returns
-    -------
-    int
-        Bytes written. `read_cameras` gives the same cameras back, to rounding of float64.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    The file is replaced in one step. `read_cameras` gives the same cameras back, to rounding of float64. InputError if
+    it cannot be written.
     """
     entries = [
         {
@@ -139,8 +123,6 @@ def _read_json(path: Path) -> list[Camera]:
 
 def read_limited(path: Path) -> bytes:
     """A regular file of at most `MAX_CAMERA_BYTES`, whole."""
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is no regular file")
     if (size := path.stat().st_size) > MAX_CAMERA_BYTES:
         raise CameraError(f"{path}: has {size} bytes, more than the {MAX_CAMERA_BYTES} that cameras may have")
-    return path.read_bytes()
+    return read_regular(path, str(path))

@@ -104,25 +104,15 @@ def parse_trajectory(data: bytes, *, file: str) -> Trajectory:
 
 
 def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> int:
-    """Write a trajectory: TUM where there are times, KITTI otherwise; every digit is kept.
-
-    Returns
-    -------
-    int
-        Bytes written.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write a trajectory: TUM where there are times, KITTI otherwise; every digit is kept. Returns the bytes written;
+    InputError if it cannot be."""
     from engine.formats.writing import write_whole
 
     if trajectory.times is None:
-        table = trajectory.matrices[:, :3].reshape(-1, _KITTI)
+        table = trajectory.matrices[:, :3].reshape(-1, _KITTI)  # (P, 12)
     else:
         xyzw = np.roll(trajectory.quats, -1, axis=1)
-        table = np.concatenate([trajectory.times[:, None], trajectory.positions, xyzw], axis=1)
+        table = np.concatenate([trajectory.times[:, None], trajectory.positions, xyzw], axis=1)  # (P, 8)
     text = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in table)
     return write_whole(path, [text.encode("ascii")])
 
@@ -154,7 +144,7 @@ def _tum(table: Float64, file: str) -> Trajectory:
 def _kitti(table: Float64, file: str) -> Trajectory:
     from engine.numerics.similarity import rotation_to_quaternion
 
-    matrices = table.reshape(-1, 3, 4)
+    matrices = table.reshape(-1, 3, 4)  # (P, 3, 4)
     rotations = matrices[:, :, :3]
     fault = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero(~((fault <= _TOLERANCE) & (np.linalg.det(rotations) > 0.0)))

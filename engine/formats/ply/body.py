@@ -16,29 +16,11 @@ _LINES_AT_ONCE = 4096
 def read_tables(
     data: bytes | memoryview, header: Header, wanted: list[str], *, file: str
 ) -> dict[str, npt.NDArray[np.void]]:
-    """Read the elements asked for; that rows times bytes a row is what follows the header is checked first.
+    """(count,) records of the elements wanted, which the header has; others are skipped.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    header : Header
-        Of that file.
-    wanted : list of str
-        Elements to read, which the header has; others are skipped.
-    file : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    dict of str to (count,) records
-        Of a binary file, views on its bytes in its byte order.
-
-    Raises
-    ------
-    FormatError
-        There is less, or more, than the header announces; a line of an ASCII file is not what it should be
-        (with its row and property); lists stand in the way of an element asked for.
+    That rows times bytes a row is what follows the header is checked first. Of a binary file they are views on its
+    bytes in its byte order. FormatError if there is less, or more, than the header announces, a line of an ASCII file
+    is not what it should be (with its row and property), or lists stand in the way of an element wanted.
     """
     for element in header.elements:
         listed = next((p for p in element.properties if p.is_list), None)

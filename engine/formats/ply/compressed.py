@@ -40,26 +40,9 @@ def is_compressed(header: Header) -> bool:
 def read_compressed_ply(
     data: bytes | memoryview, *, file: str, header: Header | None = None
 ) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a compressed PLY, degree 0 to 3, with or without color bounds.
+    """Read a compressed PLY, degree 0 to 3, with or without color bounds; `header` if it is parsed already.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name of the file, for messages.
-    header : Header, optional
-        If already parsed.
-
-    Returns
-    -------
-    model : GaussianModel
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        The bytes are not what the header says, or an element or property is missing or of the wrong kind.
+    FormatError if the bytes are not what the header says, or an element or property is missing or of the wrong kind.
     """
     header = header or parse_header(data, file=file)
     chunk, vertex, sh = _check_elements(header, file)
@@ -70,7 +53,7 @@ def read_compressed_ply(
     with np.errstate(invalid="ignore"):  # signalling NaN
         bounds = bounds.astype(np.float64)  # (C, 12 or 18)
     if not bounded_color:
-        bounds = np.hstack([bounds, np.zeros((len(bounds), 3)), np.ones((len(bounds), 3))])
+        bounds = np.hstack([bounds, np.zeros((len(bounds), 3)), np.ones((len(bounds), 3))])  # (C, 18)
 
     count, words = vertex.count, tables["vertex"]
     names = [] if sh is None else [f"f_rest_{i}" for i in range(len(sh.properties))]
@@ -103,12 +86,8 @@ def read_compressed_ply(
 def write_compressed_ply(model: GaussianModel) -> bytes:
     """The file: 16 bytes a Gaussian, 72 a chunk, and one for every coefficient beyond the first three.
 
-    Returns
-    -------
-    bytes
-        The Gaussians stand in Morton order, so that a chunk is small. Errors are at most half a step of the
-        chunk's extent / 2047 (y: 1023), 1/255 in color and opacity; a coefficient within +-4 is off by up to
-        1/32, one beyond is clipped.
+    The Gaussians stand in Morton order, so that a chunk is small. Errors are at most half a step of the chunk's extent
+    / 2047 (y: 1023), 1/255 in color and opacity; a coefficient within +-4 is off by up to 1/32, one beyond is clipped.
     """
     order = morton_order(model.means)
     rest = _quantize_rest(model.sh, order)
@@ -127,7 +106,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
             packed[word] = _pack(steps, (11, 10, 11))
     packed["packed_rotation"] = _pack_rotations(model.quats)
 
-    words = np.column_stack([packed[word] for word in _WORDS]).astype("<u4")
+    words = np.column_stack([packed[word] for word in _WORDS]).astype("<u4")  # (N, 4)
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}"]
     lines += [f"property float {name}" for name in _BOUNDS]
     lines += [f"element vertex {count}", *(f"property uint {word}" for word in _WORDS)]
@@ -223,7 +202,7 @@ def _unpack_rotations(words: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     largest = (words >> 30).astype(np.intp)
     quats = np.empty((len(words), 4))
     np.put_along_axis(quats, _OTHERS[largest], small, axis=1)
-    rest = np.sqrt(np.maximum(0, 1 - np.einsum("nc,nc->n", small, small)))
+    rest = np.sqrt(np.maximum(0, 1 - np.einsum("nc,nc->n", small, small)))  # (N,)
     np.put_along_axis(quats, largest[:, None], rest[:, None], axis=1)
     return quats
 

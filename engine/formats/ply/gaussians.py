@@ -25,20 +25,7 @@ def read_ply(
 ) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name of the file, for messages.
-    header : Header, optional
-        If already parsed.
-
-    Returns
-    -------
-    model : GaussianModel
-    repairs : tuple of Repair
-        What was mended or ignored, such as ``extra_properties``, ``extra_elements``, ``flat_discs``.
+    `header` if it is parsed already. Repairs tell of ``extra_properties``, ``extra_elements`` and ``flat_discs``, too.
 
     Raises
     ------
@@ -65,12 +52,7 @@ def read_ply(
 def write_ply(model: GaussianModel) -> Iterator[bytes]:
     """The file in pieces: header, then rows; float32 little endian, INRIA's property order with zero normals.
 
-    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them.
-
-    Yields
-    ------
-    bytes
-        Joined, they are the file. Reading it gives the same bits back.
+    Discs (`GaussianModel.is_flat`) get two scales, as 2DGS writes them. Reading gives the same bits back.
     """
     rest = 3 * (model.sh.shape[1] - 1)
     names = ["x", "y", "z", *_NORMALS, "f_dc_0", "f_dc_1", "f_dc_2"]

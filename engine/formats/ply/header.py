@@ -10,24 +10,11 @@ from engine.errors import FormatError, UnsupportedFormatError
 MAX_HEADER_BYTES = 1 << 16
 """INRIA's header has 1.5 KB; a longer one is refused before anything else is looked at."""
 
-_SCALAR_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+_CODES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_SCALAR_TYPES = _CODES | {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+_SCALAR_TYPES |= {f"{'u' * (code[0] == 'u')}int{8 * int(code[1])}": code for code in _CODES.values()}
+"""What PLY calls its types, old names and new, and how numpy spells them."""
+
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _COUNT = re.compile(r"[0-9]{1,15}", re.ASCII)
 _NAME = re.compile(r"[\x21-\x7e]{1,80}")
@@ -35,14 +22,9 @@ _NAME = re.compile(r"[\x21-\x7e]{1,80}")
 
 @dataclass(frozen=True)
 class Property:
-    """A named scalar of an element.
+    """A named scalar of an element, of a type as numpy spells it without byte order: ``"f4"``.
 
-    Parameters
-    ----------
-    code : str
-        Type as numpy spells it, without byte order: ``"f4"``. For a list, the type of its length.
-    is_list : bool
-        Whether the rows differ in length; such an element can only be skipped.
+    Of a list (`is_list`) it is the type of its length: rows differ in length then, and can only be skipped.
     """
 
     name: str
@@ -52,15 +34,7 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
-    """A table of the file.
-
-    Parameters
-    ----------
-    count : int
-        Rows the header announces.
-    properties : tuple of Property
-        In the order of the file, names unique.
-    """
+    """A table of the file: rows that the header announces, and uniquely named properties in the order of the file."""
 
     name: str
     count: int
@@ -88,17 +62,8 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """A parsed header.
-
-    Parameters
-    ----------
-    byte_order : str
-        ``"<"`` or ``">"`` for binary files, empty for ASCII.
-    elements : tuple of Element
-        In the order of the file, names unique.
-    size : int
-        Length of the header, bytes, up to and with the newline after ``end_header``.
-    """
+    """A parsed header: ``"<"`` or ``">"`` for binary files, empty for ASCII; uniquely named elements in the order of
+    the file; and its length in bytes, up to and with the newline after ``end_header``."""
 
     byte_order: str
     elements: tuple[Element, ...]
@@ -110,21 +75,10 @@ class Header:
 
 
 def parse_header(data: bytes | memoryview, *, file: str) -> Header:
-    """Read the header of a PLY file; allocates nothing that depends on the counts in it.
+    """Read the header of a PLY file, whole or its first 64 KiB; allocates nothing that depends on the counts in it.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file, or its first 64 KiB.
-    file : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    FormatError
-        The header is longer than 64 KiB, broken, or announces something twice.
-    UnsupportedFormatError
-        It has a version other than 1.0.
+    FormatError if it is longer than 64 KiB, broken, or announces something twice; UnsupportedFormatError if it has a
+    version other than 1.0.
     """
     head = bytes(data[:MAX_HEADER_BYTES])
     if not head.startswith((b"ply\n", b"ply\r\n")):

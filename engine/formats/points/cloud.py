@@ -79,30 +79,13 @@ def clean_points(
     file: str,
     element: str,
 ) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Turn decoded columns into a cloud that every later stage may trust.
+    """Turn decoded columns into a cloud that every later stage may trust, in the order of the file; and tell what was
+    mended.
 
-    Points without a finite place (devices write NaN where no light came back) are dropped; an intensity that is
-    no number becomes 0; times with a gap are left out altogether, since a point without a time has no place.
-
-    Parameters
-    ----------
-    points : (N, 3) float64
-    colors : (N, 3) float32, optional
-        Finite, 0 to 1.
-    intensity, times : (N,), optional
-    file, element : str
-        For messages.
-
-    Returns
-    -------
-    cloud : PointCloud
-        In the order of the file.
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        The file holds no point, or none with a place.
+    `points` (N, 3) float64, `colors` (N, 3) float32 from 0 to 1, `intensity` and `times` (N,). Points without a finite
+    place (devices write NaN where no light came back) are dropped; an intensity that is no number becomes 0; times with
+    a gap are left out altogether, since a point without a time has no place. FormatError if there is no point, or none
+    with a place.
     """
     if len(points) == 0:
         raise FormatError("holds no points", file=file, element=element)

@@ -18,57 +18,27 @@ _LARGEST = 1e15  # scene units; also false for what is no number
 
 @dataclass(frozen=True, eq=False)
 class ColmapPoints:
-    """The sparse points of a reconstruction.
-
-    Parameters
-    ----------
-    positions : (N, 3) float64
-        Scene units, finite.
-    colors : (N, 3) uint8
-    errors : (N,) float64
-        Mean reprojection error, pixels; -1 where the file does not know it.
-    tracks : (N,) int64
-        Number of photos that see the point.
-    """
+    """The sparse points of a reconstruction: places (N, 3) float64, scene units, finite; and colours (N, 3)."""
 
     positions: Float64
     colors: npt.NDArray[np.uint8]
-    errors: Float64
-    tracks: npt.NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.positions)
 
 
-_Row = tuple[float, float, float, int, int, int, float, int]
+_Row = tuple[float, float, float, int, int, int, float]
+"""Position, colour, reprojection error."""
 
 
 def read_points(data: bytes, file: str, *, binary: bool) -> ColmapPoints:
-    """Points of a points3D file, in its order.
+    """Points of a points3D file, in its order; there may be none.
 
-    Parameters
-    ----------
-    file : str
-        Name, for messages.
-
-    Returns
-    -------
-    ColmapPoints
-        May be empty.
-
-    Raises
-    ------
-    FormatError
-        If the file ends early, goes on too long, claims more points than its bytes can hold, or a row is no point.
+    FormatError if it ends early, goes on too long, claims more points than its bytes can hold, or a row is no point.
     """
     rows = (_binary_rows if binary else _text_rows)(data, file)
-    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
-    return ColmapPoints(
-        np.ascontiguousarray(table[:, :3]),
-        table[:, 3:6].astype(np.uint8),
-        table[:, 6].copy(),
-        table[:, 7].astype(np.int64),
-    )
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)  # (N, 7)
+    return ColmapPoints(np.ascontiguousarray(table[:, :3]), table[:, 3:6].astype(np.uint8))
 
 
 def _checked(row: _Row, file: str, number: int) -> _Row:
@@ -95,7 +65,7 @@ def _text_rows(data: bytes, file: str) -> list[_Row]:
             r, g, b = (int(words[k]) for k in (4, 5, 6))
         except ValueError:
             raise FormatError(f"{line[:80]!r} is no point", file=file, row=len(rows)) from None
-        rows.append(_checked((x, y, z, r, g, b, error, (len(words) - 8) // 2), file, len(rows)))
+        rows.append(_checked((x, y, z, r, g, b, error), file, len(rows)))
     return rows
 
 
@@ -115,7 +85,7 @@ def _binary_rows(data: bytes, file: str) -> list[_Row]:
         if 8 * track > len(data) - at:
             raise FormatError(f"claims a track of {track} photos beyond the end", file=file, row=number)
         at += 8 * track
-        rows.append(_checked((x, y, z, r, g, b, error, track), file, number))
+        rows.append(_checked((x, y, z, r, g, b, error), file, number))
     if at != len(data):
         raise FormatError(f"goes on for {len(data) - at} bytes after its last point", file=file)
     return rows

@@ -24,33 +24,20 @@ NANOSECONDS = 1e-9
 
 
 def cloud_of_columns(columns: Columns, *, file: str, element: str) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """A cloud out of named columns (PLY, PCD).
+    """A cloud out of named columns (N,) (PLY, PCD) of any scalar type and byte order.
 
-    Parameters
-    ----------
-    columns : mapping of str to (N,)
-        Of any scalar type and byte order. Places are ``x``, ``y``, ``z``; colours ``red``, ``green``, ``blue`` (or
-        ``r``, ``g``, ``b``, ``diffuse_red`` ...: whole numbers of the type's full range, or 0 to 1, or 0 to 255)
-        or ``rgb`` / ``rgba`` (0xRRGGBB in an integer or in the bits of a float, as PCL writes them). Times are
-        ``time``, ``timestamp``, ``gps_time``, ``t``: seconds, nanoseconds where they are whole numbers.
-    file, element : str
-        For messages.
+    Places are ``x``, ``y``, ``z``; colours ``red``, ``green``, ``blue`` (or ``r``, ``g``, ``b``, ``diffuse_red`` ...:
+    whole numbers of the type's full range, or 0 to 1, or 0 to 255) or ``rgb`` / ``rgba`` (0xRRGGBB in an integer or in
+    the bits of a float, as PCL writes them). Times are ``time``, ``timestamp``, ``gps_time``, ``t``: seconds,
+    nanoseconds where they are whole numbers.
 
-    Returns
-    -------
-    cloud : PointCloud
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        A column of the place is missing, colours are not of one type, or no point is usable.
+    FormatError if a column of the place is missing, colours are not of one type, or no point is usable.
     """
     for name in "xyz":
         if name not in columns:
             raise FormatError("is missing", file=file, element=element, prop=name)
     with np.errstate(over="ignore", invalid="ignore"):
-        points = np.stack([columns[name].astype(np.float64) for name in "xyz"], axis=1)
+        points = np.stack([columns[name].astype(np.float64) for name in "xyz"], axis=1)  # (N, 3)
     colors, noted = _colors(columns, file, element)
     intensity = next((columns[name] for name in _INTENSITIES if name in columns), None)
     times = next((columns[name] for name in _TIMES if name in columns), None)
@@ -72,7 +59,7 @@ def _colors(columns: Columns, file: str, element: str) -> tuple[Float32 | None, 
         message = f"colours of different types: {', '.join(sorted(kind.name for kind in kinds))}"
         raise FormatError(message, file=file, element=element, prop=names[0])
     kind = kinds.pop()
-    raw = np.stack([columns[name] for name in names], axis=1)
+    raw = np.stack([columns[name] for name in names], axis=1)  # (N, 3)
     if kind.kind in "iu":
         return unit_colors(raw, 255.0 if kind.itemsize == 1 else float(np.iinfo(kind).max)), ()
     with np.errstate(invalid="ignore"):

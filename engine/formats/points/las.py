@@ -44,30 +44,11 @@ def looks_like_las(data: bytes | memoryview) -> bool:
 
 
 def read_points_las(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a LAS file.
+    """Read a LAS file: coordinates with the header's scale and offset, times as stored (GPS seconds).
 
-    Points that the file itself calls noise (classes 7, 18) or withheld are left out. Colours are of 16 bits;
-    where none is above 255, the writer kept to 8. Near-infrared and waveforms are not read.
-
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name, for messages.
-
-    Returns
-    -------
-    cloud : PointCloud
-        Coordinates with the header's scale and offset, in its reference system; times as stored (GPS seconds).
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        The bytes are not what the header says.
-    UnsupportedFormatError
-        LAZ, another version, or a point format beyond 10.
+    Points that the file itself calls noise (classes 7, 18) or withheld are left out. Colours are of 16 bits; where none
+    is above 255, the writer kept to 8. Near-infrared and waveforms are not read. FormatError if the bytes are not what
+    the header says, UnsupportedFormatError for LAZ, another version, or a point format beyond 10.
     """
     header = _parse_header(data, file)
     fields = {"place": ("<i4", (3,), 0), "intensity": ("<u2", (), 12), "flags": ("u1", (), 15), "class": ("u1", (), 16)}

@@ -24,25 +24,10 @@ _FAULTS = {
 
 
 def decompress(data: bytes | memoryview, size: int, *, file: str) -> npt.NDArray[np.uint8]:
-    """Decompress to exactly so many bytes.
+    """Decompress to exactly `size` bytes.
 
-    Parameters
-    ----------
-    data : bytes-like
-    size : int
-        Bytes expected.
-    file : str
-        Name, for messages.
-
-    Returns
-    -------
-    (size,) uint8
-
-    Raises
-    ------
-    FormatError
-        The stream is broken or holds another number of bytes; one that cannot hold so many is refused before
-        anything is allocated.
+    FormatError if the stream is broken or holds another number of bytes; one that cannot hold so many is refused before
+    anything is allocated.
     """
     if size > GROWTH * len(data):
         raise FormatError(f"claims {size} bytes compressed to {len(data)}", file=file)

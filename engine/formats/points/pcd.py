@@ -40,29 +40,10 @@ def looks_like_pcd(data: bytes | memoryview) -> bool:
 
 
 def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a PCD file.
+    """Read a PCD file, without the points that an organised cloud leaves empty.
 
-    The viewpoint of the header is not applied: it says where the scanner stood, not where the points lie.
-
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name, for messages.
-
-    Returns
-    -------
-    cloud : PointCloud
-        Without the points that an organised cloud leaves empty.
-    repairs : tuple of Repair
-
-    Raises
-    ------
-    FormatError
-        The header is broken, or the bytes are not what it says.
-    UnsupportedFormatError
-        Another version than 0.7.
+    The viewpoint of the header is not applied: it says where the scanner stood, not where the points lie. FormatError
+    if the bytes are not what the header says, UnsupportedFormatError for another version than 0.7.
     """
     header = _parse_header(data, file)
     element = header.element

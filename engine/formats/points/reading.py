@@ -3,11 +3,14 @@
 import os
 from pathlib import Path
 
-from engine.errors import FormatError, InputError, UnsupportedFormatError
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.guards import opening, read_regular
+from engine.formats.ply.body import read_tables
+from engine.formats.ply.header import parse_header
 from engine.formats.points.cloud import PointCloud
+from engine.formats.points.columns import cloud_of_columns
 from engine.formats.points.las import looks_like_las, read_points_las
 from engine.formats.points.pcd import looks_like_pcd, read_points_pcd
-from engine.formats.points.ply import read_points_ply
 from engine.formats.repairs import Repair
 
 __all__ = ["POINT_ENDINGS", "read_point_cloud"]
@@ -18,20 +21,12 @@ POINT_ENDINGS = (".ply", ".pcd", ".las")
 def read_point_cloud(
     path_or_bytes: str | os.PathLike[str] | bytes | bytearray | memoryview, *, name: str | None = None
 ) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a point cloud: PLY, PCD or LAS.
+    """Read a point cloud, PLY, PCD or LAS, from a file or the content of one; and tell what was mended.
 
     Parameters
     ----------
-    path_or_bytes : path or bytes-like
-        A file, or the content of one.
     name : str, optional
         What to call the input in messages; the path by default. Never opened.
-
-    Returns
-    -------
-    cloud : PointCloud
-    repairs : tuple of Repair
-        Harmless faults that were mended.
 
     Raises
     ------
@@ -46,21 +41,15 @@ def read_point_cloud(
         return _decode(bytes(path_or_bytes), name or "(bytes)")
     path = Path(path_or_bytes)
     file = name or str(path)
-    if "\0" in str(path):
-        raise InputError(f"{file!r}: is no file name")
-    try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{file}: is no regular file")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+    with opening(path, file):
+        data = read_regular(path, file)
     return _decode(data, file)
 
 
 def _decode(data: bytes, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
     try:
         if data.startswith((b"ply\n", b"ply\r")):
-            return read_points_ply(data, file=file)
+            return _read_ply(data, file=file)
         if looks_like_pcd(data):
             return read_points_pcd(data, file=file)
         if looks_like_las(data):
@@ -70,3 +59,22 @@ def _decode(data: bytes, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
     if not data:
         raise FormatError("is empty", file=file)
     raise UnsupportedFormatError("is none of the point clouds read here: PLY, PCD, LAS", file=file)
+
+
+def _read_ply(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
+    """The vertices of a PLY file, binary of either byte order or ASCII; a mesh is read, too.
+
+    FormatError if the bytes are not what the header says, or places are missing; UnsupportedFormatError if the file is
+    a Gaussian model already.
+    """
+    header = parse_header(data, file=file)
+    vertex = header.element("vertex")
+    if vertex is None:
+        there = ", ".join(repr(e.name) for e in header.elements[:5])
+        raise FormatError(f"has no element 'vertex', only {there}", file=file)
+    if {"f_dc_0", "opacity"} <= vertex.names or "packed_position" in vertex.names:
+        message = "is a Gaussian model, not a point cloud: it needs no conversion"
+        raise UnsupportedFormatError(message, file=file, element="vertex")
+    records = read_tables(data, header, ["vertex"], file=file)["vertex"]
+    columns = {name: records[name] for name in vertex.names}
+    return cloud_of_columns(columns, file=file, element="vertex")

@@ -14,33 +14,17 @@ __all__ = ["Reconstruction", "read_reconstruction"]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What structure from motion found.
-
-    Parameters
-    ----------
-    photos : list of PosedPhoto
-        In the order of their names.
-    """
+    """What structure from motion found: photos in the order of their names, and sparse points."""
 
     photos: list[PosedPhoto]
     points: ColmapPoints
 
 
 def read_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
-    """Read a COLMAP model, text or binary.
+    """Read a COLMAP model: ``cameras``, ``images`` and ``points3D`` (``.bin`` or ``.txt``) in a folder, or below it
+    under a usual name (``sparse/0``).
 
-    Parameters
-    ----------
-    path : path
-        Folder with ``cameras``, ``images`` and ``points3D`` (``.bin`` or ``.txt``), or one that holds it under a
-        usual name (``sparse/0``).
-
-    Raises
-    ------
-    InputError
-        There is no such folder or file.
-    CameraError, FormatError
-        A file is broken; the message names it and the entry.
+    InputError if there is no such folder or file; CameraError or FormatError if one is broken, naming it and the entry.
     """
     root = Path(path)
     for folder in (root / name for name in SUBFOLDERS):

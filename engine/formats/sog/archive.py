@@ -18,17 +18,8 @@ _MAX_DIRECTORY_BYTES = 1 << 16
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    OSError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OverflowError,
-    KeyError,
-    IndexError,
+    *(zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError),
+    *(RuntimeError, ValueError, OverflowError, LookupError),
 )
 """What zipfile raises on archives that are damaged, encrypted or beyond it."""
 

@@ -18,27 +18,10 @@ __all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a bundled scene, version 1 or 2.
+    """Read a bundled scene, version 1 or 2. Only meta.json and the images it names are ever unpacked.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole zip archive. Only meta.json and the images it names are ever unpacked.
-    file : str
-        Its name, for messages.
-
-    Returns
-    -------
-    model : GaussianModel
-    repairs : tuple of Repair
-        Harmless faults, mended; such as alpha 0 and 255, which no finite logit has.
-
-    Raises
-    ------
-    UnsupportedFormatError
-        Another version, or images that are lossy.
-    FormatError
-        The archive or an image is damaged, or sizes and counts do not agree; checked before it is decoded.
+    UnsupportedFormatError for another version, or images that are lossy; FormatError if the archive or an image is
+    damaged, or sizes and counts do not agree; checked before it is decoded.
     """
     archive = ZipArchive(data, file=file)
     meta = parse_meta(archive.read(META, MAX_META_BYTES), file=file)
@@ -46,22 +29,7 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
 
 
 def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read an unbundled scene: a folder with meta.json, or the path of that meta.json.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    model, repairs
-        As `read_sog`.
-
-    Raises
-    ------
-    FormatError
-        As `read_sog`, or a part is missing or cannot be read.
-    """
+    """As `read_sog`, an unbundled scene: a folder with meta.json, or the path of that meta.json."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     if not path.is_dir() and path.name != META:
@@ -75,30 +43,20 @@ def read_sog_folder(path: str | Path) -> tuple[GaussianModel, tuple[Repair, ...]
 def write_sog(model: GaussianModel, *, palette: SogPalette | None = None) -> bytes:
     """Write a bundled scene, version 2; the Gaussians come out in another order (along a Z-curve).
 
+    The same bytes for the same input, on any number of threads. Errors: centres half of 1/65535 of their range in the
+    domain sign(x) log(1 + abs(x)), opacities 1/510, the three smaller components of a quaternion 0.0028 each; log
+    scales, DC and code vectors that of the best 256 values for all of them.
+
     Parameters
     ----------
-    model : GaussianModel
-        At least one Gaussian.
     palette : (codes, labels), optional
-        Spherical harmonics above DC that are vector-quantised already: 1 to 65,536 code vectors
-        (P, K - 1, 3), and which of them each Gaussian has, (N,). They then stand for `model.sh[:, 1:]`. By
-        default a palette of 1k to 64k code vectors is learnt, by the number of Gaussians as PlayCanvas's
-        writer; exact where no more differ.
-
-    Returns
-    -------
-    bytes
-        The same for the same input, on any number of threads.
+        Spherical harmonics above DC that are vector-quantised already: 1 to 65,536 code vectors (P, K - 1, 3), and
+        which of them each Gaussian has, (N,). They then stand for `model.sh[:, 1:]`. By default a palette of 1k to 64k
+        code vectors is learnt, by the number of Gaussians as PlayCanvas's writer; exact where no more differ.
 
     Raises
     ------
     InputError
         The model is empty, or the palette does not fit it.
-
-    Notes
-    -----
-    Errors: centres half of 1/65535 of their range in the domain sign(x) log(1 + abs(x)), opacities 1/510,
-    the three smaller components of a quaternion 0.0028 each; log scales, DC and code vectors that of the best
-    256 values for all of them.
     """
     return write_zip(encode_scene(model, palette))

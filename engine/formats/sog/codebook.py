@@ -1,5 +1,7 @@
 """The best 256 values for many: the scalar codebooks of SOG."""
 
+# mypy: allow-untyped-defs
+
 from typing import Any
 
 import numpy as np
@@ -17,26 +19,14 @@ _ROUNDS = 300
 
 
 def learn_codebook(values: npt.NDArray[Any], weights: npt.NDArray[Any] | None = None, levels: int = LEVELS) -> Float32:
-    """Values of least squared error to the nearest.
+    """(levels,) float32 values, ascending, of least squared error to the nearest of finite `values` of any shape.
 
-    Values are gathered into cells, at most 4096 of equal width and 4096 of equal number, over which dynamic
-    programming finds the best cuts (Bruce 1965, with the divide and conquer that monotone cuts allow); Lloyd's
-    iteration over all values then moves the cuts off the borders of the cells, until nothing changes.
+    `weights`, of the same shape, say how often each counts: not negative, not all zero. Padded with the largest value
+    where fewer are needed; values that take at most `levels` different numbers are kept exactly.
 
-    Parameters
-    ----------
-    values : (...)
-        Finite numbers, at least one.
-    weights : (...), optional
-        How often each counts; of the shape of `values`, not negative, not all zero.
-    levels : int
-        Length of the codebook.
-
-    Returns
-    -------
-    (levels,) float32
-        Ascending; padded with the largest value where fewer are needed. Values that take at most `levels`
-        different numbers are kept exactly.
+    Values are gathered into cells, at most 4096 of equal width and 4096 of equal number, over which dynamic programming
+    finds the best cuts (Bruce 1965, with the divide and conquer that monotone cuts allow); Lloyd's iteration over all
+    values then moves the cuts off the borders of the cells, until nothing changes.
     """
     flat = np.asarray(values, dtype=np.float32).reshape(-1)
     order = np.argsort(flat, kind="stable") if weights is not None else None
@@ -89,7 +79,7 @@ def _cell_starts(x: Float32, changes: npt.NDArray[Any]) -> npt.NDArray[np.int64]
 
 
 @inlined
-def _cost(mass, moment, square, first, last):  # type: ignore[no-untyped-def]
+def _cost(mass, moment, square, first, last):
     """Squared error of the cells first..last-1 to their mean."""
     m = mass[last] - mass[first]
     if m <= 0.0:
@@ -99,7 +89,7 @@ def _cost(mass, moment, square, first, last):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _best_cuts(mass, moment, square, levels):  # type: ignore[no-untyped-def]
+def _best_cuts(mass, moment, square, levels):
     """(levels + 1,) borders among the cells that minimise the total cost, from prefix sums (cells + 1,)."""
     n = len(mass) - 1
     before, best = np.empty(n + 1), np.empty(n + 1)

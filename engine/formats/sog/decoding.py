@@ -27,7 +27,7 @@ def decode_scene(meta: SogMeta, archive: Archive, *, file: str) -> tuple[Gaussia
     quats, quat_repairs = scene.quats()
     logits, dc = scene.opacity_logits(), scene.dc()
     rest, rest_repairs = scene.rest()
-    sh = dc[:, None] if rest is None else np.concatenate([dc[:, None], rest], axis=1)
+    sh = dc[:, None] if rest is None else np.concatenate([dc[:, None], rest], axis=1)  # (N, K, 3)
     model, repairs = clean(scene.means(), scene.log_scales(), quats, logits, sh, file=file, element="gaussians")
     return model, (*meta.repairs, *quat_repairs, *rest_repairs, *repairs)
 
@@ -89,7 +89,7 @@ class _Scene:
         largest = np.where(tagged, pixels[:, 3] - np.uint8(QUATERNION_TAG), 0)
         table = ((np.arange(256) / 127.5 - 1.0) * np.sqrt(0.5)).astype(np.float32)
         small = table[pixels[:, :3]]  # (N, 3)
-        rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)
+        rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)  # (N,)
         quats = np.empty((len(pixels), 4), dtype=np.float32)
         np.put_along_axis(quats, OTHERS[largest], small, axis=1)
         quats[np.arange(len(pixels)), largest] = np.sqrt(np.maximum(rest, np.float32(0.0)))
@@ -132,7 +132,7 @@ class _Scene:
             message = f"{height} rows of {PALETTE_ROW} code vectors for {palette.count}"
             raise FormatError(message, file=self._file, element=name)
         pixels = decode_webp(data, (width, height), file=self._file, element=name)
-        codes: npt.NDArray[np.uint8] = pixels[..., :3].reshape(PALETTE_ROW * height, -1, 3)
+        codes: npt.NDArray[np.uint8] = pixels[..., :3].reshape(PALETTE_ROW * height, -1, 3)  # (P, K - 1, 3)
         return palette.table.astype(np.float32)[codes]
 
 

@@ -56,7 +56,7 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
     parts: dict[str, bytes] = {}
     if model.sh_degree > 0:
         if palette is None:
-            vectors = model.sh[:, 1:].reshape(len(model), -1)
+            vectors = model.sh[:, 1:].reshape(len(model), -1)  # (N, 3 (K - 1))
             book, labels = learn_palette(vectors, palette_size(len(model)))
         else:
             book, labels = _checked(palette, model), np.asarray(palette[1])[order]
@@ -115,7 +115,7 @@ def centroid_pixels(book: Float32, labels: npt.NDArray[Any]) -> tuple[Pixels, Fl
     count, rest = len(book), book.shape[1] // 3
     pixels = np.zeros((-(-count // PALETTE_ROW) * PALETTE_ROW, rest, 3), dtype=np.uint8)
     pixels[:count] = nearest_codes(book, codebook).reshape(count, rest, 3)
-    return pixels.reshape(-1, PALETTE_ROW * rest, 3), codebook
+    return pixels.reshape(-1, PALETTE_ROW * rest, 3), codebook  # (rows, 64 (K - 1), 3)
 
 
 def label_pixels(labels: npt.NDArray[Any]) -> Pixels:

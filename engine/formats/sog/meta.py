@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
-from engine.formats.repairs import Repair
+from engine.formats.repairs import ALPHA_LOGITS, Repair
 from engine.model import Float64
 
 LEVELS = 256
@@ -26,16 +26,10 @@ _FILES = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """Spherical harmonics above DC.
+    """Spherical harmonics above DC: `table` (256,) is the coefficient of each pixel value.
 
-    Parameters
-    ----------
-    bands : int or None
-        1 to 3; None where the width of the image of centroids must tell (version 1).
-    count : int or None
-        Code vectors; None where the image's height must tell (version 1).
-    table : (256,)
-        Coefficient of each pixel value.
+    `bands` (1 to 3) and the `count` of code vectors are None where the size of the image of centroids must tell
+    (version 1).
     """
 
     bands: int | None
@@ -89,12 +83,8 @@ class SogMeta:
 def parse_meta(text: bytes, *, file: str) -> SogMeta:
     """Check a meta.json and turn it into tables.
 
-    Raises
-    ------
-    UnsupportedFormatError
-        Another version than 1 (which names none) and 2.
-    FormatError
-        Not JSON, or a member is missing, of the wrong kind, or no finite number.
+    UnsupportedFormatError for another version than 1 (which names none) and 2; FormatError if it is no JSON, or a
+    member is missing, of the wrong kind, or no finite number.
     """
     try:
         meta = json.loads(text)
@@ -123,9 +113,7 @@ class _Reader:
         files = {key: self._names(key, n) for key, n in _FILES.items() if key != "shN" or "shN" in self._meta}
         if codebooks:
             scales, dc = (np.tile(self._codebook(key), (3, 1)) for key in ("scales", "sh0"))
-            alpha = np.arange(LEVELS) / (LEVELS - 1.0)
-            with np.errstate(divide="ignore"):
-                opacity = np.log(alpha) - np.log1p(-alpha)
+            opacity = ALPHA_LOGITS
         else:
             scales, color = self._ramps("scales", 3), self._ramps("sh0", 4)
             dc, opacity = color[:3], color[3]

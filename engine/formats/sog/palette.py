@@ -6,6 +6,8 @@ proportional to its squared error; an assignment then costs 2 sqrt(P) comparison
 more squared error.
 """
 
+# mypy: allow-untyped-defs
+
 from typing import Any
 
 import numba
@@ -27,22 +29,11 @@ def palette_size(count: int) -> int:
 
 
 def learn_palette(vectors: Float32, size: int) -> tuple[Float32, Int64]:
-    """Code vectors and labels of small squared error; the same for the same input on any number of threads.
+    """Code vectors (P, d) float32, P <= size, and labels (N,) int64 of small squared error for vectors (N, d), N >= 1.
 
-    Vectors of which no more than `size` differ (as those of a vector-quantised scene) are kept exactly.
-
-    Parameters
-    ----------
-    vectors : (N, d)
-        At least one.
-    size : int
-        Code vectors at most, 1 to N.
-
-    Returns
-    -------
-    codes : (P, d) float32, P <= size
-        Those of one group are neighbours, so that the labels of alike Gaussians are close.
-    labels : (N,) int64
+    The same for the same input on any number of threads. Vectors of which no more than `size` (1 to N) differ, as those
+    of a vector-quantised scene, are kept exactly. Codes of one group are neighbours, so that the labels of alike
+    Gaussians are close.
     """
     vectors = np.ascontiguousarray(vectors, dtype=np.float32)
     exact = _distinct(vectors, size)
@@ -115,7 +106,7 @@ def _nearest(vectors: Float32, centres: Float32) -> Int64:
 
 
 @parallel_kernel
-def _nearest_kernel(vectors, centres, half, labels):  # type: ignore[no-untyped-def]
+def _nearest_kernel(vectors, centres, half, labels):
     """argmin |c|^2 / 2 - x.c for each row; centres (d, P), so that the innermost loop runs over lanes."""
     dims, count = centres.shape
     for i in numba.prange(len(vectors)):
@@ -132,7 +123,7 @@ def _nearest_kernel(vectors, centres, half, labels):  # type: ignore[no-untyped-
 
 
 @parallel_kernel
-def _refine_groups(vectors, rows, codes, slots, labels, rounds):  # type: ignore[no-untyped-def]
+def _refine_groups(vectors, rows, codes, slots, labels, rounds):
     """k-means inside every group; rows and slots bound the vectors and the codes of group g."""
     dims = vectors.shape[1]
     for g in numba.prange(len(rows) - 1):

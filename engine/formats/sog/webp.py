@@ -22,12 +22,8 @@ method 0 is five times faster still, but means_u and the labels grow by 60 %."""
 def webp_size(data: bytes, *, file: str, element: str) -> tuple[int, int]:
     """Width and height of a still, lossless WebP image, from its header alone.
 
-    Raises
-    ------
-    UnsupportedFormatError
-        Lossy or animated: such an image does not keep the numbers that its pixels are.
-    FormatError
-        No WebP image, or one without a picture.
+    UnsupportedFormatError if it is lossy or animated: such an image does not keep the numbers that its pixels are.
+    FormatError if it is no WebP image, or one without a picture.
     """
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise FormatError("is no WebP image", file=file, element=element)

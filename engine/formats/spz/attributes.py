@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.formats.repairs import ALPHA_LOGITS
 from engine.model import Float32
 
 Bytes = npt.NDArray[np.uint8]
@@ -26,16 +27,16 @@ _CHUNK = 1 << 15
 
 def decode_positions(section: memoryview, fractional_bits: int) -> Float32:
     """(N, 3) centres from 24-bit fixed point; exact in float32."""
-    raw = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)
+    raw = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3)  # (3 N, 3): three bytes a number
     padded = np.zeros((len(raw), 4), dtype=np.uint8)
     padded[:, 1:] = raw  # the sign bit comes to lie at the top, the shift below brings it down
     fixed = padded.view("<i4")[:, 0] >> 8
-    return (fixed * np.float32(2.0**-fractional_bits)).astype(np.float32).reshape(-1, 3)
+    return (fixed * np.float32(2.0**-fractional_bits)).astype(np.float32).reshape(-1, 3)  # (N, 3)
 
 
 def encode_positions(means: Float32, fractional_bits: int) -> bytes:
     """Inverse of `decode_positions`, rounded to the nearest step."""
-    fixed = np.rint(means.astype(np.float64) * 2.0**fractional_bits).astype("<i4").reshape(-1, 1)
+    fixed = np.rint(means.astype(np.float64) * 2.0**fractional_bits).astype("<i4").reshape(-1, 1)  # (3 N, 1)
     return fixed.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
 
 
@@ -56,10 +57,7 @@ def choose_fractional_bits(means: Float32) -> int:
 
 def decode_alphas(section: memoryview) -> Float32:
     """(N,) logits; alpha 0 and 255 give -inf and +inf, which loading repairs."""
-    alpha = np.arange(256) / 255.0
-    with np.errstate(divide="ignore"):
-        logits = (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
-    return logits[np.frombuffer(section, dtype=np.uint8)]
+    return ALPHA_LOGITS.astype(np.float32)[np.frombuffer(section, dtype=np.uint8)]
 
 
 def encode_alphas(opacities: Float32) -> bytes:
@@ -91,9 +89,9 @@ def encode_scales(log_scales: Float32) -> bytes:
 
 def decode_first_three(section: memoryview) -> Float32:
     """(N, 4) unit quaternions of version 2: x, y, z in steps of 1/127.5, w >= 0 follows from them."""
-    xyz = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3) / 127.5 - 1.0
+    xyz = np.frombuffer(section, dtype=np.uint8).reshape(-1, 3) / 127.5 - 1.0  # (N, 3)
     w = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("nc,nc->n", xyz, xyz)))
-    quats = np.concatenate([w[:, None], xyz], axis=1)
+    quats = np.concatenate([w[:, None], xyz], axis=1)  # (N, 4)
     # Rounding can push x, y, z beyond the unit sphere; that is the format's error, not a fault of the file.
     unit: Float32 = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
     return unit
@@ -106,7 +104,7 @@ def decode_smallest_three(section: memoryview) -> Float32:
     table = ((field & 511) * (_SQRT_HALF / _MAGNITUDE) * np.where(field & 512, -1, 1)).astype(np.float32)
     small = np.stack([table[(packed >> shift) & 1023] for shift in (20, 10, 0)], axis=1)  # (N, 3)
     largest = packed >> 30
-    rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)
+    rest = np.float32(1.0) - np.einsum("nc,nc->n", small, small)  # (N,)
     quats = np.empty((len(packed), 4), dtype=np.float32)
     np.put_along_axis(quats, _OTHERS[largest], small, axis=1)
     quats[np.arange(len(packed)), _COLUMN[largest]] = np.sqrt(np.maximum(rest, np.float32(0.0)))
@@ -134,7 +132,7 @@ def decode_sh(section: memoryview, sh: Float32) -> None:
     """Fill sh[:, 1:] of an (N, K, 3) array: coefficient-major bytes in steps of 1/128."""
     if sh.shape[1] == 1:
         return
-    raw = np.frombuffer(section, dtype=np.uint8).reshape(len(sh), -1, 3)
+    raw = np.frombuffer(section, dtype=np.uint8).reshape(len(sh), -1, 3)  # (N, K - 1, 3)
     for start in range(0, len(sh), _CHUNK):
         part = sh[start : start + _CHUNK, 1:]
         np.subtract(raw[start : start + _CHUNK], np.float32(128.0), out=part, dtype=np.float32)

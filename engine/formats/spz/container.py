@@ -13,7 +13,7 @@ MAGIC = 0x5053474E
 """The bytes "NGSP"."""
 
 GZIP_MAGIC = b"\x1f\x8b"
-ANTIALIASED, HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x01, 0x02, 0x80
+HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x02, 0x80
 """Bits of the header's flags. The last is Spark's: the rows are a tree of nested levels, not one scene."""
 
 MAX_EXTENSION_BYTES = 1 << 16
@@ -68,12 +68,9 @@ class Payload:
 def unpack(data: bytes, *, file: str) -> Payload:
     """Take an SPZ file of version 2, 3 or 4 apart.
 
-    Raises
-    ------
-    UnsupportedFormatError
-        Another version, spherical harmonics of degree 4, or a tree of levels of detail.
-    FormatError
-        No SPZ file, or its bytes are not those that its header implies. Never more than those is unpacked.
+    UnsupportedFormatError for another version, spherical harmonics of degree 4, or a tree of levels of detail;
+    FormatError if it is no SPZ file, or its bytes are not those that its header implies. Never more than those is
+    unpacked.
     """
     if data[:2] == GZIP_MAGIC:
         return _unpack_gzip(data, file=file)
@@ -193,16 +190,11 @@ def _unzstd(stream: bytes, size: int, *, file: str, element: str) -> bytes:
 
 
 def pack(header: Header, sections: tuple[bytes, ...], extensions: bytes) -> bytes:
-    """Put an SPZ file together; the same bytes for the same input (no date, no threads).
+    """Put an SPZ file of version 3 (gzip) or 4 (zstd) together; the same bytes for the same input (no date, no
+    threads).
 
-    Parameters
-    ----------
-    header : Header
-        Version 3 (gzip) or 4 (zstd).
-    sections : tuple of bytes
-        Positions, alphas, colors, scales, rotations, sh.
-    extensions : bytes
-        Extension records, version 4 only: older readers of version 3 refuse trailing bytes.
+    Sections are positions, alphas, colors, scales, rotations, sh; extension records are for version 4 only: older
+    readers of version 3 refuse trailing bytes.
     """
     fields = (MAGIC, header.version, header.count, header.sh_degree, header.fractional_bits)
     if header.version == 3:

@@ -18,30 +18,12 @@ specification's, or those of PLY."""
 COORDINATE_SYSTEM_EXTENSION = 0xADBE0003
 """SPZ_ADOBE_coordinate_system: one uint32, the number of a frame."""
 
-UNSPECIFIED, RUB, RDF = 0, 4, 6
-"""Numbers of frames. RUB (right, up, back) is the specification's, RDF (right, down, front) is PLY's."""
+RUB = 4
+"""Number of the specification's frame (right, up, back). PLY's, RDF (right, down, front), is 6; 0 says nothing."""
 
 _DIRECTIONS = {"L": (-1, 0, 0), "R": (1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
-_NAMES = (
-    "RUB",
-    "LDB",
-    "RDB",
-    "LUB",
-    "RUB",
-    "LDF",
-    "RDF",
-    "LUF",
-    "RUF",
-    "LFD",
-    "RFD",
-    "LFU",
-    "RFU",
-    "LBD",
-    "RBD",
-    "LBU",
-    "RBU",
-)
-"""Frames by number, as nianticlabs/spz numbers them; UNSPECIFIED falls back to RUB there too."""
+_NAMES = "RUB LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU"
+"""Frames by number, as nianticlabs/spz numbers them; 0, unspecified, falls back to RUB there too."""
 
 _QUARTER_TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _IRRATIONAL_DIRECTION = np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)  # no basis function vanishes here
@@ -49,15 +31,8 @@ _IRRATIONAL_DIRECTION = np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)  # no basis fu
 
 @dataclass(frozen=True)
 class FrameChange:
-    """p_ply = turn @ (signs * p_file).
-
-    Parameters
-    ----------
-    signs : (3,)
-        +-1 for each axis of the file.
-    turn : (3, 3) or None
-        Quarter turn about x that follows, None where the signs are enough.
-    """
+    """p_ply = turn @ (signs * p_file): +-1 for each axis of the file (3,), then a quarter turn about x (3, 3), None
+    where the signs are enough."""
 
     signs: Float64
     turn: Float64 | None = None
@@ -92,23 +67,11 @@ SPECIFICATION = FrameChange(np.array([1.0, -1.0, -1.0]))
 
 
 def frame_change(frame: str, extensions: bytes, *, file: str) -> FrameChange:
-    """The change of axes that brings a file's scene to those of PLY.
+    """The change of axes that brings a file's scene to those of PLY, from a `Frame` and the file's extension records,
+    back to back.
 
-    Parameters
-    ----------
-    frame : {"auto", "spec", "ply"}
-        See `Frame`.
-    extensions : bytes
-        The file's extension records, back to back.
-    file : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    InputError
-        `frame` is none of the three.
-    FormatError
-        The records do not fit into their bytes, or name a frame that does not exist.
+    InputError if there is no such frame; FormatError if the records do not fit into their bytes, or name a frame that
+    does not exist.
     """
     if frame not in get_args(Frame):
         raise InputError(f"frame is {frame!r}, expected one of {', '.join(get_args(Frame))}")
@@ -117,10 +80,11 @@ def frame_change(frame: str, extensions: bytes, *, file: str) -> FrameChange:
         return SPECIFICATION
     if frame == "ply" or declared is None:
         return FrameChange(np.ones(3))
-    if declared >= len(_NAMES):
-        message = f"declares frame {declared}, known are 0 to {len(_NAMES) - 1}; name the frame to use"
+    names = _NAMES.split()
+    if declared >= len(names):
+        message = f"declares frame {declared}, known are 0 to {len(names) - 1}; name the frame to use"
         raise FormatError(message, file=file, element="SPZ_ADOBE_coordinate_system")
-    axes = [_DIRECTIONS[axis] for axis in _NAMES[declared]]
+    axes = [_DIRECTIONS[axis] for axis in names[declared]]
     to_ply = np.array(axes, dtype=np.float64).T  # its columns are the file's axes
     if (to_ply == np.diag(np.diag(to_ply))).all():
         return FrameChange(np.diag(to_ply).copy())

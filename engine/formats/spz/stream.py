@@ -29,25 +29,14 @@ __all__ = ["Frame", "read_spz", "write_spz"]
 
 
 def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read an SPZ file.
+    """Read an SPZ file, into PLY's axes.
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
-    file : str
-        Its name, for messages.
     frame : {"auto", "spec", "ply"}
-        The axes of the file. The specification's have y and z negated against PLY, yet half of the tools
-        write PLY's straight in and say nothing. "auto" believes the file's SPZ_ADOBE_coordinate_system
-        extension, and the specification where there is none; "spec" and "ply" overrule the file.
-
-    Returns
-    -------
-    model : GaussianModel
-        In PLY's axes.
-    repairs : tuple of Repair
-        Harmless faults, mended; such as alpha 0 and 255, which no finite logit has.
+        The axes of the file. The specification's have y and z negated against PLY, yet half of the tools write PLY's
+        straight in and say nothing. "auto" believes the file's SPZ_ADOBE_coordinate_system extension, and the
+        specification where there is none; "spec" and "ply" overrule the file.
 
     Raises
     ------
@@ -84,34 +73,24 @@ def write_spz(
 ) -> bytes:
     """Write an SPZ file, in the specification's axes (right, up, back); version 4 declares them.
 
+    Errors at most, within the ranges: half of 2^-fractional_bits in a centre, 1/32 in a log scale in [-10, 5.94], 1/510
+    in an opacity, 1/76.5 in a DC coefficient in [-3.33, 3.33], 2^-8 in another one with 8 bits, 2^-bits + 2^-8 with
+    fewer, 0.0007 in each of the three smaller components of a quaternion.
+
     Parameters
     ----------
-    model : GaussianModel
-        In PLY's axes.
     version : {3, 4}
         3 (gzip) is what everything reads; 4 (zstd) packs in half the time.
     sh_bits : (int, int)
-        Bits of spherical harmonics of degree 1, and of degrees 2 and 3; 1 to 8 each. The reference's default
-        is (5, 4): a third of the size, 8 and 16 times the error. Coefficients are clipped to [-1, 127/128].
+        Bits of spherical harmonics of degree 1, and of degrees 2 and 3; 1 to 8 each. The reference's default is (5, 4):
+        a third of the size, 8 and 16 times the error. Coefficients are clipped to [-1, 127/128].
     fractional_bits : int, optional
-        Binary places of a position, 0 to 24. By default 12, as the reference, or what the scene's size asks
-        for.
-
-    Returns
-    -------
-    bytes
-        The same for the same input.
+        Binary places of a position, 0 to 24. By default 12, as the reference, or what the scene's size asks for.
 
     Raises
     ------
     InputError
         An argument is out of its range, or a centre does not fit into 24 bits with that many binary places.
-
-    Notes
-    -----
-    Errors at most, within the ranges: half of 2^-fractional_bits in a centre, 1/32 in a log scale in
-    [-10, 5.94], 1/510 in an opacity, 1/76.5 in a DC coefficient in [-3.33, 3.33], 2^-8 in another one with
-    8 bits, 2^-bits + 2^-8 with fewer, 0.0007 in each of the three smaller components of a quaternion.
     """
     if version not in (3, 4):
         raise InputError(f"SPZ version is {version}, written are 3 and 4")

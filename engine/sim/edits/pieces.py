@@ -113,8 +113,6 @@ def verify_pieces(
     evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
     seen = np.zeros(len(opened.reference), np.bool_)
     seen[pieces.matches[pieces.matches >= 0]] = True
-    whole = replace(
-        pieces.registration, derived_fraction=float(seen.mean()), suspect_fraction=float((pieces.matches >= 0).mean())
-    )
+    whole = replace(pieces.registration, derived_fraction=float(seen.mean()))
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     return judge(evidence, opened, "model", 1, config, whole, notes)

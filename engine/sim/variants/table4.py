@@ -13,8 +13,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Float32
-from engine.numerics.image_metrics import psnr
-from engine.numerics.multiscale_ssim import ms_ssim_distance
+from engine.numerics.image_metrics import ms_ssim_distance, psnr
 from engine.pipeline.verification import Verification
 
 __all__ = ["Reading", "VariantRow", "fidelity_for", "measure_variant"]

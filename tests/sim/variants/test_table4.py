@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.numerics.image_metrics import psnr
-from engine.numerics.multiscale_ssim import ms_ssim_distance
+from engine.numerics.image_metrics import ms_ssim_distance, psnr
 from engine.sim.variants.table4 import measure_variant
 from engine.watermark.claim import Verdict
 

@@ -12,8 +12,7 @@ from engine.evaluate.tables.cells.shots import cameras_for, read_bits, readings_
 from engine.evaluate.tables.setting import Setting, configure
 from engine.evaluate.tables.without import without
 from engine.formats import read_model
-from engine.numerics.image_metrics import psnr, ssim
-from engine.numerics.multiscale_ssim import ms_ssim_distance
+from engine.numerics.image_metrics import ms_ssim_distance, psnr, ssim
 from engine.pipeline.embedding import embed
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
