@@ -16,7 +16,7 @@ from engine.model import Bool, Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.matching import DC_CLIP
-from engine.sim.edits.edit_regions import EditedRegion, describe, group
+from engine.sim.edits.edit_regions import EditedRegion, describe, doubt, group
 from engine.sim.edits.pieces import Pieces, register_pieces
 from engine.watermark.layout import MARK_SCALE
 from engine.watermark.model_evidence import remove_affine_color
@@ -26,6 +26,9 @@ __all__ = ["Change", "EditMap", "map_edits"]
 
 NEIGHBORS = 12
 """Neighbours over which a displacement must be coherent; the patch of a single code vector holds more."""
+
+NORMAL = 1.4826
+"""Standard deviation of a normal law over its median absolute deviation."""
 
 CHANCE = 1e-6
 """Rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent."""
@@ -65,8 +68,6 @@ class EditMap:
         How much of the mark the untouched Gaussians show: 1 all of it, 0 none.
     regions : tuple of EditedRegion
         Connected patches of changes, largest first.
-    pieces : Pieces
-        How the suspect was registered.
     """
 
     kinds: npt.NDArray[np.int8]
@@ -86,18 +87,9 @@ class EditMap:
 def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0) -> EditMap:
     """Find what was edited in a suspect since the asset was marked.
 
-    Parameters
-    ----------
-    least : float
-        Smallest colour displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps
-        of an 8-bit colour): a smaller edit is not told from what compression does.
-    seed : int
-        Of the registration.
-
-    Returns
-    -------
-    EditMap
-        A global change of tint or exposure is no edit; nor is a similarity of the whole.
+    A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest colour
+    displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps of an 8-bit colour): a
+    smaller edit is not told from what compression does.
     """
     pieces = register_pieces(opened.reference, suspect, seed=seed)
     rows = np.flatnonzero(pieces.matches >= 0)
@@ -127,17 +119,10 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
     for kind in (Change.RECOLORED, Change.MOVED, Change.COPIED, Change.FOREIGN):
         for patch in group(means, np.flatnonzero(kinds == kind), LEAST_REGION):
             matched = patch[pieces.matches[patch] >= 0]
-            regions.append(
-                describe(
-                    kind.name.lower(),
-                    patch,
-                    means[patch],
-                    opened.reference.sh[pieces.matches[matched], 0],
-                    colors[matched],
-                    mark[pieces.matches[matched]],
-                    _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None,
-                )
-            )
+            old = pieces.matches[matched]
+            looks = opened.reference.sh[old, 0], colors[matched], mark[old]
+            motion = _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None
+            regions.append(describe(kind.name.lower(), patch, means[patch], *looks, motion))
     # Removed Gaussians are reported where they would be in the suspect.
     back = pieces.placements[0].inverse().apply(opened.reference.means)
     for patch in group(back, np.flatnonzero(removed), LEAST_REGION):
@@ -193,9 +178,7 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
         if not energy > 0:
             return 0.0
         factor = float(np.clip(weight @ (mark * shown).sum(axis=1) / energy, 0.0, 1.5))
-        gap = np.linalg.norm(shown - factor * mark, axis=1)
-        scale = max(2.0 * float(np.median(gap)), FINEST)
-        weight = trust / (1.0 + (gap / scale) ** 2) ** 2
+        weight = trust / doubt(np.linalg.norm(shown - factor * mark, axis=1), FINEST)
     return factor
 
 
@@ -208,25 +191,18 @@ def _saturated(expected: Float64, shown: npt.NDArray[np.float32]) -> Bool:
 
 def _noise(beyond: Float64) -> Float64:
     """(3,) robust standard deviation of what nothing explains, channel by channel."""
-    return np.maximum(1.4826 * np.median(np.abs(beyond), axis=0), FINEST)
+    return np.maximum(NORMAL * np.median(np.abs(beyond), axis=0), FINEST)
 
 
 def _completed(
-    coherent: Bool,
-    near: Int64,
-    means: Float64,
-    old: Float64,
-    now: Float64,
-    mark: Float64,
-    beyond: Float64,
-    mark_left: float,
+    coherent: Bool, near: Int64, means: Float64, old: Float64, now: Float64, mark: Float64, beyond: Float64, left: float
 ) -> Bool:
     """(n,) the coherent Gaussians and those next to them that the same change of colour explains.
 
     A Gaussian that had about the colour it was painted in is displaced little or another way than the rest.
     """
     done = coherent.copy()
-    doubt = float(np.square(3.0 * _noise(beyond)).sum())
+    chance = float(np.square(3.0 * _noise(beyond)).sum())
     for patch in group(means, np.flatnonzero(coherent), LEAST_REGION):
         found = describe("recolored", patch, means[patch], old[patch], now[patch], mark[patch], None)
         assert found.recoloring is not None
@@ -234,9 +210,9 @@ def _completed(
         inside[patch] = True
         next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= 0.25))
         gain, offset = found.recoloring.gain, found.recoloring.offset
-        predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - mark_left) * mark[next_to]
+        predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - left) * mark[next_to]
         misfit = np.square(beyond[next_to] - predicted).sum(axis=1)
-        done[next_to[misfit < np.square(beyond[next_to]).sum(axis=1) - doubt]] = True
+        done[next_to[misfit < np.square(beyond[next_to]).sum(axis=1) - chance]] = True
     return done
 
 

@@ -13,6 +13,9 @@ PLANES = 400
 """Planes tried through three ring Gaussians each: with a fifth of them on the surface, all 400 miss it with
 probability 4 %, with a third of them never."""
 
+BENDING = 0.02
+"""Cost of the quadric's second derivatives: a ring says little about them far inside the hole."""
+
 LEAST_RING = 24
 """Ring Gaussians below which no surface is fitted: a quadric has 6 coefficients."""
 
@@ -84,22 +87,8 @@ def ring_around(model: GaussianModel, selection: Bool, width: float, least: int)
 def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.random.Generator) -> HoleSurface | None:
     """The dominant surface through a ring, facing the side on which the hole's Gaussians were.
 
-    The dominant plane by RANSAC, weighted by visible area; then a quadric by Tukey's biweight with a band that
-    closes in.
-
-    Parameters
-    ----------
-    ring : GaussianModel
-        Gaussians around the hole.
-    hole : GaussianModel
-        The deleted ones.
-    size : float
-        Radius of the hole, scene units.
-
-    Returns
-    -------
-    HoleSurface or None
-        None where the ring is too small or spans no plane.
+    The dominant plane by RANSAC, weighted by visible area; then a quadric by Tukey's biweight with a band that closes
+    in. `size` is the hole's radius, scene units. None where the ring is too small or spans no plane.
     """
     if len(ring) < LEAST_RING:
         return None
@@ -119,8 +108,7 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
     design, height = _quadric(local[:, :2] / size), local[:, 2]
     coefficients = np.zeros(6)
     band = 0.5 * size
-    # Bending costs: a ring says little about the second derivatives far inside the hole.
-    stiff = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02])
+    stiff = np.diag([0.0, 0.0, 0.0, BENDING, BENDING, BENDING])
     for _ in range(12):
         error = height - design @ coefficients
         w = weights * np.square(np.clip(1.0 - np.square(error / band), 0.0, None))

@@ -70,20 +70,8 @@ class InpaintConfig:
 def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = InpaintConfig()) -> Edited:
     """Delete the selected Gaussians and fill the hole they leave in the surface around them.
 
-    Parameters
-    ----------
-    selection : (N,) bool
-
-    Returns
-    -------
-    Edited
-        The Gaussians left, in their order, then the filling (`edit.filling`; None where no surface surrounds
-        the hole). Copies carry the marked colours of the Gaussians they come from.
-
-    Raises
-    ------
-    InputError
-        If the selection is empty, unfit or everything.
+    The Gaussians left come in their order, then the filling (`edit.filling`; None where no surface surrounds the
+    hole). Copies carry the marked colours of the Gaussians they come from.
     """
     cut = delete(model, selection)
     rows = np.flatnonzero(selection)
@@ -103,6 +91,8 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
 def _fill(
     left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig
 ) -> GaussianModel | None:
+    from scipy.ndimage import binary_dilation
+
     frame = _Frame(left, hole, surface, config)
     color, alpha = frame.see(frame.support)  # 2
     usual = float(np.median(alpha[alpha > 0.05])) if (alpha > 0.05).any() else 0.0
@@ -110,7 +100,7 @@ def _fill(
         return None
     known = alpha >= config.covered * usual
     _, footprint = frame.see(frame.place(hole))
-    gap = enclosed(known, ~known & _grown(footprint > 0.1, 1))
+    gap = enclosed(known, ~known & binary_dilation(footprint > 0.1))
     # What is copied is the texture; the base colour is the rim's, continued.
     base = smooth(color, known, 3.0)
     rim = harmonic_fill(base, known, gap)
@@ -212,9 +202,3 @@ def _between(a: Float64, b: Float64) -> Float64:
     K = np.stack([zero, -v[:, 2], v[:, 1], v[:, 2], zero, -v[:, 0], -v[:, 1], v[:, 0], zero], axis=1)
     K = K.reshape(-1, 3, 3)
     return np.asarray(np.eye(3) + K + K @ K / (1.0 + c)[:, None, None])
-
-
-def _grown(mask: Bool, cells: int) -> Bool:
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(mask, iterations=cells))

@@ -24,11 +24,7 @@ def mask_shares(
 ) -> tuple[Float64, Float64]:
     """Which share of each Gaussian's visible weight lies inside the masks.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    masks : sequence of (H, W) bool or float
-        One a camera, of its size; numbers 0 to 1 for soft edges.
+    Masks are (H, W) bool or float, one a camera, of its size; numbers 0 to 1 for soft edges.
 
     Returns
     -------
@@ -36,12 +32,6 @@ def mask_shares(
         sum over views and pixels of w * mask / sum of w, w = alpha T the blending weight; 0 where not seen.
     weight : (N,) float64
         sum of w, pixels.
-
-    Raises
-    ------
-    InputError
-        If there is no view, the numbers of cameras and masks differ, a mask has another size than its camera
-        or values outside 0..1.
     """
     if not cameras or len(cameras) != len(masks):
         raise InputError(f"each camera needs one mask, got {len(cameras)} cameras and {len(masks)} masks")
@@ -67,27 +57,16 @@ def lift_masks(
     threshold: float = 0.5,
     hidden: bool = True,
 ) -> Bool:
-    """Gaussians that masks in one or several views show.
+    """(N,) bool: Gaussians that masks in one or several views (see `mask_shares`) show.
 
     Parameters
     ----------
-    cameras, masks
-        As for `mask_shares`.
     threshold : float
         Share of a Gaussian's visible weight that must lie inside, (0, 1). At 0.5 it belongs to the side that
         shows more of it; higher values keep the selection off the mask's edge, lower ones reach across.
     hidden : bool
         Whether Gaussians that no view shows (the inside of an object, its back) follow the majority of their
         nearest seen neighbours in space. If not, they are left out.
-
-    Returns
-    -------
-    (N,) bool
-
-    Raises
-    ------
-    InputError
-        As `mask_shares`, and if the threshold is out of range.
     """
     if not 0 < threshold < 1:
         raise InputError(f"threshold must lie in (0, 1), got {threshold}")

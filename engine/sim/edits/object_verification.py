@@ -9,13 +9,13 @@ from engine.errors import InputError
 from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.index import ReferenceIndex
 from engine.registration.registering import Registration, register
 from engine.sim.edits.objects import FlatScene
-from engine.sim.edits.pieces import LEAST_PIECE, RIGID
+from engine.sim.edits.pieces import LEAST_PIECE, RIGID, check_route
 from engine.watermark.claim import Claim
-from engine.watermark.model_evidence import Evidence, gather_model_evidence
 
 __all__ = ["ObjectFinding", "verify_objects"]
 
@@ -26,8 +26,6 @@ class ObjectFinding:
 
     Parameters
     ----------
-    record : str
-        Name the caller gave the record.
     instance : int
         0 for the first place at which the record's asset was found, then 1, ...
     rows : (n,) int64
@@ -67,8 +65,6 @@ def verify_objects(
     ----------
     suspect : GaussianModel or FlatScene
         A FlatScene adds which of its objects the finds lie in; the search is the same.
-    records : mapping of str to OpenedRecord
-        By any name.
     config : VerifyConfig, optional
         Route "auto" or "model": pieces of a file are read by their Gaussians.
     instances : int
@@ -79,11 +75,6 @@ def verify_objects(
     list of ObjectFinding
         In the order of the records; one for every record at least. Every claim counts
         len(records) * instances tries.
-
-    Raises
-    ------
-    InputError
-        If the suspect is empty, no record was given, or the route reads pictures.
     """
     config = config or VerifyConfig()
     model = suspect.model if isinstance(suspect, FlatScene) else suspect
@@ -91,8 +82,7 @@ def verify_objects(
         raise InputError("the suspect model is empty")
     if not records:
         raise InputError("no record was given")
-    if config.route not in ("auto", "model"):
-        raise InputError(f"route {config.route!r} sees the whole file; objects are read by 'model'")
+    check_route(config, "file; objects are")
     if instances < 1:
         raise InputError(f"an asset is looked for at least once, got instances {instances}")
     tries = len(records) * instances
@@ -106,7 +96,7 @@ def verify_objects(
             found = register(index, part, seed=config.seed, config=RIGID)
             if instance and not found.found:
                 break
-            claim = _claim(part, opened, found, tries, config)
+            claim = judge(read_gaussians(part, opened, found), opened, "model", tries, config, found)
             rows = left[found.matches >= 0]
             finding = _finding(name, instance, claim, found, rows, model)
             if isinstance(suspect, FlatScene):
@@ -118,32 +108,14 @@ def verify_objects(
     return findings
 
 
-def _claim(part: GaussianModel, opened: OpenedRecord, found: Registration, tries: int, config: VerifyConfig) -> Claim:
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], part.sh[:, 0], found.matches, found.match_quality
-    )
-    evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
-    return judge(evidence, opened, "model", tries, config, found)
-
-
 def _finding(
     name: str, instance: int, claim: Claim, found: Registration, rows: Int64, model: GaussianModel
 ) -> ObjectFinding:
     if not len(rows):
         return ObjectFinding(name, instance, claim, rows, 0.0, 0.0, None, None, None, ())
     low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
-    return ObjectFinding(
-        name,
-        instance,
-        claim,
-        rows,
-        len(rows) / len(model),
-        found.derived_fraction,
-        found.similarity.inverse(),
-        low,
-        high,
-        (),
-    )
+    shares = len(rows) / len(model), found.derived_fraction
+    return ObjectFinding(name, instance, claim, rows, *shares, found.similarity.inverse(), low, high, ())
 
 
 def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:

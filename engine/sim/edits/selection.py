@@ -7,13 +7,17 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Bool, Float64, GaussianModel, Int32, Int64
+from engine.model import SH_C0, Bool, GaussianModel, Int32, Int64
 from engine.sim.attack import check_positive
+from engine.sim.vectors import check_triple
 
 __all__ = ["check_selection", "segment", "segment_at", "select_box", "select_sphere"]
 
 SEGMENT_SAMPLE = 40_000
 """Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once."""
+
+FLOATING = 2.0
+"""Robust radii from the centre beyond which a Gaussian is a floater."""
 
 SEGMENT_ROUNDS = 20
 """Lloyd iterations; the assignment of real scenes settles within 10 to 15."""
@@ -33,7 +37,7 @@ def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
 def select_box(
     model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike, rotation: npt.ArrayLike | None = None
 ) -> Bool:
-    """Gaussians whose centre lies in a box, faces included.
+    """(N,) bool: Gaussians whose centre lies in a box, faces included.
 
     Parameters
     ----------
@@ -41,17 +45,8 @@ def select_box(
         Opposite corners in the box's own axes, scene units; low <= high.
     rotation : (3, 3), optional
         Proper rotation from the box's axes to the scene's, about the box's centre. Default: the scene's axes.
-
-    Returns
-    -------
-    (N,) bool
-
-    Raises
-    ------
-    InputError
-        If the corners are not finite or out of order, or the rotation is none.
     """
-    bottom, top = _triple(low, "low"), _triple(high, "high")
+    bottom, top = check_triple(low, "low"), check_triple(high, "high")
     if (bottom > top).any():
         raise InputError(f"a box needs low <= high, got {bottom.tolist()} and {top.tolist()}")
     offset = model.means.astype(np.float64) - 0.5 * (bottom + top)
@@ -65,12 +60,14 @@ def select_box(
 
 def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) -> Bool:
     """Gaussians whose centre lies within `radius` (scene units, > 0) of `center` (3,); (N,) bool."""
-    offset = model.means.astype(np.float64) - _triple(center, "center")
+    offset = model.means.astype(np.float64) - check_triple(center, "center")
     return np.asarray(np.einsum("ij,ij->i", offset, offset) <= check_positive(radius, "radius") ** 2)
 
 
 def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
-    """Segments by k-means over position and base colour.
+    """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base colour, the most populous first.
+
+    Segments may be empty where the model holds fewer distinct Gaussians than asked for.
 
     Parameters
     ----------
@@ -79,24 +76,10 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     color_weight : float
         How much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by position
         alone.
-    seed : int
-        Of the start (k-means++) and of the sample.
-
-    Returns
-    -------
-    (N,) int32
-        Segment of each Gaussian, 0 .. count-1, the most populous first. Segments may be empty where the model
-        holds fewer distinct Gaussians than asked for.
-
-    Raises
-    ------
-    InputError
-        If the count is out of range or the weight negative.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
     from scipy.spatial import cKDTree
 
-    from engine.model import SH_C0
     from engine.pipeline.rigs import measure_extent
 
     if not 1 <= count <= len(model):
@@ -107,9 +90,8 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     # A floater at ten radii must not get a segment of its own: beyond two, distance grows as its logarithm.
     distance = np.linalg.norm(position, axis=1, keepdims=True)
-    position = position * np.where(
-        distance > 2.0, (2.0 + np.log(np.maximum(distance, 2.0) / 2.0)) / np.maximum(distance, 2.0), 1.0
-    )
+    beyond = np.maximum(distance, FLOATING)
+    position = position * np.where(distance > FLOATING, (FLOATING + np.log(beyond / FLOATING)) / beyond, 1.0)
     features = np.concatenate([position, color_weight * color], axis=1)
     rng = np.random.default_rng(seed)
     sample = features
@@ -124,19 +106,9 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 
 
 def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bool:
-    """Gaussians of the segments in which points lie: (N,) bool.
+    """(N,) bool: Gaussians of the segments (see `segment`) in which points (3,) or (n, 3) lie.
 
-    Parameters
-    ----------
-    labels : (N,) int32
-        From `segment`.
-    points : (3,) or (n, 3)
-        Scene units; each speaks for the segment of the nearest Gaussian.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or a point is not finite.
+    Each point speaks for the segment of the nearest Gaussian.
     """
     from scipy.spatial import cKDTree
 
@@ -147,10 +119,3 @@ def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bo
         raise InputError(f"points must be finite triples, got {points!r}")
     _, nearest = cKDTree(model.means).query(at)
     return np.isin(labels, labels[nearest])
-
-
-def _triple(value: npt.ArrayLike, what: str) -> Float64:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{what} must be three finite numbers, got {value!r}")
-    return array

@@ -24,8 +24,6 @@ def deform_model(
 
     Parameters
     ----------
-    model : GaussianModel
-        N Gaussians at rest.
     means : (N, 3)
         Their new centres, scene units.
     gradients : (T, 3, 3)
@@ -38,11 +36,6 @@ def deform_model(
     GaussianModel
         Covariances F Sigma F^T; SH turned by the rotation part of F (the nearest proper rotation); opacities as
         they were. An axis that F flattens keeps 1e-10 of the Gaussian's largest standard deviation.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, an index is out of range, or a number is not finite.
 
     Notes
     -----

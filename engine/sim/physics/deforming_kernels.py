@@ -1,5 +1,6 @@
 """Kernels that carry Gaussians along with the matter around them."""
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numba
@@ -8,7 +9,7 @@ import numpy as np
 from engine.numerics.jit import parallel_kernel
 from engine.sim.physics.decompositions import orthogonalize, rotation_columns, rotation_part, to_quaternion
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 THINNEST = 1e-10
 """Smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite."""
@@ -17,9 +18,7 @@ TINIEST = 1e-30
 
 
 @parallel_kernel
-def deform_covariances(  # type: ignore[no-untyped-def]
-    log_scales, quats, gradients, element, new_log_scales, new_quats
-):
+def deform_covariances(log_scales, quats, gradients, element, new_log_scales, new_quats):
     """F Sigma F^T (Eq 12) of every Gaussian, as scales and rotation; gradients (T, 3, 3) float64.
 
     With Sigma = (R S)(R S)^T the new covariance is A A^T for A = F R S; orthogonal columns of A V are its
@@ -27,12 +26,8 @@ def deform_covariances(  # type: ignore[no-untyped-def]
     """
     for n in numba.prange(len(quats)):
         f = gradients[element[n]]
-        w, x, y, z = (
-            np.float64(quats[n, 0]),
-            np.float64(quats[n, 1]),
-            np.float64(quats[n, 2]),
-            np.float64(quats[n, 3]),
-        )
+        w, x = np.float64(quats[n, 0]), np.float64(quats[n, 1])
+        y, z = np.float64(quats[n, 2]), np.float64(quats[n, 3])
         # Of unit length in float64, or the columns below would start a little off the perpendicular, and
         # axes of nearly the same length would turn a lot to make up for it.
         norm = math.sqrt(w * w + x * x + y * y + z * z)
@@ -62,14 +57,14 @@ def deform_covariances(  # type: ignore[no-untyped-def]
 
 
 @parallel_kernel
-def rotation_parts(gradients, rotations):  # type: ignore[no-untyped-def]
+def rotation_parts(gradients, rotations):
     """Rotation of the polar decomposition of each gradient (T, 3, 3)."""
     for t in numba.prange(len(gradients)):
         rotation_part(gradients[t], rotations[t])
 
 
 @parallel_kernel
-def turn_sh(sh, wigner, element, turned):  # type: ignore[no-untyped-def]
+def turn_sh(sh, wigner, element, turned):
     """turned[n] = wigner[element[n]] @ sh[n], block by block; wigner (T, K, K), sh (N, K, 3) float32."""
     count = sh.shape[1]
     for n in numba.prange(len(sh)):
@@ -82,3 +77,15 @@ def turn_sh(sh, wigner, element, turned):  # type: ignore[no-untyped-def]
                 green += d[k, l] * sh[n, l, 1]
                 blue += d[k, l] * sh[n, l, 2]
             turned[n, k, 0], turned[n, k, 1], turned[n, k, 2] = red, green, blue
+
+
+@parallel_kernel
+def interpolate(values, tets, tet, weights, out):
+    """out[n] = sum of weights[n, k] * values[tets[tet[n], k]]; values (P, 3), out (N, 3) float64."""
+    for n in numba.prange(len(tet)):
+        corner = tets[tet[n]]
+        for axis in range(3):
+            total = 0.0
+            for k in range(4):
+                total += weights[n, k] * values[corner[k], axis]
+            out[n, axis] = total

@@ -83,27 +83,11 @@ class Binding:
 
 
 def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Binding]:
-    """Fill the model with tetrahedra and bind its Gaussians to them.
+    """Fill the model with tetrahedra and bind every Gaussian to them.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        N >= 1 Gaussians.
-    resolution : int
-        Voxels along the model's longest robust extent, 2 to 96.
-
-    Returns
-    -------
-    Lattice
-        Over the voxels that hold visible Gaussians (centre or one standard deviation along an axis), with
-        closed hollows filled and floating islands left out.
-    Binding
-        Of every Gaussian.
-
-    Raises
-    ------
-    InputError
-        If the model is empty or the resolution is out of range.
+    `resolution` is the number of voxels along the model's longest robust extent, 2 to 96. Matter is in the voxels that
+    hold visible Gaussians (centre or one standard deviation along an axis), with closed hollows filled and floating
+    islands left out. InputError if the model is empty or the resolution is out of range.
     """
     low, high = RESOLUTIONS
     if not low <= resolution <= high:
