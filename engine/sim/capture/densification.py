@@ -69,13 +69,7 @@ class DensifyConfig:
 
 
 class CenterGradients:
-    """Mean pull on every centre across the image, over the views that saw the Gaussian.
-
-    Parameters
-    ----------
-    count : int
-        Gaussians.
-    """
+    """Mean pull on every centre across the image, over the views that saw the Gaussian."""
 
     def __init__(self, count: int) -> None:
         self.sums = np.zeros(count, dtype=np.float64)
@@ -102,20 +96,10 @@ def densify(
     *,
     prune_large: bool,
 ) -> None:
-    """One round: clone and split where the centres are pulled, remove what is faint or too large.
+    """One round, in place: clone and split where the centres are pulled, remove what is faint or too large.
 
-    Parameters
-    ----------
-    parameters : Parameters
-        Changed in place.
-    pull : (N,) float32
-        See `CenterGradients.mean`.
-    extent : float
-        Of the cameras, scene units.
-    rng : numpy.random.Generator
-        Places the parts of split Gaussians.
-    prune_large : bool
-        Whether Gaussians beyond `max_size` go.
+    `pull` (N,) is `CenterGradients.mean`, `extent` that of the cameras (scene units); `rng` places the parts of split
+    Gaussians, and with `prune_large` those beyond `max_size` go.
     """
     model = parameters.model
     sizes = model.log_scales.max(axis=1)
@@ -139,10 +123,7 @@ def densify(
 def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
     """Those above the threshold, at most as many as there is room for; each adds one Gaussian."""
     chosen = pull > threshold
-    if np.count_nonzero(chosen) > max(room, 0):
-        order = np.argsort(-pull, kind="stable")[: max(room, 0)]
-        chosen = np.zeros(len(pull), dtype=np.bool_)
-        chosen[order] = True
+    chosen[np.argsort(-pull, kind="stable")[max(room, 0) :]] = False
     return chosen
 
 

@@ -37,14 +37,8 @@ class Parameters:
     def step(self, gradients: Gradients, rates: dict[str, float], number: int) -> None:
         """One Adam step of every parameter that has a rate; higher SH bands move at a twentieth (INRIA)."""
         for name, rate in rates.items():
-            adam_step(
-                self.arrays[name],
-                getattr(gradients, name),
-                self.moments[name],
-                rate,
-                number,
-                rate_rest=rate / 20.0 if name == "sh" else None,
-            )
+            rest = rate / 20.0 if name == "sh" else None
+            adam_step(self.arrays[name], getattr(gradients, name), self.moments[name], rate, number, rate_rest=rest)
 
     def regroup(self, kept: npt.NDArray[np.int64], new: GaussianModel) -> None:
         """The Gaussians at `kept` with their moments, then the new ones, which start without any."""
