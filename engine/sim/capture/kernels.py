@@ -74,7 +74,7 @@ def kernels_from_points(
     spread = np.sqrt(np.mean(distances**2, axis=1))
     typical = np.median(spread[spread > 0.0]) if (spread > 0.0).any() else 1.0
     spread = np.maximum(spread, _SMALLEST * typical) * size
-    quats = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(points), 1))
+    quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(points), 1))
     return GaussianModel(
         points.astype(np.float32),
         np.repeat(np.log(spread)[:, None], 3, axis=1).astype(np.float32),

@@ -51,9 +51,9 @@ def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
         return np.asarray((np.stack(sums, axis=1) / held[:, None]).reshape(len(held), *values.shape[1:]))
 
     middle = low + size * 0.5  # near the voxels: sums of large coordinates would lose digits
-    looks = [None if a is None else mean(a).astype(np.float32) for a in (cloud.colors, cloud.intensity)]
+    colors, intensity = (None if a is None else mean(a).astype(np.float32) for a in (cloud.colors, cloud.intensity))
     times = None if cloud.times is None else mean(cloud.times)
-    return PointCloud(mean(cloud.points - middle) + middle, *looks, times)
+    return PointCloud(mean(cloud.points - middle) + middle, colors, intensity, times)
 
 
 def typical_spacing(points: Float64) -> float:

@@ -95,8 +95,13 @@ def verify_pieces(
     matched = pieces.matches >= 0
     seen = np.zeros(len(opened.reference), np.bool_)
     seen[pieces.matches[matched]] = True
-    shares = {"derived_fraction": float(seen.mean()), "suspect_fraction": float(matched.mean())}
-    whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, **shares)
+    whole = replace(
+        pieces.registration,
+        matches=pieces.matches,
+        match_quality=pieces.quality,
+        derived_fraction=float(seen.mean()),
+        suspect_fraction=float(matched.mean()),
+    )
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     return judge(read_gaussians(suspect, opened, whole), opened, "model", 1, config, whole, notes)
 
