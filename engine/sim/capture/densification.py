@@ -8,6 +8,7 @@ from engine.errors import InputError
 from engine.model import Bool, Float32, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.parameters import Parameters
+from engine.sim.model_placement import join
 
 __all__ = ["CenterGradients", "DensifyConfig", "densify"]
 
@@ -110,14 +111,11 @@ def densify(
     gone = faint | (sizes > np.log(config.max_size * extent)) if prune_large else faint
     kept = ~gone
     kept[split] = False
-    new = [model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng)]
-    joined = GaussianModel(
-        *(np.concatenate([getattr(part, name) for part in new]) for name in GaussianModel.__dataclass_fields__)
-    )
+    new = join(model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng))
     if prune_large:
-        joined = joined.take(joined.log_scales.max(axis=1) <= np.log(config.max_size * extent))
-    if kept.any() or len(joined):
-        parameters.regroup(np.flatnonzero(kept), joined)
+        new = new.take(new.log_scales.max(axis=1) <= np.log(config.max_size * extent))
+    if kept.any() or len(new):
+        parameters.regroup(np.flatnonzero(kept), new)
 
 
 def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
@@ -130,7 +128,7 @@ def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
 def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
     """Two smaller Gaussians for each, at places drawn from it."""
     twice = model.take(np.repeat(np.arange(len(model)), 2))
-    steps = rng.standard_normal((len(twice), 3)) * twice.scales
+    steps = rng.standard_normal((len(twice), 3)) * twice.scales  # (2 n, 3), along their own axes
     lengths = np.maximum(np.linalg.norm(twice.quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
     turns = quaternion_to_rotation(twice.quats / lengths).reshape(-1, 3, 3)
     return twice.with_(

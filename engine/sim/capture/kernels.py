@@ -70,7 +70,7 @@ def kernels_from_points(
     if not (np.isfinite(size) and size > 0.0):
         raise InputError(f"size is {size}, expected a positive factor")
 
-    distances = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, 1:]
+    distances = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, 1:]  # (N, 3)
     spread = np.sqrt(np.mean(distances**2, axis=1))
     typical = np.median(spread[spread > 0.0]) if (spread > 0.0).any() else 1.0
     spread = np.maximum(spread, _SMALLEST * typical) * size

@@ -103,10 +103,10 @@ def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, fac
     middle = 0.5 * np.pi * face
     c, s = np.cos(middle), np.sin(middle)
     to_camera = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # x right, y down, z forward
-    seen = beams @ to_camera.T
+    seen = beams @ to_camera.T  # (B, 3)
     azimuth = np.arctan2(seen[:, 0], seen[:, 2])
     seen = seen[(azimuth >= -0.25 * np.pi) & (azimuth < 0.25 * np.pi)]
-    slope = seen[:, :2] / seen[:, 2:]
+    slope = seen[:, :2] / seen[:, 2:]  # (b, 2) of the beams that this picture shows
     focal = FINER * max(lidar.columns / (2.0 * np.pi), lidar.rings / np.radians(lidar.highest - lidar.lowest))
     focal = min(focal, MOST_FOCAL)
     low, high = slope.min(axis=0), slope.max(axis=0)

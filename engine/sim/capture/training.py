@@ -20,6 +20,10 @@ from engine.sim.capture.photo_loss import photo_loss
 __all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
 
 
+MARGIN = 1.1
+"""Extent of the cameras over the largest distance from their middle (INRIA)."""
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """Knobs of a training; rates are Adam steps, and the defaults INRIA's at 30,000 steps.
@@ -83,9 +87,9 @@ def cameras_extent(cameras: Sequence[Camera]) -> float:
 
     Cameras at one place have none, and then it is the unit of the scene.
     """
-    positions = np.stack([camera.position for camera in cameras])
+    positions = np.stack([camera.position for camera in cameras])  # (V, 3)
     largest = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
-    return 1.1 * largest if largest > 0.0 else 1.0
+    return MARGIN * largest if largest > 0.0 else 1.0
 
 
 class Trainer:

@@ -33,6 +33,15 @@ NORMAL = 1.4826
 CHANCE = 1e-6
 """Rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent."""
 
+ROUNDS = 3
+"""Times tint and mark are fitted in turn; they hardly have anything in common."""
+
+MOST_LEFT = 1.5
+"""Largest factor of the mark that is believed."""
+
+BORDER = 0.25
+"""Share of a Gaussian's neighbours in a patch from which it lies next to it."""
+
 FINEST = 0.1 * MARK_SCALE
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
 
@@ -100,10 +109,10 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
     recolored = np.zeros(len(suspect), np.bool_)
     if not len(rows):
         return EditMap(kinds, recolored, removed, displacement, 0.0, (), pieces)
-    target = pieces.matches[rows]
+    target = pieces.matches[rows]  # (n,)
     reference = opened.reference.sh[target, 0].astype(np.float64)
     trust = pieces.quality[rows].astype(np.float64)
-    shown = suspect.sh[rows, 0].astype(np.float64) - reference
+    shown = suspect.sh[rows, 0].astype(np.float64) - reference  # (n, 3)
     mark = _mark_of(opened)
     mark_left, beyond = _beyond(reference, shown, mark[target], trust)
     beyond[_saturated(reference + mark[target], suspect.sh[rows, 0])] = 0.0
@@ -163,7 +172,7 @@ def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -
     Tint and mark are fitted in turn: a tint fitted alone takes a part of the mark for its own.
     """
     mark_left, beyond = 1.0, shown
-    for _ in range(3):
+    for _ in range(ROUNDS):
         rest = remove_affine_color(reference, shown - mark_left * mark, trust)
         mark_left = _share(rest + mark_left * mark, mark, trust)
         beyond = remove_affine_color(reference, shown - mark_left * mark, trust)
@@ -177,7 +186,7 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
         energy = float(weight @ np.square(mark).sum(axis=1))
         if not energy > 0:
             return 0.0
-        factor = float(np.clip(weight @ (mark * shown).sum(axis=1) / energy, 0.0, 1.5))
+        factor = float(np.clip(weight @ (mark * shown).sum(axis=1) / energy, 0.0, MOST_LEFT))
         weight = trust / doubt(np.linalg.norm(shown - factor * mark, axis=1), FINEST)
     return factor
 
@@ -208,7 +217,7 @@ def _completed(
         assert found.recoloring is not None
         inside = np.zeros(len(coherent), np.bool_)
         inside[patch] = True
-        next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= 0.25))
+        next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= BORDER))
         gain, offset = found.recoloring.gain, found.recoloring.offset
         predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - left) * mark[next_to]
         misfit = np.square(beyond[next_to] - predicted).sum(axis=1)
@@ -227,10 +236,10 @@ def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> 
     noise = _noise(beyond)
     k = min(NEIGHBORS + 1, len(means))  # a Gaussian is its own nearest neighbour
     _, near = cKDTree(means).query(means, k=k, workers=1)
-    near = near.reshape(-1, k)
+    near = near.reshape(-1, k)  # (n, k)
     weight = np.maximum(trust, 1e-3)[near]
     # The middle one of the neighbours' displacements: half of them must agree, and no outlier drags it.
-    common = np.median(beyond[near], axis=1)
+    common = np.median(beyond[near], axis=1)  # (n, k, 3) -> (n, 3)
     # The variance of a median of k normal values is pi / 2 times that of their mean.
     count = weight.sum(axis=1) * (2.0 / np.pi)
     evidence = count * np.square(common / noise).sum(axis=1)

@@ -13,6 +13,12 @@ PLANES = 400
 """Planes tried through three ring Gaussians each: with a fifth of them on the surface, all 400 miss it with
 probability 4 %, with a third of them never."""
 
+TUKEY = 4.685 * 1.4826
+"""Tukey's constant times the standard deviation of a normal law over its median absolute deviation."""
+
+PLANE_BAND, WIDEST_BAND, FINEST_BAND = 0.15, 0.5, 0.02
+"""Distances that count as on the plane, and as on the quadric at first and at last, in radii of the hole."""
+
 BENDING = 0.02
 """Cost of the quadric's second derivatives: a ring says little about them far inside the hole."""
 
@@ -95,7 +101,7 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
     points, weights = ring.means.astype(np.float64), visible_area(ring)
     if not weights.sum() > 0:
         return None
-    found = _dominant_plane(points, weights, 0.15 * size, rng)
+    found = _dominant_plane(points, weights, PLANE_BAND * size, rng)
     if found is None:
         return None
     origin, normal = found
@@ -104,10 +110,10 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
     e1 = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     e1 /= np.linalg.norm(e1)
     axes = np.stack([e1, np.cross(normal, e1), normal])
-    local = (points - origin) @ axes.T
-    design, height = _quadric(local[:, :2] / size), local[:, 2]
+    local = (points - origin) @ axes.T  # (n, 3) u, v, height above the plane
+    design, height = _quadric(local[:, :2] / size), local[:, 2]  # (n, 6), (n,)
     coefficients = np.zeros(6)
-    band = 0.5 * size
+    band = WIDEST_BAND * size
     stiff = np.diag([0.0, 0.0, 0.0, BENDING, BENDING, BENDING])
     for _ in range(12):
         error = height - design @ coefficients
@@ -118,8 +124,7 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
         coefficients = np.linalg.solve(normal_matrix, (design * w[:, None]).T @ height / w.sum())
         near = np.abs(height - design @ coefficients) < band
         spread = _weighted_median(np.abs(height - design @ coefficients)[near], weights[near])
-        # 4.685 robust standard deviations, Tukey's constant; never below a fiftieth of the hole.
-        band = min(band, max(4.685 * 1.4826 * spread, 0.02 * size))
+        band = min(band, max(TUKEY * spread, FINEST_BAND * size))
     return HoleSurface(origin, axes, coefficients, size, band)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -139,7 +139,9 @@ class Scene:
         width = max(part.sh.shape[1] for part in parts)
         parts = [p.with_(sh=np.pad(p.sh, ((0, 0), (0, width - p.sh.shape[1]), (0, 0)))) for p in parts]
         owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
-        return FlatScene(joined(parts), owner, self.names)
+        names = GaussianModel.__dataclass_fields__
+        model = GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return FlatScene(model, owner, self.names)
 
     def _number(self, name: str) -> int:
         if name not in self.names:
@@ -153,9 +155,3 @@ def model_box(model: GaussianModel) -> tuple[Float64, Float64]:
     reach = BOX_DEVIATIONS * np.sqrt(np.square(axes).sum(axis=2))  # 3 sqrt(diag(R S S^T R^T))
     means = model.means.astype(np.float64)
     return (means - reach).min(axis=0), (means + reach).max(axis=0)
-
-
-def joined(parts: Sequence[GaussianModel]) -> GaussianModel:
-    """Models of one SH degree one after the other."""
-    names = GaussianModel.__dataclass_fields__
-    return GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

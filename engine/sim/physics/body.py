@@ -10,8 +10,7 @@ from engine.errors import InputError
 from engine.model import Bool, Float64, GaussianModel
 from engine.numerics.jit import parallel_section
 from engine.sim.attack import check_positive
-from engine.sim.physics.deforming import deform_model
-from engine.sim.physics.deforming_kernels import interpolate
+from engine.sim.physics.deforming import deform_model, interpolate
 from engine.sim.physics.lattice import Binding, Lattice, build_lattice
 from engine.sim.vectors import check_triple
 

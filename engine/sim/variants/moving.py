@@ -40,6 +40,9 @@ __all__ = [
     "visible",
 ]
 
+FEWEST = 3
+"""Visible Gaussians that make a model: fewer span no frame."""
+
 COMMITMENT = "moving"
 """Name under which a record's plan holds the digest of the moving original."""
 
@@ -128,7 +131,7 @@ def visible(model: GaussianModel) -> GaussianModel:
 
 def _visible_rows(model: GaussianModel, when: str = "") -> Int64:
     rows = np.flatnonzero(model.opacities >= VISIBLE)
-    if len(rows) < 3:
+    if len(rows) < FEWEST:
         raise InputError(f"only {len(rows)} of {len(model)} Gaussians are visible{when}")
     return rows
 

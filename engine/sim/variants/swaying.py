@@ -28,6 +28,10 @@ SOFT = 0.02
 """Time in which something appears or vanishes, parts of the clip: a few frames."""
 CELLS = 64
 """Parts of a scene that come and go as one."""
+SHORTEST, MARGIN = 0.05, 0.2
+"""Shortest life that is fitted, and how far beyond the clip a window counts, parts of the clip."""
+UNSEEN = 1e-3
+"""Weight of the moments at which a Gaussian cannot be seen: a fit stays solvable."""
 ALWAYS = (-9.0, 9.0)
 """Window of what is always there."""
 LASTING = np.log(4.0)
@@ -120,20 +124,20 @@ def fit_spacetime(scene: SwayingScene) -> SpacetimeModel:
     """The Spacetime model nearest to a scene: cubics, linear rotation and lifetimes by weighted least squares."""
     n = len(scene.still)
     times = np.linspace(0.0, 1.0, FRAMES)
-    start, end = np.clip(scene.window, -0.2, 1.2).T
+    start, end = np.clip(scene.window, -MARGIN, 1.0 + MARGIN).T
     lasts = (scene.window[:, 0] < -1) & (scene.window[:, 1] > 2)
     center = np.where(lasts, np.asarray(CENTERS)[np.arange(n) % len(CENTERS)], 0.5 * (start + end))
     # A window of width w and the basis exp(-(d/s)^2) cover the same area for s = w / sqrt(pi).
-    width = np.where(lasts, LASTING, np.log(np.maximum(end - start, 0.05) / np.sqrt(np.pi)))
+    width = np.where(lasts, LASTING, np.log(np.maximum(end - start, SHORTEST) / np.sqrt(np.pi)))
     frames = [scene.at(time) for time in times]
     means, motion = np.empty((n, 3)), np.empty((n, 9))
     quats, omega = np.empty((n, 4)), np.empty((n, 4))
     for value in np.unique(np.stack([center, width], axis=1), axis=0):  # as many as there are cells
         rows = np.flatnonzero((center == value[0]) & (width == value[1]))
         d = times - value[0]
-        weights = np.exp(-((d / np.exp(value[1])) ** 2)) + 1e-3
-        places = np.stack([frame.means[rows] for frame in frames]).reshape(FRAMES, -1)
-        fit = _fit(d, weights, 3, places).reshape(4, len(rows), 3)
+        weights = np.exp(-((d / np.exp(value[1])) ** 2)) + UNSEEN
+        places = np.stack([frame.means[rows] for frame in frames]).reshape(FRAMES, -1)  # (T, 3 n)
+        fit = _fit(d, weights, 3, places).reshape(4, len(rows), 3)  # by degree
         means[rows], motion[rows] = fit[0], np.moveaxis(fit[1:], 0, 1).reshape(len(rows), 9)
         turns = np.stack([frame.quats[rows] for frame in frames])  # (T, n, 4)
         turns = turns * np.where((turns * turns[:1]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)

@@ -24,7 +24,7 @@ from engine.sim.physics.body import (
     pose,
     strain_norms,
 )
-from engine.sim.physics.deforming_kernels import interpolate
+from engine.sim.physics.deforming import interpolate
 from engine.sim.physics.lattice import build_lattice
 from tests.reference.deformation import deformed_covariance
 from tests.reference.physics import barycentric
