@@ -32,7 +32,7 @@ class PhotoSet:
     @property
     def trained_on(self) -> list[int]:
         """The others."""
-        return [k for k in range(len(self.names)) if k not in set(self.held_out)]
+        return [k for k in range(len(self.names)) if k not in self.held_out]
 
 
 @dataclass(frozen=True, eq=False)

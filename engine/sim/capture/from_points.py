@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -140,12 +141,12 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tupl
         files = sorted(f for f in root.iterdir() if f.suffix.lower() in POINT_ENDINGS and f.is_file())
         if not files:
             raise InputError(f"{root}: holds no scans ({', '.join(POINT_ENDINGS)})")
-    scans, counts = [], dict[str, int]()
+    scans, counts = [], Counter[str]()
     for k, file in enumerate(files):
         cloud, repairs = read_point_cloud(file)
         scans.append(Scan(cloud, file.name, _time_of(file.stem)))
         for repair in repairs:
-            counts[repair.code] = counts.get(repair.code, 0) + repair.count
+            counts[repair.code] += repair.count
         if clock is not None:
             clock.advance((k + 1) / len(files))
     return scans, tuple(Repair(code, n, f"{n} in {len(files)} scans") for code, n in counts.items())
