@@ -70,7 +70,8 @@ def bench_variant(kind: str, path: Path, seed: int = 0) -> dict[str, Any]:
 
 
 def _discs(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int) -> VariantRow:
-    from engine.sim.variants.discs import make_discs, measure_discs
+    from engine.sim.variants.discs import make_discs
+    from engine.sim.variants.measuring import measure_discs
 
     return measure_discs(original, make_discs(original), key, config, seed=seed)
 

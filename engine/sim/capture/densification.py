@@ -8,6 +8,7 @@ from engine.errors import InputError
 from engine.model import Bool, Float32, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.parameters import Parameters
+from engine.sim.model_placement import join
 
 __all__ = ["CenterGradients", "DensifyConfig", "densify"]
 
@@ -69,13 +70,7 @@ class DensifyConfig:
 
 
 class CenterGradients:
-    """Mean pull on every centre across the image, over the views that saw the Gaussian.
-
-    Parameters
-    ----------
-    count : int
-        Gaussians.
-    """
+    """Mean pull on every centre across the image, over the views that saw the Gaussian."""
 
     def __init__(self, count: int) -> None:
         self.sums = np.zeros(count, dtype=np.float64)
@@ -102,20 +97,10 @@ def densify(
     *,
     prune_large: bool,
 ) -> None:
-    """One round: clone and split where the centres are pulled, remove what is faint or too large.
+    """One round, in place: clone and split where the centres are pulled, remove what is faint or too large.
 
-    Parameters
-    ----------
-    parameters : Parameters
-        Changed in place.
-    pull : (N,) float32
-        See `CenterGradients.mean`.
-    extent : float
-        Of the cameras, scene units.
-    rng : numpy.random.Generator
-        Places the parts of split Gaussians.
-    prune_large : bool
-        Whether Gaussians beyond `max_size` go.
+    `pull` (N,) is `CenterGradients.mean`, `extent` that of the cameras (scene units); `rng` places the parts of split
+    Gaussians, and with `prune_large` those beyond `max_size` go.
     """
     model = parameters.model
     sizes = model.log_scales.max(axis=1)
@@ -126,30 +111,24 @@ def densify(
     gone = faint | (sizes > np.log(config.max_size * extent)) if prune_large else faint
     kept = ~gone
     kept[split] = False
-    new = [model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng)]
-    joined = GaussianModel(
-        *(np.concatenate([getattr(part, name) for part in new]) for name in GaussianModel.__dataclass_fields__)
-    )
+    new = join(model.take(cloned[~gone[cloned]]), _parts(model.take(split[~faint[split]]), rng))
     if prune_large:
-        joined = joined.take(joined.log_scales.max(axis=1) <= np.log(config.max_size * extent))
-    if kept.any() or len(joined):
-        parameters.regroup(np.flatnonzero(kept), joined)
+        new = new.take(new.log_scales.max(axis=1) <= np.log(config.max_size * extent))
+    if kept.any() or len(new):
+        parameters.regroup(np.flatnonzero(kept), new)
 
 
 def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
     """Those above the threshold, at most as many as there is room for; each adds one Gaussian."""
     chosen = pull > threshold
-    if np.count_nonzero(chosen) > max(room, 0):
-        order = np.argsort(-pull, kind="stable")[: max(room, 0)]
-        chosen = np.zeros(len(pull), dtype=np.bool_)
-        chosen[order] = True
+    chosen[np.argsort(-pull, kind="stable")[max(room, 0) :]] = False
     return chosen
 
 
 def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
     """Two smaller Gaussians for each, at places drawn from it."""
     twice = model.take(np.repeat(np.arange(len(model)), 2))
-    steps = rng.standard_normal((len(twice), 3)) * twice.scales
+    steps = rng.standard_normal((len(twice), 3)) * twice.scales  # (2 n, 3), along their own axes
     lengths = np.maximum(np.linalg.norm(twice.quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
     turns = quaternion_to_rotation(twice.quats / lengths).reshape(-1, 3, 3)
     return twice.with_(

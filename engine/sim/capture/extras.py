@@ -9,22 +9,7 @@ __all__ = ["load_extra"]
 
 
 def load_extra(module: str, package: str, purpose: str) -> Any:
-    """Import an optional module.
-
-    Parameters
-    ----------
-    module : str
-        Name to import.
-    package : str
-        Distribution that holds it.
-    purpose : str
-        What it is needed for, for the message.
-
-    Raises
-    ------
-    InputError
-        If it is not installed, or cannot be loaded on this machine.
-    """
+    """Import a module of an optional distribution; InputError, naming the purpose, where that cannot be done."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -22,16 +22,7 @@ __all__ = ["Capture", "PhotoSet", "load_photos", "train_from_colmap"]
 
 @dataclass(frozen=True, eq=False)
 class PhotoSet:
-    """Undistorted photos, some of them held out.
-
-    Parameters
-    ----------
-    names : list of str
-    cameras : list of Camera
-    images : list of (H, W, 3) float32
-    held_out : list of int
-        Which are not trained on.
-    """
+    """Undistorted photos (H, W, 3), and the numbers of those held out."""
 
     names: list[str]
     cameras: list[Camera]
@@ -41,17 +32,14 @@ class PhotoSet:
     @property
     def trained_on(self) -> list[int]:
         """The others."""
-        return [k for k in range(len(self.names)) if k not in set(self.held_out)]
+        return [k for k in range(len(self.names)) if k not in self.held_out]
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
     """A model trained on photos.
 
-    Parameters
-    ----------
-    report : dict
-        Plain values: numbers of photos, points and Gaussians, steps a second, PSNR of each photo and their means.
+    The report: numbers of photos, points and Gaussians, steps a second, PSNR of each photo and their means.
     """
 
     model: GaussianModel
@@ -78,13 +66,6 @@ def load_photos(
     hold_out : int
         By the order of the names, the middle one of every so many photos is held out, so that it has trained
         neighbours on both sides; 0 holds none out.
-    clock : Clock, optional
-        Told how far the reading is.
-
-    Raises
-    ------
-    InputError
-        If a photo is missing or does not fit, or fewer than two photos are left to train on.
     """
     photos = reconstruction.photos
     if hold_out < 0 or hold_out == 1:
@@ -111,25 +92,9 @@ def train_from_colmap(
     config: TrainConfig | None = None,
     progress: Progress | None = None,
 ) -> Capture:
-    """Train a model on the photos of a COLMAP reconstruction.
+    """Train a model on the photos of a COLMAP model in a folder, see `read_reconstruction` and `load_photos`.
 
-    Parameters
-    ----------
-    folder : path
-        The COLMAP model, see `read_reconstruction`.
-    images : path
-        Folder of the photos.
-    size : int
-        Longest side of the undistorted photos, pixels.
-    hold_out : int
-        See `load_photos`.
-    progress : callable, optional
-        Called as progress(stage, part done), stages "photos", "train" and "compare".
-
-    Raises
-    ------
-    InputError
-        If a file is missing or broken, or the reconstruction holds too few photos or points.
+    Progress has the stages "photos", "train" and "compare".
     """
     config = config or TrainConfig()
     clock = Clock(progress)
@@ -158,10 +123,7 @@ def train_from_colmap(
 def photo_quality(model: GaussianModel, photos: PhotoSet, background: Any = 0.0) -> dict[str, Any]:
     """PSNR of the renders against the photos, dB: each, and the means over those trained on and held out.
 
-    Parameters
-    ----------
-    background : float or three floats
-        A random one counts as black.
+    A random background counts as black.
     """
     behind = 0.0 if isinstance(background, str) else background
     values = [

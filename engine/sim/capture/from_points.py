@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,9 +17,8 @@ from engine.formats.points.reading import POINT_ENDINGS, read_point_cloud
 from engine.formats.repairs import Repair
 from engine.model import Float32, Float64, GaussianModel
 from engine.pipeline.progress import Clock, Progress
-from engine.sim.capture.kernels import kernels_from_points
+from engine.sim.capture.kernels import flat_kernels_from_points, kernels_from_points
 from engine.sim.capture.placing import Scan, join_clouds, place_scans
-from engine.sim.capture.surfels import flat_kernels_from_points
 from engine.sim.capture.thinning import drop_strays, thin_voxels, typical_spacing
 
 __all__ = ["CloudConfig", "CloudModel", "points_to_model", "read_scans", "scans_to_model"]
@@ -88,20 +88,7 @@ class CloudModel:
 def points_to_model(
     path: str | os.PathLike[str], *, config: CloudConfig | None = None, progress: Progress | None = None
 ) -> CloudModel:
-    """Make a model of a point cloud.
-
-    Parameters
-    ----------
-    path : path
-        PLY, PCD or LAS.
-    progress : callable, optional
-        Called as progress(stage, part done), stages "read", "thin" and "kernels".
-
-    Raises
-    ------
-    InputError
-        If the file is missing or broken, or too few points are left.
-    """
+    """Make a model of a point cloud (PLY, PCD or LAS). Progress has the stages "read", "thin" and "kernels"."""
     clock = Clock(progress)
     with clock.stage("read"):
         cloud, repairs = read_point_cloud(path)
@@ -128,11 +115,6 @@ def scans_to_model(
         From the scanner's frame to the one whose poses the trajectory tells.
     progress : callable, optional
         Stages "read", "place", "thin" and "kernels".
-
-    Raises
-    ------
-    InputError
-        If a file is missing or broken, scans and poses do not belong together, or too few points are left.
     """
     clock = Clock(progress)
     repairs: tuple[Repair, ...] = ()
@@ -149,26 +131,9 @@ def scans_to_model(
 
 
 def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tuple[list[Scan], tuple[Repair, ...]]:
-    """Read scans, in the order of their files' names.
+    """Read scans (a point cloud, or a folder of them) in the order of their files' names; repairs are summed up.
 
-    Parameters
-    ----------
-    path : path
-        A point cloud, or a folder of them. A name that is a time (seconds with a decimal point, or nanoseconds of 16
-        to 19 digits) is the scan's time.
-    clock : Clock, optional
-        Told how far the reading is.
-
-    Returns
-    -------
-    scans : list of Scan
-    repairs : tuple of Repair
-        Summed over the files.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, none in the folder, or one is broken.
+    A name that is a time (seconds with a decimal point, or nanoseconds of 16 to 19 digits) is the scan's time.
     """
     root = Path(path)
     files = [root]
@@ -176,12 +141,12 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tupl
         files = sorted(f for f in root.iterdir() if f.suffix.lower() in POINT_ENDINGS and f.is_file())
         if not files:
             raise InputError(f"{root}: holds no scans ({', '.join(POINT_ENDINGS)})")
-    scans, counts = [], dict[str, int]()
+    scans, counts = [], Counter[str]()
     for k, file in enumerate(files):
         cloud, repairs = read_point_cloud(file)
         scans.append(Scan(cloud, file.name, _time_of(file.stem)))
         for repair in repairs:
-            counts[repair.code] = counts.get(repair.code, 0) + repair.count
+            counts[repair.code] += repair.count
         if clock is not None:
             clock.advance((k + 1) / len(files))
     return scans, tuple(Repair(code, n, f"{n} in {len(files)} scans") for code, n in counts.items())
@@ -193,16 +158,13 @@ def _to_model(
     read = len(cloud)
     with clock.stage("thin"):
         cloud, voxel = _thinned(cloud, config, spacing)
-        strays = 0
-        if config.clean:
-            cloud, strays = drop_strays(cloud)
+        cloud, strays = drop_strays(cloud) if config.clean else (cloud, 0)
     with clock.stage("kernels"):
         colors, source = _colors(cloud)
         origin = _origin(cloud.points)
-        flat = config.kernels == "flat"
-        opacity = (0.95 if flat else 0.1) if config.opacity is None else config.opacity
-        make = flat_kernels_from_points if flat else kernels_from_points
-        model = make(cloud.points - origin, colors, opacity=opacity, size=config.size)
+        own = {} if config.opacity is None else {"opacity": config.opacity}
+        make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
+        model = make(cloud.points - origin, colors, size=config.size, **own)
     numbers = {
         "points": read,
         "voxel": voxel,
@@ -230,9 +192,8 @@ def _colors(cloud: PointCloud) -> tuple[Float32, str]:
     """(N, 3) colours; grey by intensity where a scanner saw none, the brightest and darkest 1 % cut off."""
     if cloud.colors is not None:
         return cloud.colors, "colors"
-    grey = np.full(len(cloud), 0.5, dtype=np.float32)
     if cloud.intensity is None or not len(cloud) or np.ptp(cloud.intensity) == 0.0:
-        return np.repeat(grey[:, None], 3, axis=1), "none"
+        return np.full((len(cloud), 3), 0.5, dtype=np.float32), "none"
     low, high = np.percentile(cloud.intensity, (1.0, 99.0))
     grey = np.clip((cloud.intensity - low) / max(float(high - low), 1e-30), 0.0, 1.0).astype(np.float32)
     return np.repeat(grey[:, None], 3, axis=1), "intensity"

@@ -16,11 +16,7 @@ def half_precision(model: GaussianModel) -> GaussianModel:
     None of the file formats read here holds half floats (PLY has no such type; SPZ and SOG quantise in their own
     way): this is what happens in graphics memory, and in files of viewers that dump it. Centres keep 11 bits, so
     that a scene far from its origin shows steps; means and scales are those of the whole scene, not of a tile.
-
-    Raises
-    ------
-    InputError
-        If a centre or a coefficient is too large for float16 (65,504).
+    InputError if a centre or a coefficient is too large for float16 (65,504).
     """
     for name in ("means", "sh"):
         array = getattr(model, name)
@@ -32,10 +28,6 @@ def half_precision(model: GaussianModel) -> GaussianModel:
         return array.astype(np.float16).astype(np.float32)
 
     quats = rounded(model.quats).astype(np.float64)
-    return GaussianModel(
-        rounded(model.means),
-        rounded(model.log_scales),
-        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        rounded(model.opacity_logits),
-        rounded(model.sh),
-    )
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    means, log_scales, logits, sh = map(rounded, (model.means, model.log_scales, model.opacity_logits, model.sh))
+    return GaussianModel(means, log_scales, quats.astype(np.float32), logits, sh)

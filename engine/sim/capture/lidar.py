@@ -16,6 +16,12 @@ __all__ = ["Lidar", "scan_model"]
 _FACES = 4
 """Pictures around the scanner, a quarter turn each."""
 
+FINER, MOST_FOCAL = 3.0, 1000.0
+"""Pixels of a picture a beam, and the longest focal length of one, pixels."""
+
+LUMA = (0.299, 0.587, 0.114)
+"""Of red, green and blue (BT.601)."""
+
 SOLID = 0.5
 """Accumulated opacity at which light comes back."""
 
@@ -72,24 +78,8 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
     """Scan a model from every pose of a trajectory, each scan taken at once.
 
     A beam goes through the nearest pixel of a picture three times as fine as the beams are, so that its range and
-    direction belong together exactly.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Scanner to world.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    list of Scan
-        Coloured points in the scanner's frame, of those beams that came back; intensity is the luminance.
-
-    Raises
-    ------
-    InputError
-        If no beam of some scan came back.
+    direction belong together exactly. Scans hold coloured points in the scanner's frame, of those beams that came back
+    (InputError where none did); intensity is the luminance.
     """
     rng = np.random.default_rng(seed)
     beams = lidar.directions.reshape(-1, 3)
@@ -103,7 +93,7 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
         points = points * (1.0 + lidar.noise * rng.standard_normal(ranges.shape) / ranges)
         time = None if trajectory.times is None else float(trajectory.times[k])
         shades = colors.astype(np.float32)
-        luminance = shades @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+        luminance = shades @ np.array(LUMA, dtype=np.float32)
         scans.append(Scan(PointCloud(points, shades, luminance), f"scan {k}", time))
     return scans
 
@@ -113,12 +103,12 @@ def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, fac
     middle = 0.5 * np.pi * face
     c, s = np.cos(middle), np.sin(middle)
     to_camera = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # x right, y down, z forward
-    seen = beams @ to_camera.T
+    seen = beams @ to_camera.T  # (B, 3)
     azimuth = np.arctan2(seen[:, 0], seen[:, 2])
     seen = seen[(azimuth >= -0.25 * np.pi) & (azimuth < 0.25 * np.pi)]
-    slope = seen[:, :2] / seen[:, 2:]
-    focal = 3.0 * max(lidar.columns / (2.0 * np.pi), lidar.rings / np.radians(lidar.highest - lidar.lowest))
-    focal = min(focal, 1000.0)
+    slope = seen[:, :2] / seen[:, 2:]  # (b, 2) of the beams that this picture shows
+    focal = FINER * max(lidar.columns / (2.0 * np.pi), lidar.rings / np.radians(lidar.highest - lidar.lowest))
+    focal = min(focal, MOST_FOCAL)
     low, high = slope.min(axis=0), slope.max(axis=0)
     width, height = (int(np.ceil(focal * span)) + 2 for span in high - low)
     K = np.array([[focal, 0.0, 1.0 - focal * low[0]], [0.0, focal, 1.0 - focal * low[1]], [0.0, 0.0, 1.0]])

@@ -5,7 +5,7 @@ What is left out is merged into its nearest survivor with the moments of both, w
 in Hierarchical 3D Gaussians (Kerbl et al. 2024, equation 6), or dropped.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from engine.numerics.flattening import flatten
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.scenes import worst_psnr_against
 from engine.raster import prepare_view, render
+from engine.sim.capture.kernels import principal_axes
 
 __all__ = ["LevelOfDetail", "level_of_quality", "levels_of_detail", "rank_by_weight", "reduce_to"]
 
@@ -26,21 +27,16 @@ VIEWS, VIEW_SIZE = 12, 400
 REACH = 3.0
 """A Gaussian is merged into a survivor no farther than so many of both's largest standard deviations together."""
 
-MOST_OPAQUE = 0.99
+LEAST_OPAQUE, MOST_OPAQUE = 1e-4, 0.99
 
 _STEPS = 12  # 2^-12 of the Gaussians: finer than any view tells
 
 
 @dataclass(frozen=True, eq=False)
 class LevelOfDetail:
-    """A model with fewer Gaussians.
+    """A model with fewer Gaussians, and which row of the full model each of them is, or was merged into.
 
-    Parameters
-    ----------
-    kept : (n,) int32
-        Row of the full model that each of its Gaussians is, or was merged into.
-    psnr_db : float
-        Of the worst view, against the full model.
+    `psnr_db` is that of the worst view, against the full model.
     """
 
     model: GaussianModel
@@ -57,28 +53,10 @@ def rank_by_weight(model: GaussianModel, cameras: Sequence[Camera]) -> Float64:
 
 
 def reduce_to(model: GaussianModel, ranking: Float64, count: int, *, merge: bool = True) -> tuple[GaussianModel, Int32]:
-    """The model in so many Gaussians.
+    """The model in `count` (1 to N) Gaussians, in the old order, and their rows in the full model.
 
-    Parameters
-    ----------
-    ranking : (N,)
-        The larger, the sooner kept.
-    count : int
-        1 to N.
-    merge : bool
-        Merge the others into the nearest survivor where one is near, or drop them.
-
-    Returns
-    -------
-    model : GaussianModel
-        In the old order.
-    kept : (count,) int32
-        Their rows in the full model.
-
-    Raises
-    ------
-    InputError
-        If the count or the shape of the ranking is wrong.
+    The larger in the ranking (N,), the sooner kept. The others are merged into the nearest survivor where one is near,
+    or dropped.
     """
     if np.shape(ranking) != (len(model),):
         raise InputError(f"ranking has shape {np.shape(ranking)}, expected ({len(model)},)")
@@ -99,33 +77,14 @@ def levels_of_detail(
     cameras: Sequence[Camera] | None = None,
     merge: bool = True,
 ) -> list[LevelOfDetail]:
-    """Several levels from one ranking.
+    """Several levels from one ranking, in the order of the shares of the Gaussians, each in (0, 1].
 
-    Parameters
-    ----------
-    shares : sequence of float
-        Parts of the Gaussians, each in (0, 1].
-    cameras : sequence of Camera, optional
-        Views to rank by and to compare; a rig around the model where not given.
-    merge : bool
-        See `reduce_to`.
-
-    Returns
-    -------
-    list of LevelOfDetail
-        In the order of the shares.
-
-    Raises
-    ------
-    InputError
-        If the model is empty or a share lies outside its range.
+    The cameras are the views to rank by and to compare; a rig around the model where not given.
     """
     for share in shares:
         if not 0.0 < share <= 1.0:
             raise InputError(f"a level of {share} of the Gaussians: expected a share in (0, 1]")
-    cameras = _cameras(model, cameras)
-    ranking = rank_by_weight(model, cameras)
-    worst = worst_psnr_against([render(model, camera) for camera in cameras], cameras)
+    ranking, worst = _ranked(model, cameras)
     levels = []
     for share in shares:
         level, kept = reduce_to(model, ranking, max(1, round(share * len(model))), merge=merge)
@@ -136,30 +95,10 @@ def levels_of_detail(
 def level_of_quality(
     model: GaussianModel, psnr_db: float, *, cameras: Sequence[Camera] | None = None, merge: bool = True
 ) -> LevelOfDetail:
-    """The smallest level whose worst view is still that near to the full model (by bisection).
-
-    Parameters
-    ----------
-    psnr_db : float
-        Least PSNR, dB.
-    cameras, merge
-        See `levels_of_detail`.
-
-    Returns
-    -------
-    LevelOfDetail
-        The full model where no smaller level reaches it.
-
-    Raises
-    ------
-    InputError
-        If the model is empty or the PSNR is not finite.
-    """
+    """The smallest level whose worst view is still that near to the full model (by bisection); else the full model."""
     if not np.isfinite(psnr_db):
         raise InputError(f"psnr_db is {psnr_db}, expected a number of dB")
-    cameras = _cameras(model, cameras)
-    ranking = rank_by_weight(model, cameras)
-    worst = worst_psnr_against([render(model, camera) for camera in cameras], cameras)
+    ranking, worst = _ranked(model, cameras)
     best = LevelOfDetail(model, np.arange(len(model), dtype=np.int32), float("inf"))
     low, high = 0, len(model)
     for _ in range(_STEPS):
@@ -175,10 +114,12 @@ def level_of_quality(
     return best
 
 
-def _cameras(model: GaussianModel, cameras: Sequence[Camera] | None) -> Sequence[Camera]:
+def _ranked(model: GaussianModel, cameras: Sequence[Camera] | None) -> tuple[Float64, Callable[[GaussianModel], float]]:
+    """The ranking of the Gaussians, and the measure of a level: PSNR of its worst view."""
     if len(model) == 0:
         raise InputError("a model without Gaussians has no levels of detail")
-    return cameras or make_rig(model, VIEWS, VIEW_SIZE, VIEW_SIZE)
+    cameras = cameras or make_rig(model, VIEWS, VIEW_SIZE, VIEW_SIZE)
+    return rank_by_weight(model, cameras), worst_psnr_against([render(model, c) for c in cameras], cameras)
 
 
 def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) -> GaussianModel:
@@ -214,13 +155,10 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     gap = offset - center[group]
     sigma = mean(covariances(model.take(rows)) + gap[:, :, None] * gap[:, None, :])
     touched = np.flatnonzero(np.bincount(into, minlength=n))  # the others keep their bits
-    values, vectors = np.linalg.eigh(sigma[touched])
-    values = np.maximum(values, 1e-30)
-    vectors = vectors[:, :, ::-1].copy()  # the shortest axis last, as discs have it
-    values = values[:, ::-1]
-    vectors[np.linalg.det(vectors) < 0.0, :, 2] *= -1.0
+    values, vectors = principal_axes(sigma[touched])
+    values = np.maximum(values, 1e-30)  # rounding may leave a variance below 0
     opacity = total[touched] / np.sqrt(values[:, 0] * values[:, 1])
-    opacity = np.clip(opacity, 1e-4, MOST_OPAQUE)
+    opacity = np.clip(opacity, LEAST_OPAQUE, MOST_OPAQUE)
     arrays = {name: getattr(result, name).copy() for name in ("means", "log_scales", "quats", "opacity_logits")}
     arrays["means"][touched] = home[touched] + center[touched]
     arrays["log_scales"][touched] = 0.5 * np.log(values)

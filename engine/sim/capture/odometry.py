@@ -29,18 +29,11 @@ def odometry(
         times, the motion during a turn is undone.
     farthest : float, optional
         Ranges beyond it are not used, scene units; the largest of the first scan where not given.
-    advance : callable, optional
-        Told how far it is.
 
     Returns
     -------
     Trajectory
         In the frame of the first scan; times where all scans have them.
-
-    Raises
-    ------
-    InputError
-        If kiss-icp is not installed, there are fewer than two scans, or one holds no points in range.
     """
     from engine.numerics.similarity import rotation_to_quaternion  # scipy: the command line only passes by
 

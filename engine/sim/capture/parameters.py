@@ -9,6 +9,9 @@ from engine.raster import Gradients
 
 __all__ = ["NAMES", "Parameters"]
 
+SH_REST = 20.0
+"""Higher SH bands move so much slower than DC (INRIA)."""
+
 NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
@@ -35,16 +38,10 @@ class Parameters:
         return GaussianModel(**arrays)
 
     def step(self, gradients: Gradients, rates: dict[str, float], number: int) -> None:
-        """One Adam step of every parameter that has a rate; higher SH bands move at a twentieth (INRIA)."""
+        """One Adam step of every parameter that has a rate; see `SH_REST`."""
         for name, rate in rates.items():
-            adam_step(
-                self.arrays[name],
-                getattr(gradients, name),
-                self.moments[name],
-                rate,
-                number,
-                rate_rest=rate / 20.0 if name == "sh" else None,
-            )
+            rest = rate / SH_REST if name == "sh" else None
+            adam_step(self.arrays[name], getattr(gradients, name), self.moments[name], rate, number, rate_rest=rest)
 
     def regroup(self, kept: npt.NDArray[np.int64], new: GaussianModel) -> None:
         """The Gaussians at `kept` with their moments, then the new ones, which start without any."""

@@ -41,11 +41,6 @@ def photo_loss(image: Float32, photo: Float32, ssim_weight: float = 0.2) -> tupl
     -------
     loss : float
     gradient : (H, W, 3) float32
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, a side is shorter than the window, or the weight lies outside 0..1.
     """
     if image.shape != photo.shape or image.ndim != 3:
         raise InputError(f"render and photo must both be (H, W, C), got {image.shape} and {photo.shape}")

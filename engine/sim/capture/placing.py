@@ -18,14 +18,9 @@ __all__ = ["Scan", "join_clouds", "place_scan", "place_scans", "poses_at"]
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What a scanner saw in one turn, in its own frame.
+    """What a scanner saw in one turn, in its own frame, with a name for messages.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    time : float, optional
-        Seconds, of the trajectory's clock, at which the scan began (or was taken at once).
+    `time` is when the scan began (or was taken at once), seconds, of the trajectory's clock.
     """
 
     cloud: PointCloud
@@ -34,24 +29,9 @@ class Scan:
 
 
 def poses_at(trajectory: Trajectory, times: npt.NDArray[Any]) -> tuple[Any, Float64]:
-    """Poses between those of the trajectory: positions on a line, rotations on a great circle (slerp).
+    """Poses between those of a trajectory with times: positions on a line, rotations on a great circle (slerp).
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        With times.
-    times : (M,)
-        Seconds, within the trajectory's.
-
-    Returns
-    -------
-    rotations : scipy Rotation of length M
-    positions : (M, 3) float64
-
-    Raises
-    ------
-    InputError
-        If the trajectory has no times, or a time lies outside it.
+    For times (M,) within the trajectory's it gives a scipy Rotation of length M and positions (M, 3).
     """
     from scipy.spatial.transform import Rotation, Slerp  # costs 0.2 s, and the command line only passes by
 
@@ -93,20 +73,14 @@ def place_scans(
         World frame, one for each scan; times are those of the trajectory's clock.
     outside : int
         Points left out, since they were taken before the first pose or after the last.
-
-    Raises
-    ------
-    InputError
-        If numbers do not agree, nothing tells the times, or a scan lies outside the trajectory altogether.
     """
     if trajectory.times is None:
         if len(scans) != len(trajectory):
             message = f"{len(scans)} scans for {len(trajectory)} poses without times (KITTI): each needs its own"
             raise InputError(message)
-        matrices = trajectory.matrices
         placed = [
             replace(scan.cloud, points=mounted(scan.cloud.points, mounting) @ pose[:3, :3].T + pose[:3, 3])
-            for scan, pose in zip(scans, matrices, strict=True)
+            for scan, pose in zip(scans, trajectory.matrices, strict=True)
         ]
         return placed, 0
     known = trajectory.times
@@ -134,13 +108,7 @@ def _on_clock(scans: Sequence[Scan], known: Float64) -> bool:
 
 
 def place_scan(scan: Scan, trajectory: Trajectory, mounting: Float64 | None = None) -> tuple[PointCloud, int]:
-    """One scan in the world, by its own time or by those of its points; see `place_scans`.
-
-    Raises
-    ------
-    InputError
-        If there are no times, or none of them lies within the trajectory.
-    """
+    """One scan in the world, by its own time or by those of its points, and its points left out; see `place_scans`."""
     cloud, known = scan.cloud, trajectory.times
     if known is None:
         raise InputError("the trajectory holds no times (KITTI): it places one scan by each of its poses")

@@ -23,13 +23,8 @@ _FOLLOWERS = 15
 class Structure:
     """What structure from motion made of a folder of photos.
 
-    Parameters
-    ----------
-    folder : Path
-        COLMAP model (binary) of the largest part that hangs together; `train_from_colmap` takes it.
-    report : dict
-        Plain values: photos, photos placed, points, mean reprojection error (pixels), mean track length, parts,
-        seconds.
+    The folder holds a COLMAP model (binary) of the largest part that hangs together; `train_from_colmap` takes it. The
+    report: photos, photos placed, points, mean reprojection error (pixels), mean track length, parts, seconds.
     """
 
     folder: Path
@@ -63,15 +58,8 @@ def reconstruct(
         Longest side at which features are looked for, pixels.
     threads : int
         -1: all.
-    seed : int
-        Of RANSAC.
     progress : callable, optional
         Stages "features", "matches" and "mapping".
-
-    Raises
-    ------
-    InputError
-        If pycolmap is not installed, there are too few photos, or they do not hang together.
     """
     root, work = Path(photos), Path(work_folder)
     if not root.is_dir():
@@ -95,15 +83,8 @@ def reconstruct(
         extraction.num_threads, extraction.max_image_size, extraction.use_gpu = threads, size, False
         mode = pycolmap.CameraMode.SINGLE if one_camera else pycolmap.CameraMode.PER_IMAGE
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
-        pycolmap.extract_features(
-            database,
-            root,
-            image_names=names,
-            camera_mode=mode,
-            reader_options=reader,
-            extraction_options=extraction,
-            device=cpu,
-        )
+        options = {"reader_options": reader, "extraction_options": extraction, "device": cpu}
+        pycolmap.extract_features(database, root, image_names=names, camera_mode=mode, **options)
     with clock.stage("matches"):
         matching = pycolmap.FeatureMatchingOptions()
         matching.num_threads, matching.use_gpu = threads, False
@@ -114,9 +95,9 @@ def reconstruct(
             pairing.overlap = _FOLLOWERS
             pycolmap.match_sequential(database, matching_options=matching, pairing_options=pairing, device=cpu)
     with clock.stage("mapping"):
-        options = pycolmap.IncrementalPipelineOptions()
-        options.num_threads, options.random_seed = threads, seed
-        parts = pycolmap.incremental_mapping(database, root, sparse, options)
+        mapping = pycolmap.IncrementalPipelineOptions()
+        mapping.num_threads, mapping.random_seed = threads, seed
+        parts = pycolmap.incremental_mapping(database, root, sparse, mapping)
     if not parts:
         raise InputError(f"{root}: the {len(names)} photos do not hang together: no two of them could be placed")
     best = max(parts.values(), key=lambda part: (part.num_reg_images(), part.num_points3D()))

@@ -28,22 +28,9 @@ ISLAND_SHARE = 2e-4
 
 
 def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
-    """One point a voxel: the mean place, colour, intensity and time of those in it.
+    """One point a voxel of an edge of `size` scene units: the mean place, colour, intensity and time of those in it.
 
-    Parameters
-    ----------
-    size : float
-        Edge of a voxel, scene units.
-
-    Returns
-    -------
-    PointCloud
-        In the order of the voxels, whatever the order of the points but for rounding.
-
-    Raises
-    ------
-    InputError
-        If the size is not positive, or so small that voxels cannot be counted.
+    In the order of the voxels, whatever the order of the points but for rounding.
     """
     if not (np.isfinite(size) and size > 0.0):
         raise InputError(f"size of a voxel is {size}, expected a positive length")
@@ -64,14 +51,9 @@ def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
         return np.asarray((np.stack(sums, axis=1) / held[:, None]).reshape(len(held), *values.shape[1:]))
 
     middle = low + size * 0.5  # near the voxels: sums of large coordinates would lose digits
-    optional = [None if a is None else mean(a) for a in (cloud.colors, cloud.intensity, cloud.times)]
-    colors, intensity, times = optional
-    return PointCloud(
-        mean(cloud.points - middle) + middle,
-        None if colors is None else colors.astype(np.float32),
-        None if intensity is None else intensity.astype(np.float32),
-        times,
-    )
+    colors, intensity = (None if a is None else mean(a).astype(np.float32) for a in (cloud.colors, cloud.intensity))
+    times = None if cloud.times is None else mean(cloud.times)
+    return PointCloud(mean(cloud.points - middle) + middle, colors, intensity, times)
 
 
 def typical_spacing(points: Float64) -> float:
@@ -94,24 +76,13 @@ def typical_spacing(points: Float64) -> float:
 def drop_strays(cloud: PointCloud) -> tuple[PointCloud, int]:
     """Leave out points that no surface explains: lone ones, and small islands in the sky or under the ground.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        Of even density, see `thin_voxels`.
-
-    Returns
-    -------
-    cloud : PointCloud
-        In the old order.
-    dropped : int
+    The cloud must be of even density, see `thin_voxels`. Returned with the number of points dropped.
     """
     if len(cloud) <= 2 * STRAY_NEIGHBOURS:
         return cloud, 0
-    kept = _in_company(cloud.points)
-    rest = cloud.take(kept)
-    large = _on_land(rest.points)
-    final = rest.take(large)
-    return final, len(cloud) - len(final)
+    rest = cloud.take(_in_company(cloud.points))
+    rest = rest.take(_on_land(rest.points))
+    return rest, len(cloud) - len(rest)
 
 
 def _in_company(points: Float64) -> Bool:

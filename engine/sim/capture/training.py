@@ -20,6 +20,10 @@ from engine.sim.capture.photo_loss import photo_loss
 __all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
 
 
+MARGIN = 1.1
+"""Extent of the cameras over the largest distance from their middle (INRIA)."""
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """Knobs of a training; rates are Adam steps, and the defaults INRIA's at 30,000 steps.
@@ -70,15 +74,8 @@ class TrainConfig:
             raise InputError(f"trained must be 'all' or 'colors', got {self.trained!r}")
         if self.sh_degree is not None and self.sh_degree not in (0, 1, 2, 3):
             raise InputError(f"sh_degree is {self.sh_degree}, expected 0 to 3")
-        rates = (
-            self.position_rate,
-            self.position_rate_end,
-            self.scale_rate,
-            self.rotation_rate,
-            self.opacity_rate,
-            self.color_rate,
-            self.sh_every,
-        )
+        shape = self.position_rate, self.position_rate_end, self.scale_rate, self.rotation_rate
+        rates = (*shape, self.opacity_rate, self.color_rate, self.sh_every)
         if not all(np.isfinite(rate) and rate > 0.0 for rate in rates):
             raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)}")
         if isinstance(self.background, str) and self.background != "random":
@@ -90,27 +87,15 @@ def cameras_extent(cameras: Sequence[Camera]) -> float:
 
     Cameras at one place have none, and then it is the unit of the scene.
     """
-    positions = np.stack([camera.position for camera in cameras])
+    positions = np.stack([camera.position for camera in cameras])  # (V, 3)
     largest = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
-    return 1.1 * largest if largest > 0.0 else 1.0
+    return MARGIN * largest if largest > 0.0 else 1.0
 
 
 class Trainer:
     """A training in progress: can be stepped, looked at, and (being plain arrays) pickled and gone on with.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        To start from; left as it is.
-    cameras : sequence of Camera
-    images : sequence of (H, W, 3) float32
-        What they should see, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If there is no photo, their number differs from the cameras', one has another size than its camera, or
-        the model is empty.
+    It starts from a model, which is left as it is; `images` (H, W, 3) are what the cameras should see, 0 to 1.
     """
 
     def __init__(
@@ -215,8 +200,7 @@ class Trainer:
             self._gradients = Gradients.empty(self.parameters.model)
 
     def run(self, advance: Callable[[float], None] | None = None, until: int | None = None) -> GaussianModel:
-        """Step to the end (or to step `until`), telling `advance` the part done; returns the model as it is
-        then."""
+        """Step to the end (or to step `until`), telling `advance` the part done; returns the model as it is then."""
         last = self.config.steps if until is None else min(until, self.config.steps)
         while self.done < last:
             self.step()
@@ -232,21 +216,8 @@ def train(
     config: TrainConfig | None = None,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Train a model on photos; the same input and seed give the same bytes.
+    """Train a model, as from `kernels_from_points`, on photos: a whole `Trainer` run.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        To start from, as from `kernels_from_points`.
-    cameras : sequence of Camera
-    images : sequence of (H, W, 3) float32
-        What they should see, 0 to 1.
-    advance : callable, optional
-        Told the part done, 0 to 1, after every step.
-
-    Raises
-    ------
-    InputError
-        See `Trainer`.
+    The same input and seed give the same bytes.
     """
     return Trainer(model, cameras, images, config).run(advance)

@@ -13,26 +13,16 @@ from engine.model import Camera, Float32, Float64
 __all__ = ["read_photo", "undistort"]
 
 _MAX_ZOOM = 4.0
+_ZOOM_TOLERANCE = 1e-4
 _ASPECT_TOLERANCE = 0.01
+_RADII = 64
+"""Places between middle and border at which a lens polynomial must still rise."""
 
 
 def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray[np.uint8]:
-    """Pixels of a photo of a reconstruction.
+    """(H, W, 3) pixels of a photo of a reconstruction in the photos' folder, which its name must not lead out of.
 
-    Parameters
-    ----------
-    folder : path
-        Where the photos lie.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        As stored: structure from motion does not turn photos by their EXIF entry either.
-
-    Raises
-    ------
-    InputError
-        If the name leads out of the folder, there is no such picture, or it has another shape than its camera.
+    As stored: structure from motion does not turn photos by their EXIF entry either.
     """
     from PIL import Image
 
@@ -55,29 +45,9 @@ def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray
 def undistort(pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None = None) -> tuple[Camera, Float32]:
     """A photo as a pinhole camera at its place would have taken it.
 
-    The focal length grows just as far as is needed to leave no empty border.
-
-    Parameters
-    ----------
-    pixels : (H, W, 3) uint8
-        The photo, also a smaller copy of it.
-    photo : PosedPhoto
-        Its camera and distortion.
-    size : int, optional
-        Longest side of the result, pixels; never larger than the photo. Default: as it is.
-
-    Returns
-    -------
-    camera : Camera
-    image : (H, W, 3) float32
-        0 to 1.
-
-    Raises
-    ------
-    InputError
-        If the size is less than 1.
-    CameraError
-        If the lens bends so strongly that no pinhole picture fits into the photo.
+    The focal length grows just as far as is needed to leave no empty border; CameraError if the lens bends so strongly
+    that no pinhole picture fits into the photo. `pixels` (H, W, 3) are the photo or a smaller copy of it; the image
+    (H, W, 3), 0 to 1, has a longest side of `size` pixels, but is never larger than the photo.
     """
     import cv2  # a heavy import that only image work pays for
 
@@ -118,7 +88,7 @@ def _zoom(camera: Camera, photo: PosedPhoto) -> float:
     low, high = 1.0, _MAX_ZOOM
     if not _inside(camera, photo, high):
         raise CameraError(f"photo {photo.name!r}: distortion {photo.distortion} is too strong to be undone")
-    while high - low > 1e-4:
+    while high - low > _ZOOM_TOLERANCE:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _inside(camera, photo, middle) else (middle, high)
     return high
@@ -140,6 +110,6 @@ def _inside(camera: Camera, photo: PosedPhoto, zoom: float) -> bool:
     radial = 1.0 + k1 * r2 + k2 * r2 * r2
     u = fx * (a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)) + cx
     v = fy * (b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b) + cy
-    outward = np.linspace(0.0, 1.0, 64)[:, None] * r2
+    outward = np.linspace(0.0, 1.0, _RADII)[:, None] * r2
     rising = 1.0 + 3.0 * k1 * outward + 5.0 * k2 * outward * outward > 0.0
     return bool(((u >= 0) & (u <= w) & (v >= 0) & (v <= h)).all() and rising.all())

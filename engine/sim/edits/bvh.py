@@ -41,7 +41,7 @@ class BoxTree:
         return (len(self.links) + 1) // 2
 
     def inserted(self, lows: npt.ArrayLike, highs: npt.ArrayLike, items: npt.ArrayLike) -> BoxTree:
-        """The tree with more boxes.
+        """The tree with more boxes, InputError if one is malformed.
 
         Parameters
         ----------
@@ -49,11 +49,6 @@ class BoxTree:
             Corners, finite, low <= high.
         items : (m,) int
             What queries answer with; not negative, each in the tree at most once (the caller's business).
-
-        Raises
-        ------
-        InputError
-            If a box is malformed.
         """
         low, high = (np.asarray(v, dtype=np.float64).reshape(-1, 3) for v in (lows, highs))
         names = np.asarray(items, dtype=np.int64).reshape(-1)
@@ -89,18 +84,9 @@ class BoxTree:
         return np.sort(overlapping(self.boxes, self.links, self.root, bottom, top))
 
     def along_ray(self, origin: npt.ArrayLike, direction: npt.ArrayLike) -> tuple[Int64, Float64]:
-        """Items whose box a ray meets, nearest first, and the distances at which it enters them.
+        """Items (m,) whose box a ray meets, nearest first, and the distances (m,) at which it enters them, scene units.
 
-        Parameters
-        ----------
-        origin, direction : (3,)
-            The direction need not be of unit length; not zero.
-
-        Returns
-        -------
-        items : (m,) int64
-        distances : (m,) float64
-            Scene units; 0 for boxes that hold the origin.
+        The direction need not be of unit length; not zero. Boxes that hold the origin are at distance 0.
         """
         start, way = (np.asarray(v, dtype=np.float64) for v in (origin, direction))
         length = float(np.linalg.norm(way))

@@ -5,23 +5,27 @@ least surface area and rotates the tree on the way back up (Catto, "Dynamic Boun
 2019), so that no order of insertion degenerates it.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
 
 from engine.numerics.jit import inlined, kernel
 
 __all__ = ["ITEM", "LEFT", "NONE", "along_ray", "insert_all", "overlapping", "remove"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 NONE = -1
 """No node."""
+
+TIE = 1e-12
+"""Gains no farther apart than this, relatively, are equal: the first swap found stays."""
 
 # Columns of the links (nodes, 4): parent, first child, second child (NONE, NONE in a leaf), item of a leaf.
 PARENT, LEFT, RIGHT, ITEM = 0, 1, 2, 3
 
 
 @inlined
-def _union_area(boxes, a, b):  # type: ignore[no-untyped-def]
+def _union_area(boxes, a, b):
     """Half the surface area of the box around two nodes; a node with itself: of that node."""
     x = max(boxes[a, 3], boxes[b, 3]) - min(boxes[a, 0], boxes[b, 0])
     y = max(boxes[a, 4], boxes[b, 4]) - min(boxes[a, 1], boxes[b, 1])
@@ -30,7 +34,7 @@ def _union_area(boxes, a, b):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _refit(boxes, links, node):  # type: ignore[no-untyped-def]
+def _refit(boxes, links, node):
     left, right = links[node, LEFT], links[node, RIGHT]
     for a in range(3):
         boxes[node, a] = min(boxes[left, a], boxes[right, a])
@@ -38,7 +42,19 @@ def _refit(boxes, links, node):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _rotate(boxes, links, node):  # type: ignore[no-untyped-def]
+def _hang(links, above, old, new, root):
+    """Let `new` take the place of the child `old` of a node, or of the root; the new root."""
+    if above == NONE:
+        return new
+    if links[above, LEFT] == old:
+        links[above, LEFT] = new
+    else:
+        links[above, RIGHT] = new
+    return root
+
+
+@inlined
+def _rotate(boxes, links, node):
     """Swap a child with a grandchild of the other side where that shrinks the other child most."""
     best = 0.0
     chosen_child, chosen_grandchild = NONE, NONE
@@ -50,27 +66,21 @@ def _rotate(boxes, links, node):  # type: ignore[no-untyped-def]
         for leg in range(2):
             going, staying = links[other, LEFT + leg], links[other, RIGHT - leg]
             gain = _union_area(boxes, other, other) - _union_area(boxes, child, staying)
-            if gain > best * (1.0 + 1e-12):
+            if gain > best * (1.0 + TIE):
                 best = gain
                 chosen_child, chosen_grandchild = child, going
     if chosen_child == NONE:
         return
     other = links[chosen_grandchild, PARENT]
-    if links[node, LEFT] == chosen_child:
-        links[node, LEFT] = chosen_grandchild
-    else:
-        links[node, RIGHT] = chosen_grandchild
-    if links[other, LEFT] == chosen_grandchild:
-        links[other, LEFT] = chosen_child
-    else:
-        links[other, RIGHT] = chosen_child
+    _hang(links, node, chosen_child, chosen_grandchild, NONE)
+    _hang(links, other, chosen_grandchild, chosen_child, NONE)
     links[chosen_grandchild, PARENT] = node
     links[chosen_child, PARENT] = other
     _refit(boxes, links, other)
 
 
 @kernel
-def _insert(boxes, links, root, leaf, inner):  # type: ignore[no-untyped-def]
+def _insert(boxes, links, root, leaf, inner):
     """Hang a filled-in leaf into the tree, `inner` becoming its parent; the new root."""
     if root == NONE:
         links[leaf, PARENT] = NONE
@@ -96,12 +106,7 @@ def _insert(boxes, links, root, leaf, inner):  # type: ignore[no-untyped-def]
     links[inner, PARENT], links[inner, LEFT], links[inner, RIGHT] = above, at, leaf
     links[inner, ITEM] = NONE
     links[at, PARENT], links[leaf, PARENT] = inner, inner
-    if above == NONE:
-        root = inner
-    elif links[above, LEFT] == at:
-        links[above, LEFT] = inner
-    else:
-        links[above, RIGHT] = inner
+    root = _hang(links, above, at, inner, root)
     node = inner
     while node != NONE:
         _refit(boxes, links, node)
@@ -111,7 +116,7 @@ def _insert(boxes, links, root, leaf, inner):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def insert_all(boxes, links, root, leaves, lows, highs, items, start):  # type: ignore[no-untyped-def]
+def insert_all(boxes, links, root, leaves, lows, highs, items, start):
     """Insert boxes as nodes start.. of arrays that are long enough; a tree of L leaves has 2 L - 1 nodes."""
     free = start
     for i in range(leaves):
@@ -129,17 +134,11 @@ def insert_all(boxes, links, root, leaves, lows, highs, items, start):  # type: 
 
 
 @inlined
-def _renumber(boxes, links, root, old, new):  # type: ignore[no-untyped-def]
+def _renumber(boxes, links, root, old, new):
     """Give node `old` the number `new`, which is free."""
     boxes[new] = boxes[old]
     links[new] = links[old]
-    above = links[old, PARENT]
-    if above == NONE:
-        root = new
-    elif links[above, LEFT] == old:
-        links[above, LEFT] = new
-    else:
-        links[above, RIGHT] = new
+    root = _hang(links, links[old, PARENT], old, new, root)
     if links[old, LEFT] != NONE:
         links[links[old, LEFT], PARENT] = new
         links[links[old, RIGHT], PARENT] = new
@@ -147,7 +146,7 @@ def _renumber(boxes, links, root, old, new):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def remove(boxes, links, root, leaf):  # type: ignore[no-untyped-def]
+def remove(boxes, links, root, leaf):
     """Take a leaf out and keep the node numbers gapless; the new root. The last two numbers become free."""
     count = len(links)
     inner = links[leaf, PARENT]
@@ -156,12 +155,7 @@ def remove(boxes, links, root, leaf):  # type: ignore[no-untyped-def]
     sibling = links[inner, LEFT] + links[inner, RIGHT] - leaf
     above = links[inner, PARENT]
     links[sibling, PARENT] = above
-    if above == NONE:
-        root = sibling
-    elif links[above, LEFT] == inner:
-        links[above, LEFT] = sibling
-    else:
-        links[above, RIGHT] = sibling
+    root = _hang(links, above, inner, sibling, root)
     node = above
     while node != NONE:
         _refit(boxes, links, node)
@@ -174,8 +168,14 @@ def remove(boxes, links, root, leaf):  # type: ignore[no-untyped-def]
     return root
 
 
+@inlined
+def _push(stack, depth, links, node):
+    stack[depth], stack[depth + 1] = links[node, LEFT], links[node, RIGHT]
+    return depth + 2
+
+
 @kernel
-def overlapping(boxes, links, root, low, high):  # type: ignore[no-untyped-def]
+def overlapping(boxes, links, root, low, high):
     """Items whose box touches the box low..high."""
     stack = np.empty(len(links) + 1, np.int64)
     found = np.empty(len(links), np.int64)
@@ -194,14 +194,12 @@ def overlapping(boxes, links, root, low, high):  # type: ignore[no-untyped-def]
             found[count] = links[node, ITEM]
             count += 1
         else:
-            stack[depth] = links[node, LEFT]
-            stack[depth + 1] = links[node, RIGHT]
-            depth += 2
+            depth = _push(stack, depth, links, node)
     return found[:count]
 
 
 @kernel
-def along_ray(boxes, links, root, origin, direction):  # type: ignore[no-untyped-def]
+def along_ray(boxes, links, root, origin, direction):
     """Items whose box the ray meets, and where it enters (0 where it starts inside)."""
     stack = np.empty(len(links) + 1, np.int64)
     found = np.empty(len(links), np.int64)
@@ -228,7 +226,5 @@ def along_ray(boxes, links, root, origin, direction):  # type: ignore[no-untyped
             entry[count] = near
             count += 1
         else:
-            stack[depth] = links[node, LEFT]
-            stack[depth + 1] = links[node, RIGHT]
-            depth += 2
+            depth = _push(stack, depth, links, node)
     return found[:count], entry[:count]

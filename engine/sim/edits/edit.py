@@ -69,8 +69,6 @@ class Edit:
 
     Parameters
     ----------
-    name : str
-        For people.
     action : {"change", "delete", "duplicate"}
         `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved
         and recoloured copies of them are appended.
@@ -98,10 +96,7 @@ class Edit:
     def apply(self, model: GaussianModel, *, filling: bool = True) -> GaussianModel:
         """The model after this edit; `filling` False leaves out what filled a hole.
 
-        Raises
-        ------
-        InputError
-            If the model has another number of Gaussians than the edit was made for.
+        InputError if the model has another number of Gaussians than the edit was made for.
         """
         _check_count(self.name, len(model), self.count)
         if self.action == "change":
@@ -114,10 +109,7 @@ class Edit:
     def undo(self, model: GaussianModel) -> GaussianModel:
         """The model before this edit, bit for bit where nothing else has touched the rows since.
 
-        Raises
-        ------
-        InputError
-            If the model has another number of Gaussians than the edit left.
+        InputError if the model has another number of Gaussians than the edit left.
         """
         _check_count(f"undoing {self.name}", len(model), len(self.origin()))
         if self.action == "change":

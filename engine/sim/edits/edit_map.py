@@ -16,7 +16,7 @@ from engine.model import Bool, Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.matching import DC_CLIP
-from engine.sim.edits.edit_regions import EditedRegion, describe, group
+from engine.sim.edits.edit_regions import EditedRegion, describe, doubt, group
 from engine.sim.edits.pieces import Pieces, register_pieces
 from engine.watermark.layout import MARK_SCALE
 from engine.watermark.model_evidence import remove_affine_color
@@ -27,8 +27,20 @@ __all__ = ["Change", "EditMap", "map_edits"]
 NEIGHBORS = 12
 """Neighbours over which a displacement must be coherent; the patch of a single code vector holds more."""
 
+NORMAL = 1.4826
+"""Standard deviation of a normal law over its median absolute deviation."""
+
 CHANCE = 1e-6
 """Rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent."""
+
+ROUNDS = 3
+"""Times tint and mark are fitted in turn; they hardly have anything in common."""
+
+MOST_LEFT = 1.5
+"""Largest factor of the mark that is believed."""
+
+BORDER = 0.25
+"""Share of a Gaussian's neighbours in a patch from which it lies next to it."""
 
 FINEST = 0.1 * MARK_SCALE
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
@@ -65,8 +77,6 @@ class EditMap:
         How much of the mark the untouched Gaussians show: 1 all of it, 0 none.
     regions : tuple of EditedRegion
         Connected patches of changes, largest first.
-    pieces : Pieces
-        How the suspect was registered.
     """
 
     kinds: npt.NDArray[np.int8]
@@ -86,18 +96,9 @@ class EditMap:
 def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0) -> EditMap:
     """Find what was edited in a suspect since the asset was marked.
 
-    Parameters
-    ----------
-    least : float
-        Smallest colour displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps
-        of an 8-bit colour): a smaller edit is not told from what compression does.
-    seed : int
-        Of the registration.
-
-    Returns
-    -------
-    EditMap
-        A global change of tint or exposure is no edit; nor is a similarity of the whole.
+    A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest colour
+    displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps of an 8-bit colour): a
+    smaller edit is not told from what compression does.
     """
     pieces = register_pieces(opened.reference, suspect, seed=seed)
     rows = np.flatnonzero(pieces.matches >= 0)
@@ -108,10 +109,10 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
     recolored = np.zeros(len(suspect), np.bool_)
     if not len(rows):
         return EditMap(kinds, recolored, removed, displacement, 0.0, (), pieces)
-    target = pieces.matches[rows]
+    target = pieces.matches[rows]  # (n,)
     reference = opened.reference.sh[target, 0].astype(np.float64)
     trust = pieces.quality[rows].astype(np.float64)
-    shown = suspect.sh[rows, 0].astype(np.float64) - reference
+    shown = suspect.sh[rows, 0].astype(np.float64) - reference  # (n, 3)
     mark = _mark_of(opened)
     mark_left, beyond = _beyond(reference, shown, mark[target], trust)
     beyond[_saturated(reference + mark[target], suspect.sh[rows, 0])] = 0.0
@@ -127,17 +128,10 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
     for kind in (Change.RECOLORED, Change.MOVED, Change.COPIED, Change.FOREIGN):
         for patch in group(means, np.flatnonzero(kinds == kind), LEAST_REGION):
             matched = patch[pieces.matches[patch] >= 0]
-            regions.append(
-                describe(
-                    kind.name.lower(),
-                    patch,
-                    means[patch],
-                    opened.reference.sh[pieces.matches[matched], 0],
-                    colors[matched],
-                    mark[pieces.matches[matched]],
-                    _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None,
-                )
-            )
+            old = pieces.matches[matched]
+            looks = opened.reference.sh[old, 0], colors[matched], mark[old]
+            motion = _moved_by(pieces, matched) if kind in (Change.MOVED, Change.COPIED) else None
+            regions.append(describe(kind.name.lower(), patch, means[patch], *looks, motion))
     # Removed Gaussians are reported where they would be in the suspect.
     back = pieces.placements[0].inverse().apply(opened.reference.means)
     for patch in group(back, np.flatnonzero(removed), LEAST_REGION):
@@ -178,7 +172,7 @@ def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -
     Tint and mark are fitted in turn: a tint fitted alone takes a part of the mark for its own.
     """
     mark_left, beyond = 1.0, shown
-    for _ in range(3):
+    for _ in range(ROUNDS):
         rest = remove_affine_color(reference, shown - mark_left * mark, trust)
         mark_left = _share(rest + mark_left * mark, mark, trust)
         beyond = remove_affine_color(reference, shown - mark_left * mark, trust)
@@ -192,10 +186,8 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
         energy = float(weight @ np.square(mark).sum(axis=1))
         if not energy > 0:
             return 0.0
-        factor = float(np.clip(weight @ (mark * shown).sum(axis=1) / energy, 0.0, 1.5))
-        gap = np.linalg.norm(shown - factor * mark, axis=1)
-        scale = max(2.0 * float(np.median(gap)), FINEST)
-        weight = trust / (1.0 + (gap / scale) ** 2) ** 2
+        factor = float(np.clip(weight @ (mark * shown).sum(axis=1) / energy, 0.0, MOST_LEFT))
+        weight = trust / doubt(np.linalg.norm(shown - factor * mark, axis=1), FINEST)
     return factor
 
 
@@ -208,35 +200,28 @@ def _saturated(expected: Float64, shown: npt.NDArray[np.float32]) -> Bool:
 
 def _noise(beyond: Float64) -> Float64:
     """(3,) robust standard deviation of what nothing explains, channel by channel."""
-    return np.maximum(1.4826 * np.median(np.abs(beyond), axis=0), FINEST)
+    return np.maximum(NORMAL * np.median(np.abs(beyond), axis=0), FINEST)
 
 
 def _completed(
-    coherent: Bool,
-    near: Int64,
-    means: Float64,
-    old: Float64,
-    now: Float64,
-    mark: Float64,
-    beyond: Float64,
-    mark_left: float,
+    coherent: Bool, near: Int64, means: Float64, old: Float64, now: Float64, mark: Float64, beyond: Float64, left: float
 ) -> Bool:
     """(n,) the coherent Gaussians and those next to them that the same change of colour explains.
 
     A Gaussian that had about the colour it was painted in is displaced little or another way than the rest.
     """
     done = coherent.copy()
-    doubt = float(np.square(3.0 * _noise(beyond)).sum())
+    chance = float(np.square(3.0 * _noise(beyond)).sum())
     for patch in group(means, np.flatnonzero(coherent), LEAST_REGION):
         found = describe("recolored", patch, means[patch], old[patch], now[patch], mark[patch], None)
         assert found.recoloring is not None
         inside = np.zeros(len(coherent), np.bool_)
         inside[patch] = True
-        next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= 0.25))
+        next_to = np.flatnonzero(~coherent & (inside[near].mean(axis=1) >= BORDER))
         gain, offset = found.recoloring.gain, found.recoloring.offset
-        predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - mark_left) * mark[next_to]
+        predicted = (gain - 1.0) * old[next_to] + offset + (found.mark_left - left) * mark[next_to]
         misfit = np.square(beyond[next_to] - predicted).sum(axis=1)
-        done[next_to[misfit < np.square(beyond[next_to]).sum(axis=1) - doubt]] = True
+        done[next_to[misfit < np.square(beyond[next_to]).sum(axis=1) - chance]] = True
     return done
 
 
@@ -251,10 +236,10 @@ def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> 
     noise = _noise(beyond)
     k = min(NEIGHBORS + 1, len(means))  # a Gaussian is its own nearest neighbour
     _, near = cKDTree(means).query(means, k=k, workers=1)
-    near = near.reshape(-1, k)
+    near = near.reshape(-1, k)  # (n, k)
     weight = np.maximum(trust, 1e-3)[near]
     # The middle one of the neighbours' displacements: half of them must agree, and no outlier drags it.
-    common = np.median(beyond[near], axis=1)
+    common = np.median(beyond[near], axis=1)  # (n, k, 3) -> (n, 3)
     # The variance of a median of k normal values is pi / 2 times that of their mean.
     count = weight.sum(axis=1) * (2.0 / np.pi)
     evidence = count * np.square(common / noise).sum(axis=1)

@@ -9,7 +9,7 @@ from engine.model import SH_C0, Float64, Int64
 from engine.numerics.umeyama import Similarity
 from engine.sim.edits.edit import Recoloring
 
-__all__ = ["EditedRegion", "describe", "group"]
+__all__ = ["EditedRegion", "describe", "doubt", "group"]
 
 LINKS = 8
 """Neighbours by which Gaussians of a patch hang together."""
@@ -95,27 +95,18 @@ def describe(
     mark: Float64,
     motion: Similarity | None,
 ) -> EditedRegion:
-    """The description of a patch.
+    """The description of a patch: rows (n,) at points (n, 3).
 
-    Parameters
-    ----------
-    rows : (n,) int64
-    points : (n, 3) float64
-        Where its Gaussians are.
-    reference_dc, suspect_dc, mark : (m, 3)
-        DC before and now, and the mark's displacement, of the matched ones; m may be 0.
+    DC before and now, and the mark's displacement, are (m, 3), of the matched ones; m may be 0.
     """
     center = np.median(points, axis=0)
     radius = float(np.quantile(np.linalg.norm(points - center, axis=1), 0.9))
     if not len(mark):
         return EditedRegion(kind, rows, center, radius, None, np.nan, np.nan, motion)
     old, new = reference_dc.astype(np.float64), suspect_dc.astype(np.float64)
-    fits = [_line(old[:, c], new[:, c], mark[:, c]) for c in range(3)]
-    gain = np.array([fit[0] for fit in fits])
-    offset = np.array([fit[1] for fit in fits])
+    gain, offset = np.array([_line(old[:, c], new[:, c], mark[:, c]) for c in range(3)]).T  # (3,), (3,)
     rest = new - gain * old - offset
-    size = np.linalg.norm(rest, axis=1)
-    weight = 1.0 / (1.0 + (size / max(2.0 * float(np.median(size)), 1e-6)) ** 2) ** 2
+    weight = 1.0 / doubt(np.linalg.norm(rest, axis=1))
     energy = float(weight @ np.square(mark).sum(axis=1))
     left = float(weight @ (mark * rest).sum(axis=1) / max(energy, 1e-30))
     spread = float(weight @ np.square(rest - left * mark).sum(axis=1) / max(3.0 * weight.sum(), 1e-30))
@@ -124,14 +115,18 @@ def describe(
     return EditedRegion(kind, rows, center, radius, recoloring, left, error, motion)
 
 
+def doubt(gap: Float64, finest: float = 1e-6) -> Float64:
+    """One over the Geman-McClure weights of residuals (n,), on a scale of twice their median, `finest` at least."""
+    return np.asarray((1.0 + (gap / max(2.0 * float(np.median(gap)), finest)) ** 2) ** 2)
+
+
 def _line(old: Float64, new: Float64, mark: Float64) -> tuple[float, float]:
     """Robust gain and offset of new = gain * old + offset + share * mark (Geman-McClure weights)."""
     design = np.stack([old, np.ones_like(old), mark], axis=1)
     weight = np.ones(len(old))
     fit = np.array([1.0, float(np.median(new - old)), 1.0])
     for _ in range(10):
-        gap = np.abs(new - design @ fit)
-        weight = 1.0 / (1.0 + (gap / max(2.0 * float(np.median(gap)), 1e-6)) ** 2) ** 2
+        weight = 1.0 / doubt(np.abs(new - design @ fit))
         normal = (design * weight[:, None]).T @ design + 1e-9 * len(old) * np.eye(3)
         fit = np.linalg.solve(normal, (design * weight[:, None]).T @ new)
     return float(fit[0]), float(fit[1])

@@ -16,6 +16,12 @@ SIDES = (7, 5, 3, 1)
 MOST_SOURCES = 6000
 """Source patches compared with each patch of the rim; more are thinned out evenly."""
 
+BREATH = 1e-6
+"""Weight of the mean in Laplace's equation: keeps islands solvable without moving the others."""
+
+FEWEST_SOURCES = 16
+"""Known patches of a side below which a smaller side is taken."""
+
 REUSE = 0.15
 """Cost of each earlier use of a source patch, in units of the median patch distance: spreads the sources."""
 
@@ -43,11 +49,11 @@ def complete_cells(colors: Float64, known: Bool, wanted: Bool) -> tuple[Int64, B
     image, filled = np.where(known[..., None], colors, 0.0), known.copy()
     if not known.any():
         return source, np.zeros_like(wanted)
-    sources = _source_patches(image, known)
-    half = sources.side // 2
-    used = np.zeros(len(sources.at))
-    scale = max(float(np.median(np.var(sources.patches, axis=0))), 1e-12)
-    offsets = np.indices((sources.side, sources.side)).reshape(2, -1).T - half
+    side, middles, patches = _source_patches(image, known)
+    half = side // 2
+    used = np.zeros(len(middles))
+    scale = max(float(np.median(np.var(patches, axis=0))), 1e-12)
+    offsets = np.indices((side, side)).reshape(2, -1).T - half
     padded = ((half, half), (half, half))
     left = wanted & ~filled
     while left.any():
@@ -57,19 +63,16 @@ def complete_cells(colors: Float64, known: Bool, wanted: Bool) -> tuple[Int64, B
         row, column = divmod(int(np.argmax(rim)), rim.shape[1])
         if rim[row, column] <= 0:  # wanted cells out of the reach of all known ones: nearest known cell
             row, column = _nearest_left(left, filled)
-        window = np.pad(filled, padded)[row : row + sources.side, column : column + sources.side].reshape(-1)
-        target = np.pad(image, (*padded, (0, 0)))[row : row + sources.side, column : column + sources.side]
+        window = np.pad(filled, padded)[row : row + side, column : column + side].reshape(-1)
+        target = np.pad(image, (*padded, (0, 0)))[row : row + side, column : column + side]
         seen = np.flatnonzero(window)
-        if len(seen):
-            gap = sources.patches[:, seen] - target.reshape(-1, 3)[seen]
-            cost = np.einsum("npc,npc->n", gap, gap) / len(seen)
-        else:
-            cost = np.zeros(len(sources.at))
+        gap = patches[:, seen] - target.reshape(-1, 3)[seen]  # (n, seen, 3)
+        cost = np.einsum("npc,npc->n", gap, gap) / max(len(seen), 1)
         best = int(np.argmin(cost + REUSE * scale * used))
         used[best] += 1
         cells = offsets + np.array([row, column])
         inside = ((cells >= 0) & (cells < wanted.shape)).all(axis=1)
-        cells, origin = cells[inside], (offsets + sources.at[best])[inside]
+        cells, origin = cells[inside], (offsets + middles[best])[inside]
         fresh = left[cells[:, 0], cells[:, 1]]
         cells, origin = cells[fresh], origin[fresh]
         source[cells[:, 0], cells[:, 1]] = origin
@@ -111,8 +114,7 @@ def harmonic_fill(values: Float64, known: Bool, wanted: Bool) -> Float64:
     number = np.full(wanted.shape, -1)
     number[tuple(cells.T)] = np.arange(len(cells))
     mean = values[known].mean(axis=0)
-    # A breath of the mean keeps islands solvable without moving the others.
-    diagonal, right = np.full(len(cells), 1e-6), np.tile(1e-6 * mean, (len(cells), 1))
+    diagonal, right = np.full(len(cells), BREATH), np.tile(BREATH * mean, (len(cells), 1))
     rows, columns = [], []
     for step in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         near = cells + step
@@ -144,40 +146,32 @@ def smooth(values: Float64, known: Bool, sigma: float) -> Float64:
     return np.asarray(np.where(weight[..., None] > 1e-6, total / np.maximum(weight, 1e-6)[..., None], 0.0))
 
 
-class _Sources:
-    """All patches of the largest side that are known throughout."""
-
-    def __init__(self, side: int, at: Int64, patches: Float64) -> None:
-        self.side, self.at, self.patches = side, at, patches  # (n, 2) middles, (n, side^2, 3)
-
-
-def _source_patches(image: Float64, known: Bool) -> _Sources:
+def _source_patches(image: Float64, known: Bool) -> tuple[int, Int64, Float64]:
+    """All patches of the largest side that are known throughout: side, (n, 2) middles and (n, side^2, 3) colours."""
     for side in SIDES:
         half = side // 2
         whole = _box_sum(known, half) == side * side
         at = np.argwhere(whole)
-        if len(at) >= (16 if side > 1 else 1):
+        if len(at) >= (FEWEST_SOURCES if side > 1 else 1):
             break
     at = at[:: -(-len(at) // MOST_SOURCES)]
     windows = np.lib.stride_tricks.sliding_window_view(image, (side, side), axis=(0, 1))  # (.., .., 3, s, s)
     patches = windows[at[:, 0] - half, at[:, 1] - half].transpose(0, 2, 3, 1).reshape(len(at), -1, 3)
-    return _Sources(side, at.astype(np.int64), np.ascontiguousarray(patches))
+    return side, at.astype(np.int64), np.ascontiguousarray(patches)
 
 
 def _box_sum(mask: Bool, half: int) -> Int64:
     """(H, W) number of true cells in the square of side 2 half + 1 about each cell; none beyond the edge."""
-    side = 2 * half + 1
-    total = np.pad(np.pad(mask.astype(np.int64), half).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    return np.asarray(total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side])
+    import cv2  # a heavy import that only filling holes pays for
+
+    side = (2 * half + 1, 2 * half + 1)
+    sums = cv2.boxFilter(mask.astype(np.uint8), cv2.CV_32S, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums, dtype=np.int64)
 
 
 def _shifted(mask: Bool, down: int, right: int) -> Bool:
-    out = np.zeros_like(mask)
     h, w = mask.shape
-    out[max(0, down) : h + min(0, down), max(0, right) : w + min(0, right)] = mask[
-        max(0, -down) : h + min(0, -down), max(0, -right) : w + min(0, -right)
-    ]
-    return out
+    return np.pad(mask, 1)[1 - down : 1 - down + h, 1 - right : 1 - right + w]
 
 
 def _nearest_left(left: Bool, filled: Bool) -> tuple[int, int]:

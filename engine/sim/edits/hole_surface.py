@@ -13,6 +13,15 @@ PLANES = 400
 """Planes tried through three ring Gaussians each: with a fifth of them on the surface, all 400 miss it with
 probability 4 %, with a third of them never."""
 
+TUKEY = 4.685 * 1.4826
+"""Tukey's constant times the standard deviation of a normal law over its median absolute deviation."""
+
+PLANE_BAND, WIDEST_BAND, FINEST_BAND = 0.15, 0.5, 0.02
+"""Distances that count as on the plane, and as on the quadric at first and at last, in radii of the hole."""
+
+BENDING = 0.02
+"""Cost of the quadric's second derivatives: a ring says little about them far inside the hole."""
+
 LEAST_RING = 24
 """Ring Gaussians below which no surface is fitted: a quadric has 6 coefficients."""
 
@@ -84,29 +93,15 @@ def ring_around(model: GaussianModel, selection: Bool, width: float, least: int)
 def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.random.Generator) -> HoleSurface | None:
     """The dominant surface through a ring, facing the side on which the hole's Gaussians were.
 
-    The dominant plane by RANSAC, weighted by visible area; then a quadric by Tukey's biweight with a band that
-    closes in.
-
-    Parameters
-    ----------
-    ring : GaussianModel
-        Gaussians around the hole.
-    hole : GaussianModel
-        The deleted ones.
-    size : float
-        Radius of the hole, scene units.
-
-    Returns
-    -------
-    HoleSurface or None
-        None where the ring is too small or spans no plane.
+    The dominant plane by RANSAC, weighted by visible area; then a quadric by Tukey's biweight with a band that closes
+    in. `size` is the hole's radius, scene units. None where the ring is too small or spans no plane.
     """
     if len(ring) < LEAST_RING:
         return None
     points, weights = ring.means.astype(np.float64), visible_area(ring)
     if not weights.sum() > 0:
         return None
-    found = _dominant_plane(points, weights, 0.15 * size, rng)
+    found = _dominant_plane(points, weights, PLANE_BAND * size, rng)
     if found is None:
         return None
     origin, normal = found
@@ -115,12 +110,11 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
     e1 = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     e1 /= np.linalg.norm(e1)
     axes = np.stack([e1, np.cross(normal, e1), normal])
-    local = (points - origin) @ axes.T
-    design, height = _quadric(local[:, :2] / size), local[:, 2]
+    local = (points - origin) @ axes.T  # (n, 3) u, v, height above the plane
+    design, height = _quadric(local[:, :2] / size), local[:, 2]  # (n, 6), (n,)
     coefficients = np.zeros(6)
-    band = 0.5 * size
-    # Bending costs: a ring says little about the second derivatives far inside the hole.
-    stiff = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02])
+    band = WIDEST_BAND * size
+    stiff = np.diag([0.0, 0.0, 0.0, BENDING, BENDING, BENDING])
     for _ in range(12):
         error = height - design @ coefficients
         w = weights * np.square(np.clip(1.0 - np.square(error / band), 0.0, None))
@@ -130,8 +124,7 @@ def fit_surface(ring: GaussianModel, hole: GaussianModel, size: float, rng: np.r
         coefficients = np.linalg.solve(normal_matrix, (design * w[:, None]).T @ height / w.sum())
         near = np.abs(height - design @ coefficients) < band
         spread = _weighted_median(np.abs(height - design @ coefficients)[near], weights[near])
-        # 4.685 robust standard deviations, Tukey's constant; never below a fiftieth of the hole.
-        band = min(band, max(4.685 * 1.4826 * spread, 0.02 * size))
+        band = min(band, max(TUKEY * spread, FINEST_BAND * size))
     return HoleSurface(origin, axes, coefficients, size, band)
 
 

@@ -34,6 +34,15 @@ WIDEST_COPY = 0.75
 """Gaussians with a standard deviation above this share of the hole's radius are not copied: no texture of the
 hole, they would smear over its rim."""
 
+LEAST_RING = 300
+"""Gaussians that a ring is widened for."""
+
+SHOWN, STOOD = 0.05, 0.1
+"""Opacity from which a cell shows anything at all, and from which the deleted Gaussians stood in it."""
+
+BASE_COLOR = 3.0
+"""Standard deviation, in cells, of the average that is a surface's base colour; what is finer is texture."""
+
 ROUNDS = 8
 """Times the surface is looked at again for cells that the copies so far left open."""
 
@@ -70,20 +79,8 @@ class InpaintConfig:
 def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = InpaintConfig()) -> Edited:
     """Delete the selected Gaussians and fill the hole they leave in the surface around them.
 
-    Parameters
-    ----------
-    selection : (N,) bool
-
-    Returns
-    -------
-    Edited
-        The Gaussians left, in their order, then the filling (`edit.filling`; None where no surface surrounds
-        the hole). Copies carry the marked colours of the Gaussians they come from.
-
-    Raises
-    ------
-    InputError
-        If the selection is empty, unfit or everything.
+    The Gaussians left come in their order, then the filling (`edit.filling`; None where no surface surrounds the
+    hole). Copies carry the marked colours of the Gaussians they come from.
     """
     cut = delete(model, selection)
     rows = np.flatnonzero(selection)
@@ -91,7 +88,7 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
     center = np.median(hole.means.astype(np.float64), axis=0)
     size = float(np.quantile(np.linalg.norm(hole.means - center, axis=1), 0.9))
     size = max(size, float(np.median(hole.scales.max(axis=1))))
-    ring = model.take(ring_around(model, selection, config.ring * size, 300))
+    ring = model.take(ring_around(model, selection, config.ring * size, LEAST_RING))
     surface = fit_surface(ring, hole, size, np.random.default_rng(config.seed))  # 1
     filling = None if surface is None else _fill(cut.model, hole, surface, config)
     if filling is None:
@@ -103,16 +100,18 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
 def _fill(
     left: GaussianModel, hole: GaussianModel, surface: HoleSurface, config: InpaintConfig
 ) -> GaussianModel | None:
+    from scipy.ndimage import binary_dilation
+
     frame = _Frame(left, hole, surface, config)
-    color, alpha = frame.see(frame.support)  # 2
-    usual = float(np.median(alpha[alpha > 0.05])) if (alpha > 0.05).any() else 0.0
+    color, alpha = frame.see(frame.support)  # 2; (H, W, 3), (H, W)
+    usual = float(np.median(alpha[alpha > SHOWN])) if (alpha > SHOWN).any() else 0.0
     if usual == 0.0:
         return None
     known = alpha >= config.covered * usual
     _, footprint = frame.see(frame.place(hole))
-    gap = enclosed(known, ~known & _grown(footprint > 0.1, 1))
+    gap = enclosed(known, ~known & binary_dilation(footprint > STOOD))
     # What is copied is the texture; the base colour is the rim's, continued.
-    base = smooth(color, known, 3.0)
+    base = smooth(color, known, BASE_COLOR)
     rim = harmonic_fill(base, known, gap)
     widest = WIDEST_COPY * frame.cell * float(np.sqrt(gap.sum() / np.pi))
     filling: GaussianModel | None = None
@@ -190,16 +189,16 @@ class _Frame:
         counts = last - first
         if not counts.sum():
             return None
-        which = np.repeat(np.arange(len(target)), counts)  # (c,) target of each copy
+        which = np.repeat(np.arange(len(target)), counts)  # (c,) target of each of the c copies
         within = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-        who = rows[first[which] + within]
-        step = (target - source)[which] * self.cell
-        old = self.local[who]
+        who = rows[first[which] + within]  # (c,)
+        step = (target - source)[which] * self.cell  # (c, 2) down and right
+        old = self.local[who]  # (c, 3)
         new = old + np.stack([step[:, 1], -step[:, 0], np.zeros(len(who))], axis=1)
         turns = _between(self.surface.normals(old[:, :2]), self.surface.normals(new[:, :2]))
         part = self.model.take(who)
         quats = quaternion_product(rotation_to_quaternion(turns), part.quats)
-        sh = part.sh.astype(np.float64)
+        sh = part.sh.astype(np.float64)  # (c, K, 3)
         sh[:, 1:] = sh_rotation(turns, part.sh_degree)[:, 1:, 1:] @ sh[:, 1:]
         sh[:, 0] += shift[which]
         return part.with_(means=self.surface.world(new), quats=quats, sh=sh)
@@ -210,11 +209,5 @@ def _between(a: Float64, b: Float64) -> Float64:
     v, c = np.cross(a, b), np.einsum("ni,ni->n", a, b)
     zero = np.zeros(len(a))
     K = np.stack([zero, -v[:, 2], v[:, 1], v[:, 2], zero, -v[:, 0], -v[:, 1], v[:, 0], zero], axis=1)
-    K = K.reshape(-1, 3, 3)
+    K = K.reshape(-1, 3, 3)  # (n, 3, 3) of the cross product
     return np.asarray(np.eye(3) + K + K @ K / (1.0 + c)[:, None, None])
-
-
-def _grown(mask: Bool, cells: int) -> Bool:
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(mask, iterations=cells))

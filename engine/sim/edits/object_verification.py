@@ -15,7 +15,7 @@ from engine.pipeline.searching import count_tries
 from engine.registration.index import ReferenceIndex
 from engine.registration.registering import Registration, register
 from engine.sim.edits.objects import FlatScene
-from engine.sim.edits.pieces import LEAST_PIECE, RIGID
+from engine.sim.edits.pieces import LEAST_PIECE, RIGID, check_route
 from engine.watermark.claim import Claim
 
 __all__ = ["ObjectFinding", "verify_objects"]
@@ -27,8 +27,6 @@ class ObjectFinding:
 
     Parameters
     ----------
-    record : str
-        Name the caller gave the record.
     instance : int
         0 for the first place at which the record's asset was found, then 1, ...
     rows : (n,) int64
@@ -68,8 +66,6 @@ def verify_objects(
     ----------
     suspect : GaussianModel or FlatScene
         A FlatScene adds which of its objects the finds lie in; the search is the same.
-    records : mapping of str to OpenedRecord
-        By any name.
     config : VerifyConfig, optional
         Route "auto" or "model": pieces of a file are read by their Gaussians.
     instances : int
@@ -80,11 +76,6 @@ def verify_objects(
     list of ObjectFinding
         In the order of the records; one for every record at least. Every claim counts
         len(records) * instances tries.
-
-    Raises
-    ------
-    InputError
-        If the suspect is empty, no record was given, or the route reads pictures.
     """
     config = config or VerifyConfig()
     model = suspect.model if isinstance(suspect, FlatScene) else suspect
@@ -92,8 +83,7 @@ def verify_objects(
         raise InputError("the suspect model is empty")
     if not records:
         raise InputError("no record was given")
-    if config.route not in ("auto", "model"):
-        raise InputError(f"route {config.route!r} sees the whole file; objects are read by 'model'")
+    check_route(config, "file; objects are")
     if instances < 1:
         raise InputError(f"an asset is looked for at least once, got instances {instances}")
     tries = count_tries(len(records), ("model",), config, places=instances)
@@ -125,18 +115,8 @@ def _finding(
     if not len(rows):
         return ObjectFinding(name, instance, claim, rows, 0.0, 0.0, None, None, None, ())
     low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
-    return ObjectFinding(
-        name,
-        instance,
-        claim,
-        rows,
-        len(rows) / len(model),
-        found.derived_fraction,
-        found.similarity.inverse(),
-        low,
-        high,
-        (),
-    )
+    shares = len(rows) / len(model), found.derived_fraction
+    return ObjectFinding(name, instance, claim, rows, *shares, found.similarity.inverse(), low, high, ())
 
 
 def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.model import Float64, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.umeyama import Similarity
 from engine.sim.edits.bvh import BoxTree
@@ -23,17 +23,7 @@ BOX_DEVIATIONS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """A model at a place in the scene.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        In its own frame, as its owner delivered it.
-    placement : Similarity
-        x_scene = scale * R @ x_model + t.
-    low, high : (3,) float64
-        Bounding box in the scene.
-    """
+    """A model in its own frame, its place in the scene (x_scene = scale * R @ x_model + t), its bounding box there."""
 
     name: str
     model: GaussianModel
@@ -50,16 +40,9 @@ class PlacedObject:
 
 @dataclass(frozen=True, eq=False)
 class FlatScene:
-    """All objects in one model, and whose each Gaussian is.
+    """All objects in one model, in the order of their insertion, and whose each Gaussian is: `owner` (N,) into `names`.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        SH padded with zeros to the highest degree of the objects.
-    owner : (N,) int32
-        Index into `names`.
-    names : tuple of str
-        Objects in the order of their insertion.
+    SH is padded with zeros to the highest degree of the objects.
     """
 
     model: GaussianModel
@@ -98,17 +81,9 @@ class Scene:
         return self.insert_all([(name, model, placement or Similarity.identity())])
 
     def insert_all(self, objects: Iterable[tuple[str, GaussianModel, Similarity]]) -> Scene:
-        """The scene with more objects.
+        """The scene with more objects (name, model, placement).
 
-        Parameters
-        ----------
-        objects : iterable of (name, model, placement)
-            x_scene = scale * R @ x_model + t.
-
-        Raises
-        ------
-        InputError
-            If a name is empty or taken, a model is empty, or a placement no proper similarity.
+        InputError if a name is empty or taken, a model is empty, or a placement no proper similarity.
         """
         taken = set(self.names)
         entries = dict(self.objects)
@@ -119,8 +94,9 @@ class Scene:
             if not len(model):
                 raise InputError(f"object {name!r} is empty")
             taken.add(name)
-            low, high = model_box(transform_model(_geometry(model), placement.scale, placement.R, placement.t))
-            new.append(PlacedObject(name, model, placement, low, high))
+            plain = model.with_(sh=model.sh[:, :1])  # its box depends on nothing else
+            box = model_box(transform_model(plain, placement.scale, placement.R, placement.t))
+            new.append(PlacedObject(name, model, placement, *box))
         numbers = np.arange(self.following, self.following + len(new))
         entries.update(zip(numbers.tolist(), new, strict=True))
         lows = np.array([o.low for o in new]).reshape(-1, 3)
@@ -161,21 +137,16 @@ class Scene:
             raise InputError("a scene without objects cannot be flattened")
         parts = [o.placed for o in self.objects.values()]
         width = max(part.sh.shape[1] for part in parts)
+        parts = [p.with_(sh=np.pad(p.sh, ((0, 0), (0, width - p.sh.shape[1]), (0, 0)))) for p in parts]
         owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
-        model = GaussianModel(
-            np.concatenate([p.means for p in parts]),
-            np.concatenate([p.log_scales for p in parts]),
-            np.concatenate([p.quats for p in parts]),
-            np.concatenate([p.opacity_logits for p in parts]),
-            np.concatenate([_padded(p.sh, width) for p in parts]),
-        )
+        names = GaussianModel.__dataclass_fields__
+        model = GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
         return FlatScene(model, owner, self.names)
 
     def _number(self, name: str) -> int:
-        for number, placed in self.objects.items():
-            if placed.name == name:
-                return number
-        raise InputError(f"the scene holds no object {name!r}")
+        if name not in self.names:
+            raise InputError(f"the scene holds no object {name!r}")
+        return list(self.objects)[self.names.index(name)]
 
 
 def model_box(model: GaussianModel) -> tuple[Float64, Float64]:
@@ -184,12 +155,3 @@ def model_box(model: GaussianModel) -> tuple[Float64, Float64]:
     reach = BOX_DEVIATIONS * np.sqrt(np.square(axes).sum(axis=2))  # 3 sqrt(diag(R S S^T R^T))
     means = model.means.astype(np.float64)
     return (means - reach).min(axis=0), (means + reach).max(axis=0)
-
-
-def _geometry(model: GaussianModel) -> GaussianModel:
-    """The model without view-dependent colour: all that its box depends on."""
-    return model.with_(sh=model.sh[:, :1])
-
-
-def _padded(sh: Float32, width: int) -> Float32:
-    return sh if sh.shape[1] == width else np.pad(sh, ((0, 0), (0, width - sh.shape[1]), (0, 0)))

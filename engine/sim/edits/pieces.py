@@ -8,13 +8,13 @@ from engine.errors import InputError
 from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.index import ReferenceIndex
 from engine.registration.registering import Registration, RegistrationConfig, register
 from engine.watermark.claim import Claim
-from engine.watermark.model_evidence import Evidence, gather_model_evidence
 
-__all__ = ["Pieces", "register_pieces", "verify_pieces"]
+__all__ = ["Pieces", "check_route", "register_pieces", "verify_pieces"]
 
 LEAST_PIECE = 64
 """Gaussians below which no further piece is looked for, or believed: embedding asks for as many."""
@@ -57,12 +57,7 @@ def register_pieces(
     """Register what the registration before left over, until nothing more is found.
 
     A piece may be a part of the asset that was moved, or a copy of a part that is still in place. No chip
-    enters.
-
-    Parameters
-    ----------
-    most : int
-        Pieces to look for at most, >= 1.
+    enters. At most `most` pieces are looked for.
     """
     if most < 1:
         raise InputError(f"at least one piece is looked for, got {most}")
@@ -91,28 +86,23 @@ def verify_pieces(
 ) -> Claim:
     """Does this model carry the record's mark, parts of it having been moved? One claim from all pieces.
 
-    Parameters
-    ----------
-    config : VerifyConfig, optional
-        Route "auto" or "model".
-    pieces : Pieces, optional
-        Of this suspect and the record's reference, where already registered.
-
-    Returns
-    -------
-    Claim
-        Of one try: how the suspect was taken apart was settled without the chips.
+    It is one of one try: how the suspect was taken apart was settled without the chips. The route must be "auto" or
+    "model"; pieces of this suspect and the record's reference may be registered already.
     """
     config = config or VerifyConfig()
-    if config.route not in ("auto", "model"):
-        raise InputError(f"route {config.route!r} sees the whole model; pieces are read by 'model'")
+    check_route(config, "model; pieces are")
     pieces = pieces or register_pieces(opened.reference, suspect, seed=config.seed)
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], pieces.matches, pieces.quality
-    )
-    evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
+    matched = pieces.matches >= 0
     seen = np.zeros(len(opened.reference), np.bool_)
-    seen[pieces.matches[pieces.matches >= 0]] = True
-    whole = replace(pieces.registration, derived_fraction=float(seen.mean()))
+    seen[pieces.matches[matched]] = True
+    whole = replace(
+        pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=float(seen.mean())
+    )
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
-    return judge(evidence, opened, "model", 1, config, whole, notes)
+    return judge(read_gaussians(suspect, opened, whole), opened, "model", 1, config, whole, notes)
+
+
+def check_route(config: VerifyConfig, what: str) -> None:
+    """InputError unless the configuration lets matched Gaussians be read."""
+    if config.route not in ("auto", "model"):
+        raise InputError(f"route {config.route!r} sees the whole {what} read by 'model'")

@@ -1,22 +1,46 @@
-"""Which Gaussians an edit is about: boolean selections from boxes, spheres and segments.
+"""Which Gaussians an edit is about: boolean selections from boxes, spheres, segments and 2-D masks.
 
-A selection is a (N,) bool array; unite, intersect and invert them with NumPy's |, & and ~.
+A selection is a (N,) bool array; unite, intersect and invert them with NumPy's |, & and ~. Masks are lifted to 3-D,
+and selections seen as 2-D masks, by blending weight, in one pass a view.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Bool, Float64, GaussianModel, Int32, Int64
+from engine.model import SH_C0, Bool, Camera, Float32, Float64, GaussianModel, Int32, Int64
+from engine.raster import prepare_view
 from engine.sim.attack import check_positive
+from engine.sim.vectors import check_triple
 
-__all__ = ["check_selection", "segment", "segment_at", "select_box", "select_sphere"]
+__all__ = [
+    "check_selection",
+    "lift_masks",
+    "mask_shares",
+    "project_selection",
+    "segment",
+    "segment_at",
+    "select_box",
+    "select_sphere",
+]
 
 SEGMENT_SAMPLE = 40_000
 """Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once."""
 
+FLOATING = 2.0
+"""Robust radii from the centre beyond which a Gaussian is a floater."""
+
 SEGMENT_ROUNDS = 20
 """Lloyd iterations; the assignment of real scenes settles within 10 to 15."""
+
+LEAST_WEIGHT = 0.05
+"""Blending weight (pixels, summed over the views) below which a Gaussian was not really seen: less than a
+twentieth of one pixel says nothing about which side of a mask's edge it lies on."""
+
+HIDDEN_NEIGHBORS = 8
+"""Seen neighbours that decide for a Gaussian no view shows."""
 
 
 def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
@@ -33,7 +57,7 @@ def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
 def select_box(
     model: GaussianModel, low: npt.ArrayLike, high: npt.ArrayLike, rotation: npt.ArrayLike | None = None
 ) -> Bool:
-    """Gaussians whose centre lies in a box, faces included.
+    """(N,) bool: Gaussians whose centre lies in a box, faces included.
 
     Parameters
     ----------
@@ -41,17 +65,8 @@ def select_box(
         Opposite corners in the box's own axes, scene units; low <= high.
     rotation : (3, 3), optional
         Proper rotation from the box's axes to the scene's, about the box's centre. Default: the scene's axes.
-
-    Returns
-    -------
-    (N,) bool
-
-    Raises
-    ------
-    InputError
-        If the corners are not finite or out of order, or the rotation is none.
     """
-    bottom, top = _triple(low, "low"), _triple(high, "high")
+    bottom, top = check_triple(low, "low"), check_triple(high, "high")
     if (bottom > top).any():
         raise InputError(f"a box needs low <= high, got {bottom.tolist()} and {top.tolist()}")
     offset = model.means.astype(np.float64) - 0.5 * (bottom + top)
@@ -65,12 +80,14 @@ def select_box(
 
 def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) -> Bool:
     """Gaussians whose centre lies within `radius` (scene units, > 0) of `center` (3,); (N,) bool."""
-    offset = model.means.astype(np.float64) - _triple(center, "center")
+    offset = model.means.astype(np.float64) - check_triple(center, "center")
     return np.asarray(np.einsum("ij,ij->i", offset, offset) <= check_positive(radius, "radius") ** 2)
 
 
 def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
-    """Segments by k-means over position and base colour.
+    """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base colour, the most populous first.
+
+    Segments may be empty where the model holds fewer distinct Gaussians than asked for.
 
     Parameters
     ----------
@@ -79,24 +96,10 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     color_weight : float
         How much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by position
         alone.
-    seed : int
-        Of the start (k-means++) and of the sample.
-
-    Returns
-    -------
-    (N,) int32
-        Segment of each Gaussian, 0 .. count-1, the most populous first. Segments may be empty where the model
-        holds fewer distinct Gaussians than asked for.
-
-    Raises
-    ------
-    InputError
-        If the count is out of range or the weight negative.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
     from scipy.spatial import cKDTree
 
-    from engine.model import SH_C0
     from engine.pipeline.rigs import measure_extent
 
     if not 1 <= count <= len(model):
@@ -107,9 +110,8 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     # A floater at ten radii must not get a segment of its own: beyond two, distance grows as its logarithm.
     distance = np.linalg.norm(position, axis=1, keepdims=True)
-    position = position * np.where(
-        distance > 2.0, (2.0 + np.log(np.maximum(distance, 2.0) / 2.0)) / np.maximum(distance, 2.0), 1.0
-    )
+    beyond = np.maximum(distance, FLOATING)
+    position = position * np.where(distance > FLOATING, (FLOATING + np.log(beyond / FLOATING)) / beyond, 1.0)
     features = np.concatenate([position, color_weight * color], axis=1)
     rng = np.random.default_rng(seed)
     sample = features
@@ -124,19 +126,9 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
 
 
 def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bool:
-    """Gaussians of the segments in which points lie: (N,) bool.
+    """(N,) bool: Gaussians of the segments (see `segment`) in which points (3,) or (n, 3) lie.
 
-    Parameters
-    ----------
-    labels : (N,) int32
-        From `segment`.
-    points : (3,) or (n, 3)
-        Scene units; each speaks for the segment of the nearest Gaussian.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or a point is not finite.
+    Each point speaks for the segment of the nearest Gaussian.
     """
     from scipy.spatial import cKDTree
 
@@ -149,8 +141,76 @@ def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bo
     return np.isin(labels, labels[nearest])
 
 
-def _triple(value: npt.ArrayLike, what: str) -> Float64:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{what} must be three finite numbers, got {value!r}")
-    return array
+def mask_shares(
+    model: GaussianModel, cameras: Sequence[Camera], masks: Sequence[npt.NDArray[np.generic]]
+) -> tuple[Float64, Float64]:
+    """Which share of each Gaussian's visible weight lies inside the masks.
+
+    Masks are (H, W) bool or float, one a camera, of its size; numbers 0 to 1 for soft edges.
+
+    Returns
+    -------
+    share : (N,) float64
+        sum over views and pixels of w * mask / sum of w, w = alpha T the blending weight; 0 where not seen.
+    weight : (N,) float64
+        sum of w, pixels.
+    """
+    if not cameras or len(cameras) != len(masks):
+        raise InputError(f"each camera needs one mask, got {len(cameras)} cameras and {len(masks)} masks")
+    inside, total = np.zeros(len(model)), np.zeros(len(model))
+    for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
+        pixels = np.asarray(mask)
+        if pixels.shape != (camera.height, camera.width):
+            raise InputError(f"mask {number} has shape {pixels.shape}, its camera ({camera.height}, {camera.width})")
+        pixels = pixels.astype(np.float32)
+        if not (pixels.min() >= 0 and pixels.max() <= 1):
+            raise InputError(f"mask {number} has values from {pixels.min()} to {pixels.max()}, expected 0 to 1")
+        view = prepare_view(model, camera)
+        inside += view.weighted(pixels)[0]
+        total += view.weights()[0]
+    return np.divide(inside, total, out=np.zeros_like(total), where=total > 0), total
+
+
+def lift_masks(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    masks: Sequence[npt.NDArray[np.generic]],
+    *,
+    threshold: float = 0.5,
+    hidden: bool = True,
+) -> Bool:
+    """(N,) bool: Gaussians that masks in one or several views (see `mask_shares`) show.
+
+    Parameters
+    ----------
+    threshold : float
+        Share of a Gaussian's visible weight that must lie inside, (0, 1). At 0.5 it belongs to the side that
+        shows more of it; higher values keep the selection off the mask's edge, lower ones reach across.
+    hidden : bool
+        Whether Gaussians that no view shows (the inside of an object, its back) follow the majority of their
+        nearest seen neighbours in space. If not, they are left out.
+    """
+    if not 0 < threshold < 1:
+        raise InputError(f"threshold must lie in (0, 1), got {threshold}")
+    share, weight = mask_shares(model, cameras, masks)
+    seen = weight >= LEAST_WEIGHT
+    chosen = seen & (share >= threshold)
+    if hidden and chosen.any() and not seen.all():
+        from scipy.spatial import cKDTree
+
+        judges = np.flatnonzero(seen)
+        k = min(HIDDEN_NEIGHBORS, len(judges))
+        _, near = cKDTree(model.means[judges]).query(model.means[~seen], k=k)
+        chosen[~seen] = share[judges[near.reshape(-1, k)]].mean(axis=1) >= threshold
+    return chosen
+
+
+def project_selection(model: GaussianModel, selection: Bool, camera: Camera) -> Float32:
+    """(H, W) float32, 0 to 1: the part of each pixel's colour that comes from the selected Gaussians.
+
+    What stands in front of the selection hides it. 0.5 and above is the selection's mask in this view.
+    """
+    if selection.shape != (len(model),):
+        raise InputError(f"a selection must have shape ({len(model)},), got {selection.shape}")
+    image, _ = prepare_view(model, camera).render(selection.astype(np.float32)[:, None])
+    return np.clip(image[..., 0], 0.0, 1.0)

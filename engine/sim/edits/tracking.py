@@ -24,22 +24,15 @@ __all__ = ["EditTrack", "edited_record", "verify_edited"]
 
 @dataclass(frozen=True, eq=False)
 class EditTrack:
-    """Edits, first to last; each was made on the model that the one before it left.
-
-    Parameters
-    ----------
-    edits : tuple of Edit
-    """
+    """Edits, first to last; each was made on the model that the one before it left."""
 
     edits: tuple[Edit, ...] = ()
 
     def then(self, edit: Edit) -> EditTrack:
         """The track with one more edit; InputError if that edit starts from another number of Gaussians."""
-        if self.edits and len(self.edits[-1].origin()) != edit.count:
-            raise InputError(
-                f"edit {edit.name!r} starts from {edit.count} Gaussians, the track ends at "
-                f"{len(self.edits[-1].origin())}"
-            )
+        end = len(self.edits[-1].origin()) if self.edits else edit.count
+        if end != edit.count:
+            raise InputError(f"edit {edit.name!r} starts from {edit.count} Gaussians, the track ends at {end}")
         return EditTrack((*self.edits, edit))
 
     def replay(self, model: GaussianModel, *, filling: bool = True) -> GaussianModel:
@@ -64,10 +57,7 @@ class EditTrack:
     def undo(self, model: GaussianModel, steps: int | None = None) -> GaussianModel:
         """The model before the last `steps` edits (all by default), bit for bit.
 
-        Raises
-        ------
-        InputError
-            If the track is shorter, or the model is not of the length that the track left.
+        InputError if the track is shorter, or the model is not of the length that the track left.
         """
         steps = len(self.edits) if steps is None else steps
         if not 0 <= steps <= len(self.edits):
@@ -85,12 +75,9 @@ class EditTrack:
         return rows
 
     def displacement(self, before: GaussianModel) -> Float32:
-        """(M, K, 3) delta C of every Gaussian of the last model: its SH less that of its row in the first.
+        """(M, K, 3) delta C of every Gaussian of the last model: its SH less that of its row in the first, `before`.
 
-        Parameters
-        ----------
-        before : GaussianModel
-            The first model. Gaussians that were filled in have displacement 0: they have no C of their own.
+        Gaussians that were filled in have displacement 0: they have no C of their own.
         """
         after, origin = self.replay(before), self.origin(len(before))
         delta = after.sh - before.sh[np.maximum(origin, 0)]
@@ -101,12 +88,8 @@ class EditTrack:
 def edited_record(opened: OpenedRecord, track: EditTrack) -> OpenedRecord:
     """A record whose reference went through the same edits; chips, message and strength as they are.
 
-    Gaussians keep the code vectors of the ones they come from; what filled a hole is no part of it.
-
-    Raises
-    ------
-    InputError
-        If the track starts from another number of Gaussians than the reference has.
+    Gaussians keep the code vectors of the ones they come from; what filled a hole is no part of it. InputError if the
+    track starts from another number of Gaussians than the reference has.
     """
     count = len(opened.reference)
     if track.edits and track.edits[0].count != count:
@@ -122,17 +105,9 @@ def verify_edited(
 ) -> Verification:
     """Does this model carry the record's mark, when the edits it went through are known?
 
-    Parameters
-    ----------
-    suspect : GaussianModel
-        The marked model after the track's edits, and after whatever else happened to it since.
-
-    Returns
-    -------
-    Verification
-        With a note that a track was subtracted. Its bound holds for a track that was fixed without knowledge
-        of the chips; a track made up by a claimant could name any Gaussians it liked, so such a claim is only
-        as good as the track's source.
+    The suspect is the marked model after the track's edits, and after whatever else happened to it since. A note says
+    that a track was subtracted: the bound holds for a track that was fixed without knowledge of the chips; one made up
+    by a claimant could name any Gaussians it liked, so such a claim is only as good as the track's source.
     """
     found = verify_model(suspect, edited_record(opened, track), config)
     names = ", ".join(edit.name for edit in track.edits) or "none"

@@ -16,55 +16,28 @@ CONTACT = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """P points, E edges, T tetrahedra and C clusters of several bodies; units as in `Body`.
+    """P points, E edges, T tetrahedra and C clusters of B bodies; units as in `Body`."""
 
-    Parameters
-    ----------
-    positions, velocities, rest : (P, 3) float64
-        The first two are copies, to be moved in place.
-    masses, inverse_masses, radii : (P,) float64
-    body : (P,) int32
-        To which body a point belongs.
-    firsts : (B + 1,) int64
-        Where each body's points begin and the last one's end.
-    free : (B,) bool
-        Whether nothing of a body is pinned.
-    surface : (S,) int64
-        Points on the outside.
-    reach : float
-        Largest sum of two radii.
-    edges : (E, 2) int32
-    edge_compliance, edge_damping : (E,) float64
-        m/N and N s/m.
-    tets : (T, 4) int32
-    volumes, tet_compliance : (T,) float64
-        Cubic scene units and m^3/Pa.
-    cluster_members : (M,) int64
-    cluster_starts : (C + 1,) int64
-    cluster_rates : (C,) float64
-        1/s; clusters of bodies that match no shape are left out.
-    """
-
-    positions: Float64
-    velocities: Float64
-    rest: Float64
-    masses: Float64
-    inverse_masses: Float64
-    radii: Float64
-    body: Int32
-    firsts: Int64
-    free: Bool
-    surface: Int64
-    reach: float
-    edges: Int32
-    edge_compliance: Float64
-    edge_damping: Float64
-    tets: Int32
-    volumes: Float64
-    tet_compliance: Float64
-    cluster_members: Int64
-    cluster_starts: Int64
-    cluster_rates: Float64
+    positions: Float64  # (P, 3); a copy, to be moved in place
+    velocities: Float64  # (P, 3); a copy, too
+    rest: Float64  # (P, 3)
+    masses: Float64  # (P,)
+    inverse_masses: Float64  # (P,)
+    radii: Float64  # (P,)
+    body: Int32  # (P,) to which body a point belongs
+    firsts: Int64  # (B + 1,) where each body's points begin and the last one's end
+    free: Bool  # (B,) whether nothing of a body is pinned
+    surface: Int64  # (S,) points on the outside
+    reach: float  # largest sum of two radii
+    edges: Int32  # (E, 2)
+    edge_compliance: Float64  # (E,) m/N
+    edge_damping: Float64  # (E,) N s/m
+    tets: Int32  # (T, 4)
+    volumes: Float64  # (T,) cubic scene units
+    tet_compliance: Float64  # (T,) m^3/Pa
+    cluster_members: Int64  # (M,)
+    cluster_starts: Int64  # (C + 1,)
+    cluster_rates: Float64  # (C,) 1/s; clusters of bodies that match no shape are left out
 
 
 def assemble(bodies: Sequence[Body]) -> Assembly:
@@ -73,12 +46,13 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
     An edge of length L stands for a rod of cross-section cell^2, so its compliance is L / (E cell^2) and its
     dashpot has viscosity * cell^2 / L; a tetrahedron's volume has V / K, the bulk energy being K (V - V0)^2 / (2 V0).
     """
-    firsts = np.cumsum([0, *(len(b.positions) for b in bodies)]).astype(np.int64)
-    counts = [len(b.positions) for b in bodies]
+    counts, tets = [len(b.positions) for b in bodies], [len(b.lattice.tets) for b in bodies]
+    firsts = np.cumsum([0, *counts]).astype(np.int64)
+    placed = list(zip(firsts[:-1], bodies, strict=True))
     edge_compliance, edge_damping, members, starts, rates = [], [], [], [0], []
-    for first, body in zip(firsts, bodies, strict=False):
+    for first, body in placed:
         lattice = body.lattice
-        ends = lattice.points[lattice.edges]
+        ends = lattice.points[lattice.edges]  # (E, 2, 3)
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         edge_compliance.append(body.material.compliance * lengths / lattice.cell**2)
         edge_damping.append(body.material.viscosity * lattice.cell**2 / lengths)
@@ -91,7 +65,6 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
     def spread(values: Sequence[float], sizes: Sequence[int]) -> Float64:
         return np.repeat(np.asarray(values, dtype=np.float64), sizes)
 
-    tets = [len(b.lattice.tets) for b in bodies]
     return Assembly(
         positions=np.concatenate([b.positions for b in bodies]),
         velocities=np.concatenate([b.velocities for b in bodies]),
@@ -102,14 +75,12 @@ def assemble(bodies: Sequence[Body]) -> Assembly:
         body=np.repeat(np.arange(len(bodies), dtype=np.int32), counts),
         firsts=firsts,
         free=np.array([not b.pinned.any() for b in bodies]),
-        surface=np.concatenate(
-            [first + np.flatnonzero(b.lattice.surface) for first, b in zip(firsts, bodies, strict=False)]
-        ),
+        surface=np.concatenate([first + np.flatnonzero(b.lattice.surface) for first, b in placed]),
         reach=2.0 * CONTACT * max(b.lattice.cell for b in bodies),
-        edges=np.concatenate([b.lattice.edges + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]),
+        edges=np.concatenate([b.lattice.edges + np.int32(first) for first, b in placed]),
         edge_compliance=np.concatenate(edge_compliance),
         edge_damping=np.concatenate(edge_damping),
-        tets=np.concatenate([b.lattice.tets + np.int32(first) for first, b in zip(firsts, bodies, strict=False)]),
+        tets=np.concatenate([b.lattice.tets + np.int32(first) for first, b in placed]),
         volumes=spread([b.lattice.tet_volume for b in bodies], tets),
         tet_compliance=spread([b.material.volume_compliance * b.lattice.tet_volume for b in bodies], tets),
         cluster_members=np.concatenate(members) if members else np.zeros(0, dtype=np.int64),

@@ -9,9 +9,10 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Bool, Float64, GaussianModel
 from engine.numerics.jit import parallel_section
-from engine.sim.physics.binding_kernels import interpolate
-from engine.sim.physics.deforming import deform_model
+from engine.sim.attack import check_positive
+from engine.sim.physics.deforming import deform_model, interpolate
 from engine.sim.physics.lattice import Binding, Lattice, build_lattice
+from engine.sim.vectors import check_triple
 
 __all__ = [
     "Body",
@@ -53,23 +54,15 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in ("compliance", "volume_compliance", "shape_rate", "shape_cluster", "viscosity"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"{name} of a material must be finite and not negative, got {value}")
+            check_positive(getattr(self, name), f"{name} of a material", zero=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A model and the state of the matter it sits in.
+    """A model (N Gaussians at rest) and the state of the matter it sits in (P points).
 
     Parameters
     ----------
-    model : GaussianModel
-        N Gaussians at rest.
-    lattice : Lattice
-        P points at rest.
-    binding : Binding
-        Where the Gaussians sit.
     masses : (P,) float64
         Of the points, kg, positive.
     pinned : (P,) bool
@@ -109,7 +102,7 @@ def make_body(
     Parameters
     ----------
     model : GaussianModel
-        N Gaussians; they keep their number, order and opacity whatever happens.
+        Its Gaussians keep their number, order and opacity whatever happens.
     resolution : int
         Voxels along the longest robust extent, 2 to 96; each holds six tetrahedra.
     density : float
@@ -118,22 +111,9 @@ def make_body(
         Gaussians that must stay where they are: the corners of their tetrahedra never move.
     velocity : (3,), optional
         At the start, scene units per second.
-
-    Returns
-    -------
-    Body
-        At rest shape, moving with the velocity.
-
-    Raises
-    ------
-    InputError
-        If the model is empty, or a number or shape is unusable.
     """
-    if not (np.isfinite(density) and density > 0):
-        raise InputError(f"density must be positive and finite, got {density}")
-    start = np.asarray(velocity, dtype=np.float64)
-    if start.shape != (3,) or not np.isfinite(start).all():
-        raise InputError(f"velocity must be three finite numbers, got {velocity!r}")
+    check_positive(density, "density")
+    start = check_triple(velocity, "velocity")
     lattice, binding = build_lattice(model, resolution)
     fixed = np.zeros(len(lattice.points), dtype=bool)
     if pinned is not None:
@@ -150,11 +130,8 @@ def make_body(
 def pose(body: Body) -> GaussianModel:
     """The deformed model: a model as any other, to be rendered, written, verified.
 
-    Returns
-    -------
-    GaussianModel
-        Means by barycentric interpolation; covariances F Sigma F^T and SH turned by the rotation part of F,
-        F being the deformation gradient of the Gaussian's tetrahedron (Eq 12).
+    Means by barycentric interpolation; covariances F Sigma F^T and SH turned by the rotation part of F, F being the
+    deformation gradient of the Gaussian's tetrahedron (Eq 12).
     """
     return deform_model(
         body.model, kernel_means(body).astype(np.float32), deformation_gradients(body), body.binding.tet
@@ -180,7 +157,7 @@ def deformation_gradients(body: Body) -> Float64:
 
 def kernel_strains(body: Body) -> Float64:
     """(N, 3, 3) Green strain (F^T F - 1) / 2 of the Gaussians' surroundings."""
-    F = deformation_gradients(body)
+    F = deformation_gradients(body)  # (T, 3, 3)
     strains = 0.5 * (F.transpose(0, 2, 1) @ F - np.eye(3))
     return np.asarray(strains[body.binding.tet])
 
@@ -191,24 +168,12 @@ def strain_norms(body: Body) -> Float64:
 
 
 def color_by_strain(body: Body, full: float = 0.5) -> GaussianModel:
-    """The deformed model with its strain as colour: dark blue for none, yellow from a norm of `full` on.
-
-    Parameters
-    ----------
-    full : float
-        Positive.
-
-    Returns
-    -------
-    GaussianModel
-        SH of degree 0, matplotlib's "viridis".
-    """
+    """The deformed model in degree 0, its strain as colour: matplotlib's "viridis", yellow from a norm of `full` on."""
     from matplotlib import colormaps
 
     from engine.model import SH_C0
 
-    if not (np.isfinite(full) and full > 0):
-        raise InputError(f"the strain of full colour must be positive and finite, got {full}")
+    check_positive(full, "the strain of full colour")
     colors: npt.NDArray[Any] = colormaps["viridis"](np.clip(strain_norms(body) / full, 0.0, 1.0))[:, :3]
     posed = pose(replace(body, model=body.model.with_(sh=body.model.sh[:, :1])))
     return posed.with_dc(((colors - 0.5) / SH_C0).astype(np.float32))

@@ -12,21 +12,25 @@ Damping is a pass of its own over velocities, which can only take energy. XPBD's
 (measured: 30 % at a damping time of 10 ms).
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numpy as np
 
-from engine.numerics.jit import kernel
+from engine.numerics.jit import inlined, kernel
 from engine.sim.physics.decompositions import rotation_part
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 COLLAPSED = 1e-9
 """An edge shorter than this share of its rest length has lost its direction and takes that of rest."""
 
+FLAT = 1e-9
+"""Determinant, as a share of the cubed trace, below which a body's inertia counts as that of a line."""
+
 
 @kernel
-def predict(x, x_prev, v, w, gravity, keep, h):  # type: ignore[no-untyped-def]
+def predict(x, x_prev, v, w, gravity, keep, h):
     """Remember where points (P, 3) are and move them freely for h seconds; `keep` is what drag leaves of v."""
     for i in range(len(x)):
         for k in range(3):
@@ -37,15 +41,26 @@ def predict(x, x_prev, v, w, gravity, keep, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def update_velocities(x, x_prev, v, w, h):  # type: ignore[no-untyped-def]
+def update_velocities(x, x_prev, v, w, h):
     """v = (x - x_prev) / h; pinned points rest."""
     for i in range(len(x)):
         for k in range(3):
             v[i, k] = (x[i, k] - x_prev[i, k]) / h if w[i] > 0.0 else 0.0
 
 
+@inlined
+def _part(values, i, j, a, b, dx, dy, dz):
+    """Row i moves by a along (dx, dy, dz), row j by b against it."""
+    values[i, 0] += a * dx
+    values[i, 1] += a * dy
+    values[i, 2] += a * dz
+    values[j, 0] -= b * dx
+    values[j, 1] -= b * dy
+    values[j, 2] -= b * dz
+
+
 @kernel
-def project_distances(x, w, edges, rest, compliance, h, backward):  # type: ignore[no-untyped-def]
+def project_distances(x, w, edges, rest, compliance, h, backward):
     """|x_i - x_j| = L; edges (E, 2), rest points (P, 3), compliance 1/k per edge (E,)."""
     count = len(edges)
     for step in range(count):
@@ -63,17 +78,11 @@ def project_distances(x, w, edges, rest, compliance, h, backward):  # type: igno
         else:
             dx, dy, dz = rx / target, ry / target, rz / target
         push = (target - length) / (weight + compliance[e] / (h * h))
-        a, b = w[i] * push, w[j] * push
-        x[i, 0] += a * dx
-        x[i, 1] += a * dy
-        x[i, 2] += a * dz
-        x[j, 0] -= b * dx
-        x[j, 1] -= b * dy
-        x[j, 2] -= b * dz
+        _part(x, i, j, w[i] * push, w[j] * push, dx, dy, dz)
 
 
 @kernel
-def project_volumes(x, w, tets, volumes, compliance, h, backward):  # type: ignore[no-untyped-def]
+def project_volumes(x, w, tets, volumes, compliance, h, backward):
     """Signed volume of each tetrahedron (T, 4) = its rest volume (T,): an inverted one is pushed back through."""
     count = len(tets)
     g = np.empty((4, 3))
@@ -108,7 +117,7 @@ def project_volumes(x, w, tets, volumes, compliance, h, backward):  # type: igno
 
 
 @kernel
-def damp_velocities(x, v, w, edges, damping, h, backward):  # type: ignore[no-untyped-def]
+def damp_velocities(x, v, w, edges, damping, h, backward):
     """Take the rate of strain out of every edge, as a dashpot of `damping` (E,) N s/m does in h seconds.
 
     Each pulls two points along their line by no more than makes them keep their distance: no energy is added,
@@ -127,17 +136,11 @@ def damp_velocities(x, v, w, edges, damping, h, backward):  # type: ignore[no-un
             continue
         rate = dx * (v[i, 0] - v[j, 0]) + dy * (v[i, 1] - v[j, 1]) + dz * (v[i, 2] - v[j, 2])
         pull = -rate / square * (1.0 - math.exp(-damping[e] * weight * h)) / weight
-        a, b = w[i] * pull, w[j] * pull
-        v[i, 0] += a * dx
-        v[i, 1] += a * dy
-        v[i, 2] += a * dz
-        v[j, 0] -= b * dx
-        v[j, 1] -= b * dy
-        v[j, 2] -= b * dz
+        _part(v, i, j, w[i] * pull, w[j] * pull, dx, dy, dz)
 
 
 @kernel
-def match_shapes(x, w, masses, rest, members, starts, rates, h):  # type: ignore[no-untyped-def]
+def match_shapes(x, w, masses, rest, members, starts, rates, h):
     """Draw the points of each cluster to its best rigid placement (Mueller et al., SIGGRAPH 2005).
 
     Cluster c holds points members[starts[c]:starts[c + 1]]; each point has the energy
@@ -180,7 +183,7 @@ def match_shapes(x, w, masses, rest, members, starts, rates, h):  # type: ignore
 
 
 @kernel
-def measure_spins(x, x_prev, masses, firsts, spins):  # type: ignore[no-untyped-def]
+def measure_spins(x, x_prev, masses, firsts, spins):
     """h times the angular momentum of each body about the origin, sum of m x_prev cross x, into spins (B, 3).
 
     It is that of positions x with velocities (x - x_prev) / h, exactly. Body b has points firsts[b] to
@@ -194,8 +197,19 @@ def measure_spins(x, x_prev, masses, firsts, spins):  # type: ignore[no-untyped-
                 spins[b, k] += masses[i] * (x_prev[i, m] * x[i, n] - x_prev[i, n] * x[i, m])
 
 
+@inlined
+def _determinant(p, q, r):
+    """Of the matrix with these columns."""
+    return p[0] * (q[1] * r[2] - r[1] * q[2]) - q[0] * (p[1] * r[2] - r[1] * p[2]) + r[0] * (p[1] * q[2] - q[1] * p[2])
+
+
+@inlined
+def _column(a, k):
+    return a[0, k], a[1, k], a[2, k]
+
+
 @kernel
-def restore_spins(x, x_prev, masses, firsts, free, spins, lost):  # type: ignore[no-untyped-def]
+def restore_spins(x, x_prev, masses, firsts, free, spins, lost):
     """Turn each free body as a whole so that it has the angular momentum `spins` again.
 
     Projections push along lines between points as they are in the middle of the pass, but momentum counts
@@ -228,29 +242,11 @@ def restore_spins(x, x_prev, masses, firsts, free, spins, lost):  # type: ignore
                 for l in range(3):
                     a[k, l] -= masses[i] * (x[i, k] - center[k]) * x_prev[i, l]
         size = abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])
-        det = (
-            a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
-            - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
-            + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
-        )
-        if abs(det) <= 1e-9 * size * size * size:  # collapsed to a line: no turn can give it all spins
+        p, q, r, x0 = _column(a, 0), _column(a, 1), _column(a, 2), (lost[b, 0], lost[b, 1], lost[b, 2])
+        det = _determinant(p, q, r)
+        if abs(det) <= FLAT * size * size * size:  # collapsed to a line: no turn can give it all spins
             continue
-        x0, x1, x2 = lost[b, 0], lost[b, 1], lost[b, 2]
-        t0 = (
-            x0 * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
-            - a[0, 1] * (x1 * a[2, 2] - a[1, 2] * x2)
-            + a[0, 2] * (x1 * a[2, 1] - a[1, 1] * x2)
-        ) / det
-        t1 = (
-            a[0, 0] * (x1 * a[2, 2] - a[1, 2] * x2)
-            - x0 * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
-            + a[0, 2] * (a[1, 0] * x2 - x1 * a[2, 0])
-        ) / det
-        t2 = (
-            a[0, 0] * (a[1, 1] * x2 - x1 * a[2, 1])
-            - a[0, 1] * (a[1, 0] * x2 - x1 * a[2, 0])
-            + x0 * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
-        ) / det
+        t0, t1, t2 = _determinant(x0, q, r) / det, _determinant(p, x0, r) / det, _determinant(p, q, x0) / det  # Cramer
         for i in range(firsts[b], firsts[b + 1]):
             rx, ry, rz = x[i, 0] - center[0], x[i, 1] - center[1], x[i, 2] - center[2]
             x[i, 0] += t1 * rz - t2 * ry

@@ -5,20 +5,24 @@ inelastic. What it was inside already is resolved by moving its past along, whic
 start overlapped come apart without bursting.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numpy as np
 
 from engine.numerics.jit import inlined, kernel
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 RELIEF = 0.2
 """Share of an old overlap between points that is resolved in one substep."""
 
+PRIMES = (73856093, 19349663, 83492791)
+"""Of the hash of a cell (Teschner et al., "Optimized spatial hashing", VMV 2003)."""
+
 
 @inlined
-def _slide(x, x_prev, w, i, normal, flow, depth, friction):  # type: ignore[no-untyped-def]
+def _slide(x, x_prev, w, i, normal, flow, depth, friction):
     """Coulomb friction on positions: the step along a surface that moves by `flow`, less friction * depth."""
     slip = 0.0
     along = np.empty(3)
@@ -38,7 +42,7 @@ def _slide(x, x_prev, w, i, normal, flow, depth, friction):  # type: ignore[no-u
 
 
 @inlined
-def _keep_out(x, x_prev, w, i, normal, flow, before, now, friction):  # type: ignore[no-untyped-def]
+def _keep_out(x, x_prev, w, i, normal, flow, before, now, friction):
     """Point i is `now` deep (scene units) in an obstacle and was `before` deep, along a normal pointing out."""
     old = min(max(before, 0.0), now)
     for k in range(3):
@@ -47,61 +51,59 @@ def _keep_out(x, x_prev, w, i, normal, flow, before, now, friction):  # type: ig
     _slide(x, x_prev, w, i, normal, flow, now - old, friction)
 
 
-@kernel
-def collide_planes(x, x_prev, w, normals, points, flows, frictions):  # type: ignore[no-untyped-def]
-    """Keep points (P, 3) on the side of each plane its unit normal (Q, 3) shows to.
+@inlined
+def _direct(line, length):
+    """Make a line of that length a unit vector; where it has none, any way out is as good."""
+    if length <= 0.0:
+        line[0], line[1], line[2] = 0.0, 0.0, 1.0
+    else:
+        for k in range(3):
+            line[k] /= length
 
-    `points` (Q, 3) lie on the planes at the end of the substep; the planes moved by `flows` (Q, 3) in it.
+
+@kernel
+def collide_plane(x, x_prev, w, point, normal, flow, friction):
+    """Keep points (P, 3) on the side of a plane that its unit normal (3,) shows to.
+
+    `point` (3,) lies on the plane at the end of the substep; the plane moved by `flow` (3,) in it.
     """
-    normal, flow = np.empty(3), np.empty(3)
-    for q in range(len(normals)):
+    for i in range(len(x)):
+        if w[i] <= 0.0:
+            continue
+        now, before = 0.0, 0.0
         for k in range(3):
-            normal[k], flow[k] = normals[q, k], flows[q, k]
-        for i in range(len(x)):
-            if w[i] <= 0.0:
-                continue
-            now, before = 0.0, 0.0
-            for k in range(3):
-                now += (points[q, k] - x[i, k]) * normal[k]
-                before += (points[q, k] - flow[k] - x_prev[i, k]) * normal[k]
-            if now > 0.0:
-                _keep_out(x, x_prev, w, i, normal, flow, before, now, frictions[q])
+            now += (point[k] - x[i, k]) * normal[k]
+            before += (point[k] - flow[k] - x_prev[i, k]) * normal[k]
+        if now > 0.0:
+            _keep_out(x, x_prev, w, i, normal, flow, before, now, friction)
 
 
 @kernel
-def collide_spheres(x, x_prev, w, centers, radii, flows, frictions):  # type: ignore[no-untyped-def]
-    """Keep points out of spheres, which moved by `flows` (Q, 3) in the substep and end it at `centers`."""
-    normal, flow = np.empty(3), np.empty(3)
-    for q in range(len(centers)):
+def collide_sphere(x, x_prev, w, center, radius, flow, friction):
+    """Keep points out of a sphere, which moved by `flow` (3,) in the substep and ends it at `center` (3,)."""
+    normal = np.empty(3)
+    for i in range(len(x)):
+        if w[i] <= 0.0:
+            continue
+        square, before = 0.0, 0.0
         for k in range(3):
-            flow[k] = flows[q, k]
-        for i in range(len(x)):
-            if w[i] <= 0.0:
-                continue
-            square, before = 0.0, 0.0
-            for k in range(3):
-                normal[k] = x[i, k] - centers[q, k]
-                square += normal[k] * normal[k]
-                before += (x_prev[i, k] - centers[q, k] + flow[k]) ** 2
-            if square >= radii[q] * radii[q]:
-                continue
-            distance = math.sqrt(square)
-            if distance <= 0.0:  # at the very centre any way out is as good
-                normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-            else:
-                for k in range(3):
-                    normal[k] /= distance
-            depth = radii[q] - distance
-            _keep_out(x, x_prev, w, i, normal, flow, radii[q] - math.sqrt(before), depth, frictions[q])
+            normal[k] = x[i, k] - center[k]
+            square += normal[k] * normal[k]
+            before += (x_prev[i, k] - center[k] + flow[k]) ** 2
+        if square >= radius * radius:
+            continue
+        distance = math.sqrt(square)
+        _direct(normal, distance)
+        _keep_out(x, x_prev, w, i, normal, flow, radius - math.sqrt(before), radius - distance, friction)
 
 
 @inlined
-def _bucket(a, b, c, mask):  # type: ignore[no-untyped-def]
-    return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & mask
+def _bucket(a, b, c, mask):
+    return ((a * PRIMES[0]) ^ (b * PRIMES[1]) ^ (c * PRIMES[2])) & mask
 
 
 @kernel
-def find_pairs(x, rest, surface, body, radii, reach):  # type: ignore[no-untyped-def]
+def find_pairs(x, rest, surface, body, radii, reach):
     """Pairs (M, 2) of points i < j closer than the sum of their radii, in a fixed order.
 
     A hash of cells of `reach` (the largest sum of two radii) over the points of `surface` (S,). Points of one
@@ -157,7 +159,7 @@ def find_pairs(x, rest, surface, body, radii, reach):  # type: ignore[no-untyped
 
 
 @kernel
-def collide_pairs(x, x_prev, w, pairs, radii):  # type: ignore[no-untyped-def]
+def collide_pairs(x, x_prev, w, pairs, radii):
     """Move the points of each pair apart, all pairs at once (Jacobi).
 
     They are pushed along the line between them at the start of the substep, from where momentum counts its
@@ -182,11 +184,7 @@ def collide_pairs(x, x_prev, w, pairs, radii):  # type: ignore[no-untyped-def]
             line[k] = x_prev[i, k] - x_prev[j, k]
             square += line[k] * line[k]
         before = math.sqrt(square)
-        if before <= 0.0:  # coincident points: any way apart is as good
-            line[0], line[1], line[2] = 0.0, 0.0, 1.0
-        else:
-            for k in range(3):
-                line[k] /= before
+        _direct(line, before)
         apart = 0.0
         for k in range(3):
             apart += line[k] * (x[i, k] - x[j, k])

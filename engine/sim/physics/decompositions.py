@@ -6,6 +6,7 @@ columns, so a matrix whose columns are orthogonal already comes back as it was, 
 zero columns stay zero.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numpy as np
@@ -18,10 +19,12 @@ SWEEPS = 12
 """Sweeps over the three pairs of columns; convergence is quadratic, 4 to 6 do."""
 ORTHOGONAL = 1e-15
 """Cosine between two columns that counts as none."""
+VANISHING = 1e-14
+"""Length of a column, as a share of the largest, that is rounding alone: it has no direction."""
 
 
 @inlined
-def orthogonalize(a, v):  # type: ignore[no-untyped-def]
+def orthogonalize(a, v):
     """Turn the columns of a (3, 3) until they are orthogonal, in place; v (3, 3) is turned along."""
     for _ in range(SWEEPS):
         turned = False
@@ -50,7 +53,7 @@ def orthogonalize(a, v):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def rotation_columns(a, r):  # type: ignore[no-untyped-def]
+def rotation_columns(a, r):
     """Proper rotation r (3, 3) along the orthogonal columns of a; returns the index of the smallest column.
 
     The smallest column only follows from the two others, with the sign that makes r proper. Columns that
@@ -74,7 +77,7 @@ def rotation_columns(a, r):  # type: ignore[no-untyped-def]
     else:
         for k in range(3):
             r[k, large] = 1.0 if k == large else 0.0
-    if size[middle] > 1e-14 * size[large]:
+    if size[middle] > VANISHING * size[large]:
         along = 0.0
         for k in range(3):
             r[k, middle] = a[k, middle] / size[middle]
@@ -98,7 +101,7 @@ def rotation_columns(a, r):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def rotation_part(f, r):  # type: ignore[no-untyped-def]
+def rotation_part(f, r):
     """Proper rotation r nearest to f (3, 3): the polar decomposition's, for inverted and degenerate f too.
 
     Where f mirrors, the smallest stretch counts as negative (Irving, Teran and Fedkiw, SCA 2004).
@@ -116,7 +119,7 @@ def rotation_part(f, r):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def to_quaternion(r, q):  # type: ignore[no-untyped-def]
+def to_quaternion(r, q):
     """Unit quaternion q (w, x, y, z) of a proper rotation r, by its largest component (Shepperd 1978)."""
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     largest = 0

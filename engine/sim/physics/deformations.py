@@ -23,8 +23,8 @@ END = 0.01
 LONGEST = 2.5
 """Largest stretch: at 2.94 the waist of a body that keeps its volume would be gone."""
 
-PointMap = Callable[[Float64], tuple[Float64, Float64]]
-"""(N, 3) coordinates h, v, w to the deformed ones and the gradients (N, 3, 3)."""
+PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
+"""(N, 3) coordinates h, v, w, the body's length and the strength to the deformed ones and the gradients (N, 3, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Axes:
 
 
 def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
-    """The body's frame: along its longest extent, or as given.
+    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the centre.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward
         Direction of h; the coordinate axis along which the model is longest where not given.
     toward : (3,), optional
         Direction of v, of which the part across the axis counts; the next coordinate axis where not given.
-
-    Returns
-    -------
-    Axes
-        Its length holds 98 % of the Gaussians near the centre.
 
     Raises
     ------
@@ -95,83 +90,29 @@ def bend(
 ) -> GaussianModel:
     """Bend the body to an arc; its ends then stand at `degrees` to each other.
 
-    Parameters
-    ----------
-    degrees : float
-        Total angle; the middle stays where it is, the neutral fibre keeps its length.
-    axis, toward : (3,), optional
-        The body's length and where it bends to, see `longest_axis`.
-
-    Raises
-    ------
-    InputError
-        If the angle is not finite, or a direction is unusable.
+    The middle stays where it is, the neutral fibre keeps its length. For the body's length and where it bends to see
+    `longest_axis`.
     """
-    angle = _radians(degrees)
-    axes = longest_axis(model, axis, toward)
-    return _deform(model, axes, lambda points: bend_points(points, axes.length, angle))
+    return _deform(model, bend_points, _radians(degrees), axis, toward)
 
 
 def twist(model: GaussianModel, degrees: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
-    """Turn the two ends of the body against each other by `degrees` about its axis.
-
-    Parameters
-    ----------
-    degrees : float
-        Total angle from end to end; the middle stays as it is.
-    axis : (3,), optional
-        See `longest_axis`.
-
-    Raises
-    ------
-    InputError
-        If the angle is not finite, or the axis is unusable.
-    """
-    angle = _radians(degrees)
-    axes = longest_axis(model, axis)
-    return _deform(model, axes, lambda points: twist_points(points, axes.length, angle))
+    """Turn the two ends of the body against each other by `degrees` about its axis; the middle stays as it is."""
+    return _deform(model, twist_points, _radians(degrees), axis)
 
 
 def squash(model: GaussianModel, share: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
-    """Press the body together along its axis by `share` of its length; its middle bulges, its volume stays.
-
-    Parameters
-    ----------
-    share : float
-        Lost length in [0, 1).
-    axis : (3,), optional
-        See `longest_axis`.
-
-    Raises
-    ------
-    InputError
-        If the share is out of range, or the axis is unusable.
-    """
+    """Press the body together along its axis by `share` of its length, [0, 1); its middle bulges, its volume stays."""
     if not 0 <= share < 1:
         raise InputError(f"a squash takes a share of the length in [0, 1), got {share}")
-    axes = longest_axis(model, axis)
-    return _deform(model, axes, lambda points: barrel_points(points, axes.length, 1.0 - share))
+    return _deform(model, barrel_points, 1.0 - share, axis)
 
 
 def stretch(model: GaussianModel, factor: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
-    """Pull the body along its axis to `factor` times its length; it grows a waist, its volume stays.
-
-    Parameters
-    ----------
-    factor : float
-        From 1 to 2.5.
-    axis : (3,), optional
-        See `longest_axis`.
-
-    Raises
-    ------
-    InputError
-        If the factor is out of range, or the axis is unusable.
-    """
+    """Pull the body along its axis to `factor` (1 to 2.5) times its length; it grows a waist, its volume stays."""
     if not 1 <= factor <= LONGEST:
         raise InputError(f"a stretch takes a factor from 1 to {LONGEST}, got {factor}")
-    axes = longest_axis(model, axis)
-    return _deform(model, axes, lambda points: barrel_points(points, axes.length, factor))
+    return _deform(model, barrel_points, factor, axis)
 
 
 def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, Float64]:
@@ -228,11 +169,18 @@ def barrel_points(points: Float64, length: float, factor: float) -> tuple[Float6
     return moved, gradients
 
 
-def _deform(model: GaussianModel, axes: Axes, points_map: PointMap) -> GaussianModel:
-    from engine.sim.physics.deforming import deform_model
+def _deform(
+    model: GaussianModel,
+    points_map: PointMap,
+    strength: float,
+    axis: npt.ArrayLike | None,
+    toward: npt.ArrayLike | None = None,
+) -> GaussianModel:
+    from engine.sim.physics.deforming import deform_model  # kernels: the list of attacks only passes by
 
-    local = (model.means.astype(np.float64) - axes.center) @ axes.frame.T
-    moved, gradients = points_map(local)
+    axes = longest_axis(model, axis, toward)
+    local = (model.means.astype(np.float64) - axes.center) @ axes.frame.T  # (N, 3) h, v, w
+    moved, gradients = points_map(local, axes.length, strength)  # (N, 3), (N, 3, 3)
     means = moved @ axes.frame + axes.center
     return deform_model(model, means.astype(np.float32), axes.frame.T @ gradients @ axes.frame)
 

@@ -83,27 +83,11 @@ class Binding:
 
 
 def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Binding]:
-    """Fill the model with tetrahedra and bind its Gaussians to them.
+    """Fill the model with tetrahedra and bind every Gaussian to them.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        N >= 1 Gaussians.
-    resolution : int
-        Voxels along the model's longest robust extent, 2 to 96.
-
-    Returns
-    -------
-    Lattice
-        Over the voxels that hold visible Gaussians (centre or one standard deviation along an axis), with
-        closed hollows filled and floating islands left out.
-    Binding
-        Of every Gaussian.
-
-    Raises
-    ------
-    InputError
-        If the model is empty or the resolution is out of range.
+    `resolution` is the number of voxels along the model's longest robust extent, 2 to 96. Matter is in the voxels that
+    hold visible Gaussians (centre or one standard deviation along an axis), with closed hollows filled and floating
+    islands left out. InputError if the model is empty or the resolution is out of range.
     """
     low, high = RESOLUTIONS
     if not low <= resolution <= high:
@@ -153,7 +137,6 @@ def _orders() -> tuple[Int64, Int64]:
 
 
 CORNERS, SLOTS = _orders()
-ORDER_OF_CODE = {tuple(order): n for n, order in enumerate(permutations(range(3)))}
 
 
 def _tetrahedra(voxels: Int64, origin: Float64, cell: float) -> Lattice:
@@ -183,15 +166,12 @@ def _bind(means: Float64, voxels: Int64, origin: Float64, cell: float) -> Bindin
     outside = np.flatnonzero(own < 0)
     if len(outside):
         _, own[outside] = cKDTree(voxels + 0.5).query(position[outside])
-    fraction = position - voxels[own]  # beyond 0..1 for those outside
-    order = np.argsort(-fraction, axis=1, kind="stable")
-    table = np.zeros((3, 3, 3), dtype=np.int64)
-    for code, n in ORDER_OF_CODE.items():
-        table[code] = n
-    kind = table[tuple(order.T)]
+    fraction = position - voxels[own]  # (N, 3), beyond 0..1 for those outside
+    order = np.argsort(-fraction, axis=1, kind="stable")  # (N, 3)
+    kind = 2 * order[:, 0] + (order[:, 1] > order[:, 2])  # its number among the permutations of 0, 1, 2
     steps = np.take_along_axis(fraction, order, axis=1)
     along = np.column_stack([1.0 - steps[:, 0], -np.diff(steps, axis=1), steps[:, 2]])
-    weights = np.take_along_axis(along, SLOTS[kind], axis=1)
+    weights = np.take_along_axis(along, SLOTS[kind], axis=1)  # (N, 4)
     return Binding((6 * own + kind).astype(np.int32), weights)
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float64
+from engine.sim.attack import check_positive
 from engine.sim.physics import constraint_kernels as constraints
 from engine.sim.physics import contact_kernels as contacts
 from engine.sim.physics.assembly import Assembly, assemble
 from engine.sim.physics.body import Body
+from engine.sim.vectors import check_triple
 
 __all__ = ["Plane", "Sphere", "World", "ground", "step"]
 
@@ -20,16 +22,14 @@ STEP = 1.0 / 60.0
 """Default length of a step, seconds."""
 
 
-def _vector(value: npt.ArrayLike, what: str) -> Float64:
-    vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{what} must be three finite numbers, got {value!r}")
-    return vector
+EARTH = (0.0, -9.81, 0.0)
+"""Gravity where a scene unit is a metre and y is up."""
 
 
-def _not_negative(value: float, what: str) -> None:
-    if not (np.isfinite(value) and value >= 0):
-        raise InputError(f"{what} must be finite and not negative, got {value}")
+def _make_vectors(owner: object, what: str, *names: str) -> None:
+    """Fields of a frozen object made (3,) float64."""
+    for name in names:
+        object.__setattr__(owner, name, check_triple(getattr(owner, name), f"{name}{what}"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,46 +50,31 @@ class Plane:
 
     point: Float64
     normal: Float64
-    velocity: Float64 = (0.0, 0.0, 0.0)  # type: ignore[assignment]  # made an array below
+    velocity: Float64 = field(default_factory=lambda: np.zeros(3))
     friction: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("point", "normal", "velocity"):
-            object.__setattr__(self, name, _vector(getattr(self, name), f"{name} of a plane"))
+        _make_vectors(self, " of a plane", "point", "normal", "velocity")
         length = float(np.linalg.norm(self.normal))
         if not length > 0:
             raise InputError("the normal of a plane is zero")
         object.__setattr__(self, "normal", self.normal / length)
-        _not_negative(self.friction, "friction of a plane")
+        check_positive(self.friction, "friction of a plane", zero=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A ball that matter stays out of.
-
-    Parameters
-    ----------
-    center : (3,)
-        Now, scene units.
-    radius : float
-        Positive, scene units.
-    velocity : (3,)
-        Scene units per second.
-    friction : float
-        Coulomb's coefficient, at least 0.
-    """
+    """A ball that matter stays out of; units as of a `Plane`, `center` as it is now."""
 
     center: Float64
     radius: float
-    velocity: Float64 = (0.0, 0.0, 0.0)  # type: ignore[assignment]  # made an array below
+    velocity: Float64 = field(default_factory=lambda: np.zeros(3))
     friction: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("center", "velocity"):
-            object.__setattr__(self, name, _vector(getattr(self, name), f"{name} of a sphere"))
-        if not (np.isfinite(self.radius) and self.radius > 0):
-            raise InputError(f"the radius of a sphere must be positive and finite, got {self.radius}")
-        _not_negative(self.friction, "friction of a sphere")
+        _make_vectors(self, " of a sphere", "center", "velocity")
+        check_positive(self.radius, "the radius of a sphere")
+        check_positive(self.friction, "friction of a sphere", zero=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +87,6 @@ class World:
         At least one.
     gravity : (3,)
         Scene units per second squared.
-    planes : tuple of Plane
-    spheres : tuple of Sphere
     drag : float
         Rate at which all motion dies away, 1/s, at least 0; 0 is vacuum.
     substeps : int
@@ -115,7 +98,7 @@ class World:
     """
 
     bodies: tuple[Body, ...]
-    gravity: Float64 = (0.0, -9.81, 0.0)  # type: ignore[assignment]  # made an array below
+    gravity: Float64 = field(default_factory=lambda: np.array(EARTH))
     planes: tuple[Plane, ...] = ()
     spheres: tuple[Sphere, ...] = ()
     drag: float = 0.0
@@ -126,35 +109,20 @@ class World:
     def __post_init__(self) -> None:
         if not self.bodies:
             raise InputError("a world needs at least one body")
-        object.__setattr__(self, "gravity", _vector(self.gravity, "gravity"))
-        _not_negative(self.drag, "drag")
+        _make_vectors(self, "", "gravity")
+        check_positive(self.drag, "drag", zero=True)
         if self.substeps < 1:
             raise InputError(f"a step has at least one substep, got {self.substeps}")
 
 
 def ground(height: float, up: npt.ArrayLike = (0.0, 1.0, 0.0), friction: float = 0.5) -> Plane:
     """Level ground at a height along `up`."""
-    direction = _vector(up, "up")
+    direction = check_triple(up, "up")
     return Plane(height * direction / max(float(np.linalg.norm(direction)), 1e-300), direction, friction=friction)
 
 
 def step(world: World, dt: float = STEP) -> World:
-    """The world `dt` seconds later.
-
-    Parameters
-    ----------
-    dt : float
-        Seconds, positive.
-
-    Returns
-    -------
-    World
-        New positions and velocities of all bodies; moving planes and spheres have moved on.
-
-    Raises
-    ------
-    InputError
-        If dt is not positive and finite.
+    """The world `dt` > 0 seconds later: all bodies, and planes and spheres that move.
 
     Notes
     -----
@@ -166,9 +134,8 @@ def step(world: World, dt: float = STEP) -> World:
         raise InputError(f"a step takes a positive time, got {dt}")
     parts = assemble(world.bodies)
     x, v = parts.positions, parts.velocities
-    h, obstacles = dt / world.substeps, _Obstacles.of(world)
     for number in range(world.substeps):
-        _substep(world, parts, obstacles, x, v, h, number)
+        _substep(world, parts, x, v, dt / world.substeps, number)
     ends = zip(world.bodies, parts.firsts[:-1], parts.firsts[1:], strict=True)
     moved = [replace(body, positions=x[a:b].copy(), velocities=v[a:b].copy()) for body, a, b in ends]
     return replace(
@@ -180,60 +147,7 @@ def step(world: World, dt: float = STEP) -> World:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Obstacles:
-    """Planes and spheres of a world as arrays; points and centres are where they are at `World.time`."""
-
-    plane_points: Float64
-    plane_normals: Float64
-    plane_velocities: Float64
-    plane_frictions: Float64
-    sphere_centers: Float64
-    sphere_radii: Float64
-    sphere_velocities: Float64
-    sphere_frictions: Float64
-
-    @classmethod
-    def of(cls, world: World) -> _Obstacles:
-        def vectors(values: list[Float64]) -> Float64:
-            return np.array(values, dtype=np.float64).reshape(-1, 3)
-
-        return cls(
-            vectors([p.point for p in world.planes]),
-            vectors([p.normal for p in world.planes]),
-            vectors([p.velocity for p in world.planes]),
-            np.array([p.friction for p in world.planes], dtype=np.float64),
-            vectors([s.center for s in world.spheres]),
-            np.array([s.radius for s in world.spheres], dtype=np.float64),
-            vectors([s.velocity for s in world.spheres]),
-            np.array([s.friction for s in world.spheres], dtype=np.float64),
-        )
-
-    def keep_out(self, x: Float64, x_prev: Float64, w: Float64, now: float, h: float) -> None:
-        """Move points out of all obstacles as they are `now` seconds after the world's time."""
-        contacts.collide_spheres(
-            x,
-            x_prev,
-            w,
-            self.sphere_centers + now * self.sphere_velocities,
-            self.sphere_radii,
-            h * self.sphere_velocities,
-            self.sphere_frictions,
-        )
-        contacts.collide_planes(
-            x,
-            x_prev,
-            w,
-            self.plane_normals,
-            self.plane_points + now * self.plane_velocities,
-            h * self.plane_velocities,
-            self.plane_frictions,
-        )
-
-
-def _substep(
-    world: World, parts: Assembly, obstacles: _Obstacles, x: Float64, v: Float64, h: float, number: int
-) -> None:
+def _substep(world: World, parts: Assembly, x: Float64, v: Float64, h: float, number: int) -> None:
     """One substep of h seconds, in place.
 
     1. Move freely.                                    5. Points out of the obstacles: theirs is the last word.
@@ -246,7 +160,7 @@ def _substep(
     w, now, backward = parts.inverse_masses, (number + 1) * h, number % 2 == 1
     x_prev = np.empty_like(x)
     constraints.predict(x, x_prev, v, w, world.gravity, float(np.exp(-world.drag * h)), h)  # 1
-    obstacles.keep_out(x, x_prev, w, now, h)  # 2
+    _keep_out(world, x, x_prev, w, now, h)  # 2
     spins, lost = np.empty((len(world.bodies), 3)), np.empty((len(world.bodies), 3))
     constraints.measure_spins(x, x_prev, parts.masses, parts.firsts, spins)
     constraints.project_distances(x, w, parts.edges, parts.rest, parts.edge_compliance, h, backward)  # 3
@@ -260,6 +174,16 @@ def _substep(
         pairs = contacts.find_pairs(x, parts.rest, parts.surface, parts.body, parts.radii, parts.reach)
         if len(pairs):
             contacts.collide_pairs(x, x_prev, w, pairs, parts.radii)
-    obstacles.keep_out(x, x_prev, w, now, h)  # 5
+    _keep_out(world, x, x_prev, w, now, h)  # 5
     constraints.update_velocities(x, x_prev, v, w, h)  # 6
     constraints.damp_velocities(x, v, w, parts.edges, parts.edge_damping, h, backward)  # 7
+
+
+def _keep_out(world: World, x: Float64, x_prev: Float64, w: Float64, now: float, h: float) -> None:
+    """Move points out of all obstacles as they are `now` seconds after the world's time; planes have the last word."""
+    for s in world.spheres:
+        center, flow = s.center + now * s.velocity, h * s.velocity
+        contacts.collide_sphere(x, x_prev, w, center, float(s.radius), flow, float(s.friction))
+    for p in world.planes:
+        point, flow = p.point + now * p.velocity, h * p.velocity
+        contacts.collide_plane(x, x_prev, w, point, p.normal, flow, float(p.friction))

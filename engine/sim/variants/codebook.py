@@ -6,21 +6,19 @@ Vector Quantization" (ECCV 2024): each group of attributes has a codebook, a Gau
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from engine.compress.hvq import HvqConfig, learn_residual_stage
 from engine.errors import InputError
 from engine.formats.repairs import clean
-from engine.model import Camera, Float32, GaussianModel, Int32
+from engine.model import Float32, GaussianModel, Int32
 from engine.pipeline.embedding import Embedding, embed
-from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Progress
 from engine.pipeline.variant import Variant
 from engine.watermark.keys import OwnerKey
-from engine.watermark.messages import Signs
 
 __all__ = ["GROUPS", "CodebookModel", "embed_codebook", "make_codebook"]
 
@@ -46,11 +44,6 @@ class CodebookModel:
         Entry of each Gaussian in each codebook.
     index_bits : int
         Bits of an index in the file.
-
-    Raises
-    ------
-    InputError
-        If the parts do not fit together.
     """
 
     plain: Mapping[str, Float32]
@@ -81,17 +74,9 @@ class CodebookModel:
 
     def decode(self) -> GaussianModel:
         """The Gaussians, every index looked up; quaternions of unit length, absurd scales and opacities clamped."""
-        dc, rest = self._group("dc"), self._group("sh")
-        sh = np.concatenate([dc, rest], axis=1).reshape(len(self), -1, 3)
-        model, _ = clean(
-            self._group("xyz"),
-            self._group("scale"),
-            self._group("rot"),
-            self.plain["opacity"][:, 0],
-            sh,
-            file="codebook model",
-        )
-        return model
+        xyz, dc, rest, scale, rot = (self._group(name) for name in GROUPS)
+        sh = np.concatenate([dc, rest], axis=1).reshape(len(self), -1, 3)  # (N, K, 3)
+        return clean(xyz, scale, rot, self.plain["opacity"][:, 0], sh, file="codebook model")[0]
 
     def with_codes(self, name: str, codes: Float32) -> CodebookModel:
         """A copy with another codebook of the same size for one group."""
@@ -115,8 +100,6 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
     ----------
     codes : mapping of str to int, optional
         Codebook size of each group to quantise; others stay plain. `CODES` where not given.
-    seed : int
-        Of the k-means.
     """
     codes = dict(CODES if codes is None else codes)
     if not codes:
@@ -138,35 +121,21 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
         if name not in codes or values.shape[1] == 0:
             plain[name] = np.ascontiguousarray(values)
             continue
-        values = np.ascontiguousarray(values)
-        ones = np.ones(len(model))
-        stage = learn_residual_stage(values, ones, codes[name], HvqConfig(), seed)
+        stage = learn_residual_stage(np.ascontiguousarray(values), np.ones(len(model)), codes[name], HvqConfig(), seed)
         centers[name], indices[name] = stage.codebook, stage.labels
     bits = max((len(book) - 1).bit_length() for book in centers.values())
     return CodebookModel(plain, centers, indices, max(bits, 1))
 
 
-def embed_codebook(
-    compressed: CodebookModel,
-    key: OwnerKey,
-    *,
-    original_sha256: str,
-    message: Signs | None = None,
-    bits: int = 32,
-    config: EmbedConfig | None = None,
-    cameras: Sequence[Camera] | None = None,
-    copy: str = "",
-    registered_at: str = "",
-    progress: Progress | None = None,
-) -> tuple[CodebookModel, Embedding]:
+def embed_codebook(compressed: CodebookModel, key: OwnerKey, **request: Any) -> tuple[CodebookModel, Embedding]:
     """Mark a model in its own colour codebook: its entries are the mark's code vectors.
 
     Parameters
     ----------
     compressed : CodebookModel
         Pruned and quantised; the group "dc" must have a codebook.
-    original_sha256, message, bits, config, cameras, copy, registered_at, progress
-        As for `engine.pipeline.embedding.embed`.
+    **request
+        As for `engine.pipeline.embedding.embed`, whose errors are raised, too; ``original_sha256`` must be there.
 
     Returns
     -------
@@ -177,27 +146,13 @@ def embed_codebook(
     Raises
     ------
     InputError
-        If the colours have no codebook; else as `embed`.
-    CapacityError
-        As `embed`.
+        If the colours have no codebook.
     """
     if "dc" not in compressed.centers:
         raise InputError("this model's colours are not quantised: mark it as a plain model")
     model, labels = compressed.decode(), compressed.indices["dc"]
-    result = embed(
-        model,
-        key,
-        original_sha256=original_sha256,
-        message=message,
-        bits=bits,
-        config=config,
-        cameras=cameras,
-        copy=copy,
-        registered_at=registered_at,
-        progress=progress,
-        variant=Variant(labels=labels),
-    )
+    result = embed(model, key, variant=Variant(labels=labels), **request)
     used, member = np.unique(labels, return_index=True)  # all members of a code are displaced alike
-    codes = compressed.centers["dc"].copy()
+    codes = compressed.centers["dc"].copy()  # (M, 3)
     codes[used] = result.model.sh[member, 0]
     return compressed.with_codes("dc", codes), result

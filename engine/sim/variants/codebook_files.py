@@ -48,12 +48,7 @@ _PROPERTIES = {
 
 
 def read_codebook(folder: str | os.PathLike[str]) -> CodebookModel:
-    """Read the folder of a compressed model.
-
-    Parameters
-    ----------
-    folder : path
-        Holds point_cloud.ply, kmeans_centers.pth, kmeans_inds.bin and kmeans_args.npy.
+    """Read the folder of a compressed model: its four files.
 
     Raises
     ------
@@ -69,12 +64,9 @@ def read_codebook(folder: str | os.PathLike[str]) -> CodebookModel:
     centers = _read_centers(_content(base / CENTERS, MAX_CENTERS_BYTES), params, str(base / CENTERS))
     plain = _read_plain(_content(base / PLY), params, str(base / PLY))
     count = len(plain["opacity"])
-    file = str(base / INDICES)
-    if total != len(params) * count * index_bits:
-        message = (
-            f"announces {total} bits, but {len(params)} groups of {count} Gaussians take "
-            f"{len(params) * count * index_bits}"
-        )
+    file, needed = str(base / INDICES), len(params) * count * index_bits
+    if total != needed:
+        message = f"announces {total} bits, but {len(params)} groups of {count} Gaussians take {needed}"
         raise FormatError(message, file=str(base / ARGS), prop="total_len")
     packed = _content(base / INDICES)
     if len(packed) != (total + 7) // 8:
@@ -95,12 +87,9 @@ def read_codebook(folder: str | os.PathLike[str]) -> CodebookModel:
 
 
 def write_codebook(model: CodebookModel, folder: str | os.PathLike[str]) -> int:
-    """Write the four files of a compressed model, each whole or not at all; the folder is made.
+    """Write the four files of a compressed model, each whole or not at all; the folder is made. Returns their bytes.
 
-    Returns
-    -------
-    int
-        Bytes written. The same model gives the same bytes.
+    The same model gives the same bytes.
     """
     import torch  # only needed for the archive of centres
 

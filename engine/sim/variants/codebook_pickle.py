@@ -12,6 +12,11 @@ from engine.sim.variants.codebook import GROUPS
 __all__ = ["read_args"]
 
 MAX_INDEX_BITS = 31
+"""An index is an int32."""
+
+_VALUES = (ValueError, TypeError, LookupError, AttributeError, OverflowError)
+_BROKEN = (*_VALUES, EOFError, MemoryError, RecursionError, pickle.UnpicklingError)
+"""Whatever a broken pickle does to its reader."""
 
 
 class _Bare:
@@ -39,13 +44,6 @@ class _Unpickler(pickle.Unpickler):
 def read_args(data: bytes, *, file: str) -> tuple[list[str], int, int]:
     """Read kmeans_args.npy without running anything in it.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    file : str
-        Its name, for messages.
-
     Returns
     -------
     params : list of str
@@ -72,18 +70,7 @@ def read_args(data: bytes, *, file: str) -> tuple[list[str], int, int]:
         array = _Unpickler(stream).load()
         args = array.state[-1][0]
         params, index_bits, total = args["params"], args["n_bits"], args["total_len"]
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        EOFError,
-        OverflowError,
-        MemoryError,
-        RecursionError,
-        pickle.UnpicklingError,
-    ) as error:  # whatever a broken pickle does to its reader
+    except _BROKEN as error:
         raise FormatError(f"cannot be read: {str(error)[:120]!a}", file=file) from None
     if not isinstance(params, list) or not all(isinstance(name, str) for name in params) or not params:
         raise FormatError("names no list of groups", file=file, prop="params")

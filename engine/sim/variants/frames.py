@@ -26,20 +26,7 @@ COLOR_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class FrameSequence:
-    """T exported models of the same N Gaussians, row by row.
-
-    Parameters
-    ----------
-    frames : sequence of GaussianModel
-        At least one; equally long, with equal colours.
-    times : (T,) sequence of float
-        Moment of each, ascending.
-
-    Raises
-    ------
-    InputError
-        If the frames do not belong together.
-    """
+    """T exported models of the same N Gaussians, row by row, with equal colours, and the moment of each, ascending."""
 
     frames: Sequence[GaussianModel]
     times: Sequence[float]
@@ -99,19 +86,10 @@ class FrameSequence:
 def read_frames(
     source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], times: Sequence[float] | None = None
 ) -> FrameSequence:
-    """Read a folder, or a list, of exported models.
+    """Read a folder (its ``.ply`` files in the order of their names), or a list, of exported models.
 
-    Parameters
-    ----------
-    source : path or sequence of path
-        A folder's ``.ply`` files are taken in the order of their names.
-    times : sequence of float, optional
-        Moment of each; evenly from 0 to 1 where not given.
-
-    Raises
-    ------
-    InputError
-        If there are no files, or they do not belong together; FormatError if one cannot be read.
+    Their moments are spread evenly from 0 to 1 where not given. InputError if there are no files, or they do not belong
+    together; FormatError if one cannot be read.
     """
     if isinstance(source, str | os.PathLike):
         folder = Path(source)

@@ -21,7 +21,7 @@ from engine.formats import encode_model, read_model
 from engine.formats.ply.gaussians import write_ply
 from engine.formats.writing import write_model, write_whole
 from engine.model import Camera, Float32, GaussianModel
-from engine.pipeline.embedding import Embedding, embed
+from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import EmbedConfig, profile
 from engine.watermark.keys import OwnerKey
 
@@ -41,13 +41,7 @@ usual, which is still far below what separates a generated model from what it wa
 
 @dataclass(frozen=True)
 class Marking:
-    """Marks what a generator returns; see `marking`.
-
-    Parameters
-    ----------
-    records : path
-        Folder of the records.
-    """
+    """Marks what a generator returns; see `marking`."""
 
     key: OwnerKey
     records: str | os.PathLike[str]
@@ -77,16 +71,14 @@ class Marking:
 
     def _mark(self, result: GaussianModel | str | Path) -> GaussianModel | str | Path:
         if isinstance(result, GaussianModel):
-            digest = hashlib.sha256(encode_model(result, "ply")).hexdigest()
-            return self._embed(result, digest).model
+            return self._embed(result, hashlib.sha256(encode_model(result, "ply")).hexdigest())
         if not isinstance(result, str | Path):
             raise InputError(f"the generator returned {type(result).__name__}, no model and no path")
         loaded = read_model(result)
-        embedding = self._embed(loaded.model, loaded.sha256)
-        write_model(embedding.model, result, loaded.format)
+        write_model(self._embed(loaded.model, loaded.sha256), result, loaded.format)
         return result
 
-    def _embed(self, model: GaussianModel, digest: str) -> Embedding:
+    def _embed(self, model: GaussianModel, digest: str) -> GaussianModel:
         """Mark, and put the record away before anything marked leaves."""
         result = embed(model, self.key, original_sha256=digest, bits=self.bits, config=self.config)
         folder = Path(self.records)
@@ -96,7 +88,7 @@ class Marking:
             raise InputError(f"{folder}: cannot be made: {error.strerror or error}") from None
         name = f"{result.record.header.record_id}.record"
         write_whole(folder / name, [result.record.to_bytes(self.key)])
-        return result
+        return result.model
 
 
 def marking(
@@ -108,8 +100,6 @@ def marking(
     ----------
     records : path
         Folder that gets one record for each generated model, named by its record id.
-    bits : int
-        Length of the derived message.
     config : EmbedConfig, optional
         `FEW_GAUSSIANS` where not given.
 
@@ -174,8 +164,6 @@ def generate_from_views(
         On black.
     points : int
         Gaussians to start from; densification adds some.
-    advance : callable, optional
-        Told the fraction done.
     """
     from engine.sim.capture.densification import DensifyConfig
     from engine.sim.capture.kernels import kernels_from_points
@@ -204,12 +192,6 @@ def generate_from_views(
 
 
 def write_raw_ply(model: GaussianModel, *, seed: int = 0) -> Iterator[bytes]:
-    """A PLY as generators write it: quaternions of the lengths their optimiser left them, here drawn from a seed.
-
-    Yields
-    ------
-    bytes
-        Joined, they are the file.
-    """
+    """A PLY as generators write it: quaternions of the lengths their optimiser left them, here drawn from a seed."""
     lengths = np.random.default_rng(seed).lognormal(0.0, 0.4, (len(model), 1))
     return write_ply(model.with_(quats=(model.quats * lengths).astype(np.float32)))

@@ -22,17 +22,7 @@ __all__ = ["HybridPart", "assemble", "verify_hybrid"]
 
 @dataclass(frozen=True, eq=False)
 class HybridPart:
-    """One object of a hybrid scene.
-
-    Parameters
-    ----------
-    marked : GaussianModel, CodebookModel or Moving
-        The marked variant.
-    placement : Similarity
-        Where it stands in the scene.
-    time : float, optional
-        Moment shown, of a part that moves.
-    """
+    """One object of a hybrid scene: the marked variant, where it stands and, where it moves, the moment shown."""
 
     marked: GaussianModel | CodebookModel | Moving
     placement: Similarity
@@ -72,18 +62,12 @@ def verify_hybrid(
 
     Parameters
     ----------
-    suspect : GaussianModel or FlatScene
-    records : mapping of str to OpenedRecord
     moving : mapping of str to (Moving, float), optional
         For records of scenes that move: the owner's original, and the moment to look for.
     instances : int
         Times one asset is looked for. More than one where several variants of the same asset may be in the file:
-        they look alike to the registration, and only one of them carries a given record's mark.
-
-    Returns
-    -------
-    list of ObjectFinding
-        As `verify_objects` gives them; len(records) * instances tries are counted.
+        they look alike to the registration, and only one of them carries a given record's mark. All
+        len(records) * instances tries are counted.
     """
     moving = moving or {}
     for name in moving:

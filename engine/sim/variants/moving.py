@@ -12,24 +12,36 @@ geometry alone.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks import make_landmarks
 from engine.pipeline.embedding import LANDMARK_SIZE, Embedding, embed
+from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Progress
 from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.variant import Variant
+from engine.pipeline.verification import Verification, verify_images, verify_model
+from engine.registration.registering import RegistrationConfig, register
 from engine.watermark.keys import OwnerKey
-from engine.watermark.layout import Layout
-from engine.watermark.messages import Signs
 
-__all__ = ["Moving", "embed_moving", "key_times", "move_record", "visible"]
+__all__ = [
+    "Moving",
+    "embed_moving",
+    "find_time",
+    "key_times",
+    "move_record",
+    "verify_moment",
+    "verify_moving_images",
+    "visible",
+]
+
+FEWEST = 3
+"""Visible Gaussians that make a model: fewer span no frame."""
 
 COMMITMENT = "moving"
 """Name under which a record's plan holds the digest of the moving original."""
@@ -77,17 +89,7 @@ def key_times(moving: Moving, count: int) -> list[float]:
 
 
 def embed_moving(
-    moving: M,
-    key: OwnerKey,
-    *,
-    original_sha256: str | None = None,
-    message: Signs | None = None,
-    bits: int = 32,
-    config: EmbedConfig | None = None,
-    cameras: Sequence[Camera] | None = None,
-    copy: str = "",
-    registered_at: str = "",
-    progress: Progress | None = None,
+    moving: M, key: OwnerKey, *, original_sha256: str | None = None, config: EmbedConfig | None = None, **request: Any
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene.
 
@@ -97,10 +99,10 @@ def embed_moving(
         The unmarked original; the owner keeps it for verification.
     original_sha256 : str, optional
         Digest of the owner's file; that of the arrays where not given.
-    message, bits, cameras, copy, registered_at, progress
-        As for `engine.pipeline.embedding.embed`.
     config : EmbedConfig, optional
         The landmark bank is left out: a canonical model is nothing a picture shows. `move_record` makes one.
+    **request
+        As for `engine.pipeline.embedding.embed`, whose errors are raised.
 
     Returns
     -------
@@ -108,61 +110,43 @@ def embed_moving(
         Of the same kind.
     embedding : Embedding
         Its model is the marked canonical one; its record commits to the original.
-
-    Raises
-    ------
-    CapacityError, InputError
-        As `embed`.
     """
     config = replace(config or EmbedConfig(), landmark_views=0)
-    canonical = moving.canonical()
+    canonical, digest = moving.canonical(), moving.digest()
     times = key_times(moving, config.views)
-    digest = moving.digest()
     variant = Variant(
         at_view=lambda model, k: moving.at(times[k]).with_(sh=model.sh),
         emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
         commitments={COMMITMENT: digest},
     )
-    result = embed(
-        canonical,
-        key,
-        original_sha256=original_sha256 or digest,
-        message=message,
-        bits=bits,
-        config=config,
-        cameras=cameras,
-        copy=copy,
-        registered_at=registered_at,
-        progress=progress,
-        variant=variant,
-    )
+    original_sha256 = original_sha256 or digest
+    result = embed(canonical, key, original_sha256=original_sha256, config=config, variant=variant, **request)
     return moving.displaced(result.model.sh[:, 0] - canonical.sh[:, 0]), result
 
 
 def visible(model: GaussianModel) -> GaussianModel:
     """The Gaussians of a model that a renderer blends at all; InputError where there are fewer than three."""
+    return model.take(_visible_rows(model))
+
+
+def _visible_rows(model: GaussianModel, when: str = "") -> Int64:
     rows = np.flatnonzero(model.opacities >= VISIBLE)
-    if len(rows) < 3:
-        raise InputError(f"only {len(rows)} of {len(model)} Gaussians are visible")
-    return model.take(rows)
+    if len(rows) < FEWEST:
+        raise InputError(f"only {len(rows)} of {len(model)} Gaussians are visible{when}")
+    return rows
 
 
 def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark_views: int = 0) -> OpenedRecord:
     """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
 
+    For `verify_model` and `verify_images`; of the Gaussians that are not visible then, nothing is left.
+
     Parameters
     ----------
-    opened : OpenedRecord
-        Of `embed_moving`.
     original : Moving
         The very original that was marked.
     landmark_views : int
         Views of a landmark bank of that moment, for pictures whose camera is not known; 0 makes none.
-
-    Returns
-    -------
-    OpenedRecord
-        For `verify_model` and `verify_images`. Of the Gaussians that are not visible then, nothing is left.
 
     Raises
     ------
@@ -175,17 +159,80 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     if committed != original.digest():
         raise InputError(f"this is not the original the record commits to: {original.digest()[:16]}... given")
     posed = original.at(time).with_(sh=opened.reference.sh)
-    rows = np.flatnonzero(posed.opacities >= VISIBLE)
-    if len(rows) < 3:
-        raise InputError(f"only {len(rows)} Gaussians are visible at time {time:g}")
-    layout = Layout(
-        tuple(np.ascontiguousarray(labels[rows]) for labels in opened.layout.labels),
-        opened.layout.codes,
-        opened.layout.directions,
-        opened.layout.amplitudes,
-    )
+    rows = _visible_rows(posed, f" at time {time:g}")
+    layout = replace(opened.layout, labels=tuple(labels[rows] for labels in opened.layout.labels))
     reference = posed.take(rows)
     landmarks = None
     if landmark_views:
         landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
     return replace(opened, reference=reference, layout=layout, landmarks=landmarks)
+
+
+def find_time(
+    suspect: GaussianModel, opened: OpenedRecord, original: Moving, *, count: int = 9, rounds: int = 3, seed: int = 0
+) -> float | None:
+    """The moment at which the original looks most like a model exported from it; None where it is never found.
+
+    Only geometry and the registration's unmarked features decide, so the search is no further try of a claim. It
+    tries `count` moments over the whole clip, then `rounds` times the neighbours of the best.
+    """
+    shown = visible(suspect)
+    rigid = RegistrationConfig(colorless=False, deformed=False)  # a wrong moment is to fit badly
+
+    def score(time: float) -> float:
+        reference = move_record(opened, original, time).reference
+        return float(register(reference, shown, seed=seed, config=rigid).match_quality.sum())
+
+    low, high = original.span
+    step = (high - low) / max(count - 1, 1)
+    scores: dict[float, float] = {float(t): score(float(t)) for t in np.linspace(low, high, count)}
+    for _ in range(rounds):
+        best = max(scores, key=lambda t: (scores[t], -t))
+        if scores[best] == 0.0:
+            return None
+        step *= 0.5
+        scores |= {t: score(t) for t in (best - step, best + step) if low <= t <= high and t not in scores}
+    return max(scores, key=lambda t: (scores[t], -t))
+
+
+def verify_moment(
+    suspect: GaussianModel,
+    opened: OpenedRecord,
+    original: Moving,
+    time: float | None = None,
+    config: VerifyConfig | None = None,
+) -> Verification:
+    """Does this model, exported from a scene that moves, carry the mark?
+
+    It is verified against the reference at its moment, looked for (`find_time`) where not given; against the
+    canonical one if no moment was found.
+    """
+    shown = visible(suspect)
+    if time is None:
+        time = find_time(shown, opened, original, seed=(config or VerifyConfig()).seed)
+    return verify_model(shown, opened if time is None else move_record(opened, original, time), config)
+
+
+def verify_moving_images(
+    images: Sequence[Float32],
+    opened: OpenedRecord,
+    original: Moving,
+    times: Sequence[float],
+    config: VerifyConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    landmark_views: int = 24,
+) -> tuple[Verification, float]:
+    """Do these pictures (h, w, 3), all of one moment, show the marked scene?
+
+    `times` are the moments it may be; each is a try of the claim, and all are counted. Unknown cameras are found by a
+    bank of `landmark_views`. Returns the best verification and its moment.
+    """
+    if not times:
+        raise InputError("no moment was given")
+    config = config or VerifyConfig()
+    config = replace(config, tries=max(config.tries or 1, len(times)))
+    found: list[tuple[Verification, float]] = []
+    for time in times:
+        moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
+        found.append((verify_images(images, moved, config, cameras), time))
+    return min(found, key=lambda pair: pair[0].claim.log10_false_claim)

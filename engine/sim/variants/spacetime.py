@@ -91,13 +91,7 @@ class SpacetimeModel:
         return 0.0, 1.0
 
     def at(self, time: float) -> GaussianModel:
-        """All N Gaussians at a moment, also those that are not visible then; SH degree 0.
-
-        Parameters
-        ----------
-        time : float
-            In units of the clip's duration.
-        """
+        """All N Gaussians at a moment (units of the clip), also those that are not visible then; SH degree 0."""
         if not np.isfinite(time):
             raise InputError(f"a moment must be a finite number, got {time}")
         d = (time - self.trbf_center.astype(np.float64))[:, None]  # (N, 1)

@@ -34,13 +34,7 @@ _ROWS_AT_ONCE = 4096
 
 
 def is_spacetime(data: bytes | memoryview, *, file: str = "") -> bool:
-    """Whether a PLY file holds Spacetime Gaussians; only the header is looked at.
-
-    Raises
-    ------
-    FormatError
-        The header is broken.
-    """
+    """Whether a PLY file holds Spacetime Gaussians; only the header is looked at, FormatError where it is broken."""
     if bytes(data[:4]) not in (b"ply\n", b"ply\r"):
         return False
     vertex = parse_header(data, file=file).element("vertex")
@@ -49,13 +43,6 @@ def is_spacetime(data: bytes | memoryview, *, file: str = "") -> bool:
 
 def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[SpacetimeModel, tuple[Repair, ...]]:
     """Read a "lite" Spacetime Gaussian PLY: f_dc is RGB as it shows, trbf_scale a logarithm.
-
-    Parameters
-    ----------
-    data : bytes-like
-        The whole file.
-    file : str
-        Name of the file, for messages.
 
     Returns
     -------
@@ -79,20 +66,16 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     if not len(records):
         raise FormatError("holds no Gaussians", file=file, element="vertex")
-    if not len(records):
-        raise FormatError("holds no Gaussians", file=file, element="vertex")
     arrays: dict[str, Float32] = {}
     with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
         for attribute, names in PROPERTIES.items():
             if attribute:
                 columns = [records[name].astype(np.float32) for name in names]
                 arrays[attribute] = columns[0] if len(names) == 1 else np.stack(columns, axis=1)
-    bad = np.zeros(len(records), dtype=np.bool_)
-    for attribute, values in arrays.items():
-        if attribute != "opacity_logits":
-            bad |= ~(np.abs(values.reshape(len(values), -1)) <= MAGNITUDE_LIMIT).all(axis=1)
-        else:
-            bad |= np.isnan(values)
+    bad = np.isnan(arrays["opacity_logits"])  # (N,); an infinite one is clamped
+    for attribute in arrays.keys() - {"opacity_logits"}:
+        values = arrays[attribute].reshape(len(records), -1)  # (N, C)
+        bad |= ~(np.abs(values) <= MAGNITUDE_LIMIT).all(axis=1)
     if bad.all():
         raise FormatError("no Gaussian is usable: each has a value that is no number", file=file, row=0)
     if bad.any():
@@ -115,10 +98,7 @@ def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[Spacetim
 def write_spacetime_ply(model: SpacetimeModel) -> Iterator[bytes]:
     """The file in pieces: header, then rows; float32 little endian, the public code's property order.
 
-    Yields
-    ------
-    bytes
-        Joined, they are the file. Reading it gives the same bits back.
+    Reading it gives the same bits back.
     """
     names = [name for group in PROPERTIES.values() for name in group]
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]

@@ -24,18 +24,26 @@ FRAMES = 24
 """Moments of the truth that a fit sees."""
 CENTERS = (0.35, 0.5, 0.65)
 """Temporal centres of what lasts; real captures spread them as well."""
+SOFT = 0.02
+"""Time in which something appears or vanishes, parts of the clip: a few frames."""
+CELLS = 64
+"""Parts of a scene that come and go as one."""
+SHORTEST, MARGIN = 0.05, 0.2
+"""Shortest life that is fitted, and how far beyond the clip a window counts, parts of the clip."""
+UNSEEN = 1e-3
+"""Weight of the moments at which a Gaussian cannot be seen: a fit stays solvable."""
+ALWAYS = (-9.0, 9.0)
+"""Window of what is always there."""
 LASTING = np.log(4.0)
 """Log width of what lasts: at the ends of the clip it is still more than 97 % as opaque."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwayingScene:
-    """A still scene and how it moves; exact at any moment from 0 to 1.
+    """A still scene of SH degree 0 and how it moves; exact at any moment from 0 to 1.
 
     Parameters
     ----------
-    still : GaussianModel
-        Degree 0.
     height : (N,)
         0 at the foot, which does not move, to 1 at the top.
     waves : (MODES, 3)
@@ -68,8 +76,7 @@ class SwayingScene:
         axis = turn / np.maximum(size, 1e-12)
         spin = np.concatenate([np.cos(size / 2), np.sin(size / 2) * axis], axis=1)
         start, end = self.window.T
-        soft = 0.02  # things appear within a few frames
-        shown = 1.0 / ((1 + np.exp((start - time) / soft)) * (1 + np.exp((time - end) / soft)))
+        shown = 1.0 / ((1 + np.exp((start - time) / SOFT)) * (1 + np.exp((time - end) / SOFT)))
         opacity = np.clip(self.still.opacities * shown, 1e-12, 1 - 1e-7)
         return self.still.with_(
             means=(self.still.means + moved).astype(np.float32),
@@ -79,12 +86,10 @@ class SwayingScene:
 
 
 def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0) -> SwayingScene:
-    """Let a still scene sway about its foot, with parts of it coming and going.
+    """Let a still scene sway about its foot, with parts of it coming and going; its view-dependent colour is dropped.
 
     Parameters
     ----------
-    model : GaussianModel
-        Its view-dependent colour is dropped.
     swing : float
         Largest displacement, in radii of the scene.
     transient : float
@@ -99,8 +104,8 @@ def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float
     amplitude = swing * extent.radius * 0.5 ** np.arange(MODES)
     across = rng.standard_normal((MODES, 3))
     across -= np.outer(across @ UP, UP)
-    cells = split_cells((model.means / extent.radius).astype(np.float32), np.ones(len(model)), 64)
-    part = np.tile([-9.0, 9.0], (int(cells.max()) + 1, 1))
+    cells = split_cells((model.means / extent.radius).astype(np.float32), np.ones(len(model)), CELLS)
+    part = np.tile(ALWAYS, (int(cells.max()) + 1, 1))
     chosen = rng.random(len(part)) < transient
     begin = rng.uniform(-0.2, 0.7, len(part))
     part[chosen] = np.stack([begin, begin + rng.uniform(0.15, 0.5, len(part))], axis=1)[chosen]
@@ -119,36 +124,28 @@ def fit_spacetime(scene: SwayingScene) -> SpacetimeModel:
     """The Spacetime model nearest to a scene: cubics, linear rotation and lifetimes by weighted least squares."""
     n = len(scene.still)
     times = np.linspace(0.0, 1.0, FRAMES)
-    start, end = np.clip(scene.window, -0.2, 1.2).T
+    start, end = np.clip(scene.window, -MARGIN, 1.0 + MARGIN).T
     lasts = (scene.window[:, 0] < -1) & (scene.window[:, 1] > 2)
     center = np.where(lasts, np.asarray(CENTERS)[np.arange(n) % len(CENTERS)], 0.5 * (start + end))
     # A window of width w and the basis exp(-(d/s)^2) cover the same area for s = w / sqrt(pi).
-    width = np.where(lasts, LASTING, np.log(np.maximum(end - start, 0.05) / np.sqrt(np.pi)))
+    width = np.where(lasts, LASTING, np.log(np.maximum(end - start, SHORTEST) / np.sqrt(np.pi)))
     frames = [scene.at(time) for time in times]
     means, motion = np.empty((n, 3)), np.empty((n, 9))
     quats, omega = np.empty((n, 4)), np.empty((n, 4))
     for value in np.unique(np.stack([center, width], axis=1), axis=0):  # as many as there are cells
         rows = np.flatnonzero((center == value[0]) & (width == value[1]))
         d = times - value[0]
-        weights = np.exp(-((d / np.exp(value[1])) ** 2)) + 1e-3
-        places = np.stack([frame.means[rows] for frame in frames]).reshape(FRAMES, -1)
-        fit = _fit(d, weights, 3, places).reshape(4, len(rows), 3)
+        weights = np.exp(-((d / np.exp(value[1])) ** 2)) + UNSEEN
+        places = np.stack([frame.means[rows] for frame in frames]).reshape(FRAMES, -1)  # (T, 3 n)
+        fit = _fit(d, weights, 3, places).reshape(4, len(rows), 3)  # by degree
         means[rows], motion[rows] = fit[0], np.moveaxis(fit[1:], 0, 1).reshape(len(rows), 9)
         turns = np.stack([frame.quats[rows] for frame in frames])  # (T, n, 4)
         turns = turns * np.where((turns * turns[:1]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
         quats[rows], omega[rows] = _fit(d, weights, 1, turns.reshape(FRAMES, -1)).reshape(2, len(rows), 4)
-    float32 = {
-        "means": means,
-        "log_scales": scene.still.log_scales,
-        "quats": quats,
-        "opacity_logits": np.clip(scene.still.opacity_logits, -LOGIT_LIMIT, LOGIT_LIMIT),
-        "colors": 0.5 + SH_C0 * scene.still.sh[:, 0],
-        "trbf_center": center,
-        "trbf_scale": width,
-        "motion": motion,
-        "omega": omega,
-    }
-    return SpacetimeModel(**{name: _float32(values) for name, values in float32.items()})
+    logits = np.clip(scene.still.opacity_logits, -LOGIT_LIMIT, LOGIT_LIMIT)
+    colors = 0.5 + SH_C0 * scene.still.sh[:, 0]
+    parts = (means, scene.still.log_scales, quats, logits, colors, center, width, motion, omega)
+    return SpacetimeModel(*(part.astype(np.float32) for part in parts))
 
 
 def _fit(d: Float64, weights: Float64, degree: int, values: Float64 | Float32) -> Float64:
@@ -156,7 +153,3 @@ def _fit(d: Float64, weights: Float64, degree: int, values: Float64 | Float32) -
     root = np.sqrt(weights)[:, None]
     design = d[:, None] ** np.arange(degree + 1) * root
     return np.asarray(np.linalg.lstsq(design, values.astype(np.float64) * root, rcond=None)[0])
-
-
-def _float32(values: Float64 | Float32) -> Float32:
-    return np.ascontiguousarray(values, dtype=np.float32)

@@ -7,19 +7,65 @@ paper's column. Bits are read by informed extraction (with the owner's record); 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Float32
+from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import ms_ssim_distance, psnr
-from engine.pipeline.verification import Verification
+from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.raster import RasterSettings, render
+from engine.sim.attacks import image_attack, model_attack
 
-__all__ = ["Reading", "VariantRow", "fidelity_for", "measure_variant"]
+__all__ = ["Cases", "Reading", "Readings", "Suspect", "VariantRow", "fidelity_for", "measure_variant"]
 
 DROP_DB = 0.09
 """What a mark is planned to cost against the truth; the bar is 0.1, new views fare worse than key views."""
+
+Readings = dict[str, Callable[[], Verification]]
+"""Case (attack and evidence) -> the verification of that suspect."""
+
+Cases = tuple[tuple[str, str, float | str], ...]
+"""What a row calls it, attack and strength."""
+
+MODEL_CASES: Cases = (
+    ("clone 0.5", "clone", 0.5),
+    ("prune_random 0.2", "prune_random", 0.2),
+    ("crop 0.1", "crop", 0.1),
+    ("noise_all 0.1", "noise_all", 0.1),
+    ("similarity 2.0", "similarity", 2.0),
+    ("quantize 8", "quantize", 8),
+    ("convert splat", "convert", "splat"),
+    ("convert sog", "convert", "sog"),
+)
+"""On the marked variant as plain Gaussians."""
+PICTURE_CASES: Cases = (
+    ("picture, jpeg 10", "jpeg", 10.0),
+    ("picture, noise_image 0.1", "noise_image", 0.1),
+    ("picture, rotate_image 30", "rotate_image", 30.0),
+    ("picture, crop_image 0.4", "crop_image", 0.4),
+    ("picture, scale_image 0.75", "scale_image", 0.75),
+)
+"""On one picture of the marked variant, its camera known."""
+DISC_MODEL_CASES: Cases = (
+    ("clone 50 %", "clone", 0.5),
+    ("prune random 50 %", "prune_random", 0.5),
+    ("crop to 10 %", "crop", 0.1),
+    ("noise 0.1 on all", "noise_all", 0.1),
+    ("SH cut to degree 0", "drop_sh", 0),
+    ("quantised to 8 bits", "quantize", 8),
+    (".spz and back", "convert", "spz"),
+    (".sog and back", "convert", "sog"),
+)
+DISC_PICTURE_CASES: Cases = (
+    ("one picture, JPEG 10", "jpeg", 10.0),
+    ("one picture, noise 0.1", "noise_image", 0.1),
+    ("one picture, rotation 30", "rotate_image", 30.0),
+    ("one picture, crop 40 % of the area", "crop_image", 0.4),
+)
 
 
 @dataclass(frozen=True)
@@ -34,8 +80,6 @@ class Reading:
         "model", "render" or "image": what the claim rests on.
     bit_accuracy : float
         Share of the message's bits read right, 0 to 1.
-    z : float
-        The claim statistic.
     log10_false_claim : float
         log10 of the bound on a false claim, tries counted.
     verdict : str
@@ -56,8 +100,6 @@ class VariantRow:
 
     Parameters
     ----------
-    name : str
-        Of the variant.
     views : int
         Pictures measured on.
     psnr_before, psnr_after : float
@@ -89,25 +131,49 @@ class VariantRow:
         return {**asdict(self), "psnr_drop": self.psnr_drop}
 
 
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """A marked variant as plain Gaussians, its pictures, and the record it is read with."""
+
+    marked: GaussianModel
+    pictures: list[Float32]
+    cameras: Sequence[Camera]
+    opened: OpenedRecord
+    seed: int
+
+    def read_model(self, attack: str = "", strength: float | str = 0.0, route: str = "auto") -> Verification:
+        suspect = self.marked
+        if attack:
+            suspect = model_attack(attack).apply(suspect, strength, rng=self.seed)
+        return verify_model(suspect, self.opened, VerifyConfig(route=route))
+
+    def read_picture(
+        self, attack: str = "", strength: float | str = 0.0, view: int = 0, known: bool = True
+    ) -> Verification:
+        picture = self.pictures[view]
+        if attack:
+            picture = image_attack(attack).apply(picture, strength, rng=self.seed)
+        return verify_images([picture], self.opened, cameras=[self.cameras[view]] if known else None)
+
+    def read_thin(self) -> Verification:
+        """The first picture, its discs drawn as thin Gaussians as a 3DGS viewer does."""
+        thin = RasterSettings(kernel="gaussian")
+        picture = np.clip(render(self.marked, self.cameras[0], settings=thin), 0.0, 1.0)
+        return verify_images([picture], self.opened, cameras=self.cameras[:1])
+
+    def attacked_models(self, cases: Cases, route: str = "auto") -> Readings:
+        return {case: partial(self.read_model, name, strength, route) for case, name, strength in cases}
+
+    def attacked_pictures(self, cases: Cases) -> Readings:
+        return {case: partial(self.read_picture, name, strength) for case, name, strength in cases}
+
+
 def fidelity_for(truth: Sequence[Float32], before: Sequence[Float32], least: float, drop: float = DROP_DB) -> float:
-    """PSNR a mark needs so that it costs no more than `drop` dB against the truth, mean over the views.
+    """PSNR (dB, steps of a half, `least` at least) at which a mark costs no more than `drop` dB against the truth.
 
     The better a variant is, the finer its mark must be: errors add up in power where they do not know of each
-    other, so a view at b dB falls by 10 log10(1 + 10^((b - m) / 10)) under a mark at m dB.
-
-    Parameters
-    ----------
-    truth, before : sequence of (H, W, 3) float32
-        Pictures of the truth and of the unmarked variant.
-    least : float
-        Never less than this, dB.
-    drop : float
-        dB.
-
-    Returns
-    -------
-    float
-        dB, in steps of a half.
+    other, so a view at b dB falls by 10 log10(1 + 10^((b - m) / 10)) under a mark at m dB. The mean over the views
+    counts; truth and the unmarked variant are pictures (H, W, 3).
     """
     base = np.array([psnr(a, b) for a, b in zip(truth, before, strict=True)])
     if not np.isfinite(base).all():
@@ -132,16 +198,13 @@ def measure_variant(
 
     Parameters
     ----------
-    name : str
-        Of the variant.
     truth : sequence of (H, W, 3) float32
         Ground truth: photos, or renders of the model that the variant was made from. Range 0 to 1 once clipped,
         at least 176 pixels a side.
     before, after : sequence of (H, W, 3) float32
         The same views of the variant without and with the mark.
     readings : mapping of str to callable
-        Case (attack and evidence) -> the verification of that suspect, run in this order; "none" comes first
-        by custom.
+        Run in this order; "none" comes first by custom.
 
     Raises
     ------

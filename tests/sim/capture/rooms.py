@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from engine.formats.cameras.trajectory import Trajectory
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import rotation_to_quaternion
-from engine.sim.capture.surfels import flat_kernels_from_points
+from engine.sim.capture.kernels import flat_kernels_from_points
 
 LOW, HIGH = np.array([-4.0, -3.0, 0.0]), np.array([4.0, 3.0, 3.0])
 FURNITURE = (((-2, -1, 0), (-1, 0.5, 1)), ((1.5, -2, 0), (2.2, -1.2, 2)), ((0.5, 1.2, 0), (2.5, 2.2, 0.8)))

@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.formats.points.cloud import PointCloud
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.from_points import CloudConfig, points_to_model
-from engine.sim.capture.surfels import flat_kernels_from_points
+from engine.sim.capture.kernels import flat_kernels_from_points
 from engine.sim.capture.thinning import drop_strays, thin_voxels, typical_spacing
 from tests.formats.point_files import las, ply
 from tests.sim.capture.rooms import room_points

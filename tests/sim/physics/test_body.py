@@ -12,7 +12,6 @@ from engine.model import SH_C0, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.raster import render
-from engine.sim.physics.binding_kernels import interpolate
 from engine.sim.physics.body import (
     Body,
     Material,
@@ -25,6 +24,7 @@ from engine.sim.physics.body import (
     pose,
     strain_norms,
 )
+from engine.sim.physics.deforming import interpolate
 from engine.sim.physics.lattice import build_lattice
 from tests.reference.deformation import deformed_covariance
 from tests.reference.physics import barycentric

@@ -11,8 +11,7 @@ from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster import render
-from engine.sim.physics.deforming import deform_model, polar_rotations
-from engine.sim.physics.deforming_kernels import deform_covariances, rotation_parts, turn_sh
+from engine.sim.physics.deforming import deform_covariances, deform_model, polar_rotations, rotation_parts, turn_sh
 from tests.reference.deformation import deformed_colour, deformed_covariance, nearest_rotation
 from tests.reference.similarity import covariance
 from tests.threads import with_one_and_two_threads

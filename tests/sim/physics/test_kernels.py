@@ -159,25 +159,25 @@ def test_old_overlaps_are_resolved_without_speed() -> None:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_planes_and_spheres_stop_what_comes_and_carry_what_lies(compiled: bool) -> None:
-    planes = contacts.collide_planes if compiled else contacts.collide_planes.py_func
-    spheres = contacts.collide_spheres if compiled else contacts.collide_spheres.py_func
-    up, origin = np.array([[0.0, 1.0, 0.0]]), np.zeros((1, 3))
+    plane = contacts.collide_plane if compiled else contacts.collide_plane.py_func
+    sphere = contacts.collide_sphere if compiled else contacts.collide_sphere.py_func
+    up, origin = np.array([0.0, 1.0, 0.0]), np.zeros(3)
     x_prev = np.array([[0.0, 0.1, 0.0], [1.0, 0.1, 0.0], [2.0, -0.3, 0.0], [3.0, 0.1, 0.0]])
     x = x_prev + np.array([[0.0, -0.2, 0.0], [0.5, -0.2, 0.0], [0.0, 0.0, 0.0], [0.0, -0.2, 0.0]])
     w = np.array([1.0, 1.0, 1.0, 0.0])
     start = x.copy()
-    planes(x, x_prev, w, up, origin, np.zeros((1, 3)), np.array([0.5]))
+    plane(x, x_prev, w, origin, up, np.zeros(3), 0.5)
     np.testing.assert_allclose(x[0], [0, 0, 0], atol=1e-15)
     np.testing.assert_allclose(x[1], [1.45, 0, 0])  # 0.1 deep, so friction takes 0.05 of its way
     np.testing.assert_allclose([x[2, 1], x_prev[2, 1]], 0.0, atol=1e-15)  # it was inside: out, at rest
     np.testing.assert_array_equal(x[3], start[3])  # pinned
     # On a belt that moves by 0.02, strong friction carries a point along.
     x, x_prev = np.array([[0.0, -0.1, 0.0]]), np.array([[0.0, 0.0, 0.0]])
-    planes(x, x_prev, np.ones(1), up, origin, np.array([[0.02, 0.0, 0.0]]), np.array([1.0]))
+    plane(x, x_prev, np.ones(1), origin, up, np.array([0.02, 0.0, 0.0]), 1.0)
     np.testing.assert_allclose(x, [[0.02, 0.0, 0.0]], atol=1e-15)
     # A ball that has moved by 0.1 towards a point pushes it out along the line from its centre.
     x = np.array([[0.0, 0.0, 0.45], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     x_prev = x + np.array([[0.0, 0.0, 0.05], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    spheres(x, x_prev, np.ones(3), origin, np.array([0.5]), np.zeros((1, 3)), np.array([0.0]))
+    sphere(x, x_prev, np.ones(3), origin, 0.5, np.zeros(3), 0.0)
     np.testing.assert_allclose(x, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 2.0]])
     np.testing.assert_allclose(x_prev, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 2.0]])

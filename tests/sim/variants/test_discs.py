@@ -16,8 +16,9 @@ from engine.numerics.image_metrics import psnr
 from engine.pipeline.profiles import profile
 from engine.pipeline.rigs import make_rig
 from engine.raster import RasterSettings, render
-from engine.sim.variants import discs as variant
-from engine.sim.variants.discs import fit_colors, measure_discs, widen
+from engine.sim.variants import measuring
+from engine.sim.variants.discs import fit_colors, widen
+from engine.sim.variants.measuring import measure_discs
 
 SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
 
@@ -72,8 +73,8 @@ def test_widening_adds_the_dilation() -> None:
 
 
 def test_the_row_of_table_4(plant: GaussianModel, made: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(variant, "DISC_MODEL_ATTACKS", (("crop to 10 %", "crop", 0.1), (".spz", "convert", "spz")))
-    monkeypatch.setattr(variant, "DISC_PICTURE_ATTACKS", (("JPEG 30", "jpeg", 30.0),))
+    monkeypatch.setattr(measuring, "DISC_MODEL_CASES", (("crop to 10 %", "crop", 0.1), (".spz", "convert", "spz")))
+    monkeypatch.setattr(measuring, "DISC_PICTURE_CASES", (("one picture, JPEG 30", "jpeg", 30.0),))
     config = profile("fast", views=3, view_size=320, landmark_views=0, psnr_db=50.0)
     row = measure_discs(plant, made, bench_key(0), config, views=2, size=256)
     assert [reading.case for reading in row.readings] == [

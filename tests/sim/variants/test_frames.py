@@ -9,8 +9,7 @@ from engine.errors import InputError
 from engine.formats import write_model
 from engine.pipeline.sealing import open_record
 from engine.sim.variants.frames import FrameSequence, read_frames
-from engine.sim.variants.moments import verify_moment
-from engine.sim.variants.moving import embed_moving
+from engine.sim.variants.moving import embed_moving, verify_moment
 from engine.sim.variants.swaying import SwayingScene
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey

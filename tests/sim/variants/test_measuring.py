@@ -6,8 +6,7 @@ import pytest
 from engine.errors import InputError
 from engine.numerics.image_metrics import psnr
 from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
-from engine.sim.variants.measuring import MODEL_CASES, PICTURE_CASES
-from engine.sim.variants.table4 import fidelity_for
+from engine.sim.variants.table4 import DISC_MODEL_CASES, DISC_PICTURE_CASES, MODEL_CASES, PICTURE_CASES, fidelity_for
 
 
 def test_a_mark_of_that_fidelity_costs_what_was_asked() -> None:
@@ -32,5 +31,5 @@ def test_a_variant_without_loss_has_no_such_fidelity() -> None:
 
 
 def test_the_cases_are_attacks_that_exist() -> None:
-    assert {name for name, _ in MODEL_CASES} <= set(MODEL_ATTACKS)
-    assert {name for name, _ in PICTURE_CASES} <= set(IMAGE_ATTACKS)
+    assert {name for _, name, _ in MODEL_CASES + DISC_MODEL_CASES} <= set(MODEL_ATTACKS)
+    assert {name for _, name, _ in PICTURE_CASES + DISC_PICTURE_CASES} <= set(IMAGE_ATTACKS)

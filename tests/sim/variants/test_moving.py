@@ -15,8 +15,15 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import verify_images, verify_model
 from engine.raster import render
-from engine.sim.variants.moments import find_time, verify_moment, verify_moving_images
-from engine.sim.variants.moving import embed_moving, key_times, move_record, visible
+from engine.sim.variants.moving import (
+    embed_moving,
+    find_time,
+    key_times,
+    move_record,
+    verify_moment,
+    verify_moving_images,
+    visible,
+)
 from engine.sim.variants.spacetime import SpacetimeModel
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
