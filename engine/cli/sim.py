@@ -23,9 +23,9 @@ COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'f
 def _list_steps(wanted: bool) -> None:
     if not wanted:
         return
-    from engine.sim.scenario import all_kinds
+    from engine.sim.scenario import KINDS
 
-    for word, kind in all_kinds().items():
+    for word, kind in KINDS.items():
         typer.echo(f"  {word:<12} {kind.summary}")
     raise typer.Exit()
 
