@@ -123,7 +123,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
         files.append(name)
     if run.frames:
         with whole_file(out / "film.webp") as part:
-            write_movie(part, run.frames, run.scenario.film.rate, kind="webp")
+            write_movie(part, run.frames, run.scenario.film.rate)
         files.append("film.webp")
     if keep_model:
         from engine.formats import write_model

@@ -1,46 +1,74 @@
-"""What an attack is: a pure function with a named strength, in one or two readings of the literature."""
+"""What an attack is: a pure function with a named strength, in one or two readings of the literature.
 
+A module of attacks declares each where it is written, and `engine.sim.attacks` gathers the modules:
+
+    ATTACKS: Attacks[Float32] = Attacks("image")
+
+    @ATTACKS.add("multiply and clip", "factor", 1.5, (0.9, 1.1, 0.5, 1.5), "[0, inf)")
+    def brightness(image, strength, rng): ...
+"""
+
+import re
 from collections.abc import Callable, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from engine.errors import InputError
 
-__all__ = ["Attack", "Label", "Reading", "Strength", "check_fraction", "check_positive"]
+__all__ = ["Attack", "Attacks", "Label", "Reading", "Strength", "check_positive"]
 
 Strength = float | str
-"""A number for every attack but `convert`, whose strength is the name of a format."""
+"""A number, but for attacks whose strength is a name: a format, a rule, a viewer's mistake."""
 
 Label = Literal["literal", "as_code"]
 """`literal`: what the words of the papers say. `as_code`: what public code executes under those words."""
 
 T = TypeVar("T", bound=Sized)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
-class Reading(Generic[T]):
+class Reading:
     """One way to carry an attack out.
 
     Parameters
     ----------
     function : callable
-        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone.
+        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
+        may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
     meaning : str
         Unit and meaning of the strength, one line.
     default : float or str
         The strength that papers quote.
     grid : tuple of float or str
         Strengths for curves, from harmless to ruinous.
+    within : str
+        An interval such as "[0, 1)", or "1..100" for whole numbers; empty for names.
     label : {"literal", "as_code"}
     """
 
-    function: Callable[..., T]
+    function: Callable[..., Any]
     meaning: str
     default: Strength
     grid: tuple[Strength, ...]
+    within: str = ""
     label: Label = "literal"
+
+    def checked(self, strength: Strength) -> Strength:
+        """The strength as a float, or an int where it is whole; InputError where it does not fit."""
+        if isinstance(strength, str) != isinstance(self.default, str):
+            raise InputError(f"the strength is: {self.meaning}; got {strength!r}")
+        if isinstance(strength, str):
+            return strength  # the function knows its words
+        whole = ".." in self.within
+        low, high = (float(end) for end in re.split(r"\.\.|, ", self.within.strip("[()]")))
+        at_end = (strength == low and "(" not in self.within) or (strength == high and ")" not in self.within)
+        inside = low < strength < high or at_end
+        if not inside or (whole and not float(strength).is_integer()):
+            raise InputError(f"{self.meaning}: {'a whole number ' * whole}in {self.within}, got {strength}")
+        return int(strength) if whole else float(strength)
 
 
 @dataclass(frozen=True)
@@ -59,9 +87,9 @@ class Attack(Generic[T]):
     name: str
     kind: Literal["model", "image"]
     summary: str
-    readings: tuple[Reading[T], ...]
+    readings: tuple[Reading, ...]
 
-    def reading(self, label: str | None = None) -> Reading[T]:
+    def reading(self, label: str | None = None) -> Reading:
         """The reading of that label, the default one for None; InputError when there is none."""
         for reading in self.readings:
             if label is None or reading.label == label:
@@ -112,6 +140,7 @@ class Attack(Generic[T]):
         Returns
         -------
         GaussianModel or (H, W, 3) float32
+            A picture lies in 0..1 and may have another size.
 
         Raises
         ------
@@ -119,21 +148,54 @@ class Attack(Generic[T]):
             If the reading does not exist, the strength is out of its range, or the target is empty or unfit.
         """
         chosen = self.reading(reading)
-        value = chosen.default if strength is None else strength
-        if isinstance(value, str) != isinstance(chosen.default, str):
-            raise InputError(f"attack {self.name!r} takes as strength: {chosen.meaning}; got {value!r}")
+        try:
+            value = chosen.checked(chosen.default if strength is None else strength)
+        except InputError as error:
+            raise InputError(f"attack {self.name!r}: {error}") from None
         if len(target) == 0:
             raise InputError(f"attack {self.name!r} needs a {self.kind} that is not empty")
+        given: Any = target
+        if self.kind == "image" and (given.ndim != 3 or given.shape[2] != 3 or given.size == 0):
+            raise InputError(f"expected an image (H, W, 3), got shape {given.shape}")
+        if self.kind == "image" and given.dtype != np.float32:
+            raise InputError(f"expected a float32 image from 0 to 1, got {given.dtype}")
         generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(rng)
-        return chosen.function(target, value, generator, **options)
+        result: Any = chosen.function(target, value, generator, **options)
+        if self.kind == "image":  # never a view of the target: clipping copies
+            result = np.ascontiguousarray(np.clip(result, 0.0, 1.0), dtype=np.float32)
+        return result  # type: ignore[no-any-return]  # what the function of a T returns is a T
 
 
-def check_fraction(value: float, what: str, *, zero: bool = True, one: bool = False) -> float:
-    """The value, when in 0..1 (the ends only where allowed); InputError naming `what` otherwise."""
-    inside = (0 < value < 1) or (zero and value == 0) or (one and value == 1)
-    if not inside:
-        raise InputError(f"{what} must lie in {'[' if zero else '('}0, 1{']' if one else ')'}, got {value}")
-    return float(value)
+class Attacks(dict[str, Attack[T]]):
+    """The attacks of one module by name, in the order in which they are written."""
+
+    def __init__(self, kind: Literal["model", "image"]) -> None:
+        super().__init__()
+        self.kind = kind
+
+    def add(
+        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ""
+    ) -> Callable[[F], F]:
+        """Declares a function an attack of its own name; the other parameters are those of `Attack` and `Reading`."""
+
+        def declare(function: F) -> F:
+            name = function.__name__
+            self[name] = Attack(name, self.kind, summary, (Reading(function, meaning, default, grid, within),))
+            return function
+
+        return declare
+
+    def as_code(
+        self, name: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str
+    ) -> Callable[[F], F]:
+        """Declares a function what public code runs under the words of an attack above."""
+
+        def declare(function: F) -> F:
+            reading = Reading(function, meaning, default, grid, within, "as_code")
+            self[name] = replace(self[name], readings=(*self[name].readings, reading))
+            return function
+
+        return declare
 
 
 def check_positive(value: float, what: str, *, zero: bool = False) -> float:
