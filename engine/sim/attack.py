@@ -11,7 +11,7 @@ A module of attacks declares each where it is written, and `engine.sim.attacks` 
 import re
 from collections.abc import Callable, Sized
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -57,17 +57,15 @@ class Reading:
     label: Label = "literal"
 
     def checked(self, strength: Strength) -> Strength:
-        """The strength as a float, or an int where it is whole; InputError where it does not fit."""
-        if isinstance(strength, str) != isinstance(self.default, str):
-            raise InputError(f"the strength is: {self.meaning}; got {strength!r}")
+        """A number as a float, or an int where it is whole; InputError where it is out of range."""
         if isinstance(strength, str):
             return strength  # the function knows its words
         whole = ".." in self.within
         low, high = (float(end) for end in re.split(r"\.\.|, ", self.within.strip("[()]")))
         at_end = (strength == low and "(" not in self.within) or (strength == high and ")" not in self.within)
-        inside = low < strength < high or at_end
-        if not inside or (whole and not float(strength).is_integer()):
-            raise InputError(f"{self.meaning}: {'a whole number ' * whole}in {self.within}, got {strength}")
+        if not (low < strength < high or at_end) or (whole and not float(strength).is_integer()):
+            needed = f"be a whole number from {low:g} to {high:g}" if whole else f"lie in {self.within}"
+            raise InputError(f"{self.meaning} must {needed}, got {strength}")
         return int(strength) if whole else float(strength)
 
 
@@ -148,22 +146,25 @@ class Attack(Generic[T]):
             If the reading does not exist, the strength is out of its range, or the target is empty or unfit.
         """
         chosen = self.reading(reading)
-        try:
-            value = chosen.checked(chosen.default if strength is None else strength)
-        except InputError as error:
-            raise InputError(f"attack {self.name!r}: {error}") from None
+        value = chosen.default if strength is None else strength
+        if isinstance(value, str) != isinstance(chosen.default, str):
+            raise InputError(f"attack {self.name!r} takes as strength: {chosen.meaning}; got {value!r}")
         if len(target) == 0:
             raise InputError(f"attack {self.name!r} needs a {self.kind} that is not empty")
-        given: Any = target
-        if self.kind == "image" and (given.ndim != 3 or given.shape[2] != 3 or given.size == 0):
-            raise InputError(f"expected an image (H, W, 3), got shape {given.shape}")
-        if self.kind == "image" and given.dtype != np.float32:
-            raise InputError(f"expected a float32 image from 0 to 1, got {given.dtype}")
+        if self.kind == "image":
+            _check_image(target)
         generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(rng)
-        result: Any = chosen.function(target, value, generator, **options)
+        result: Any = chosen.function(target, chosen.checked(value), generator, **options)
         if self.kind == "image":  # never a view of the target: clipping copies
             result = np.ascontiguousarray(np.clip(result, 0.0, 1.0), dtype=np.float32)
-        return result  # type: ignore[no-any-return]  # what the function of a T returns is a T
+        return cast(T, result)
+
+
+def _check_image(image: Any) -> None:
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
+    if image.dtype != np.float32:
+        raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
 
 
 class Attacks(dict[str, Attack[T]]):

@@ -309,8 +309,9 @@ def test_ranges_of_strengths(within: str, inside: tuple[float, ...], outside: tu
     for strength in inside:
         assert reading.checked(strength) == strength
         assert isinstance(reading.checked(strength), int if ".." in within else float)
+    words = "be a whole number from 1 to 100" if ".." in within else f"lie in {within}"
     for strength in outside:
-        with pytest.raises(InputError, match="share: .*" + re.escape(within)):
+        with pytest.raises(InputError, match="share must " + re.escape(words)):
             reading.checked(strength)
 
 
