@@ -8,6 +8,7 @@ import numpy as np
 
 from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
+from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS", "join", "random_rotation", "unit"]
@@ -110,8 +111,6 @@ def join(first: GaussianModel, second: GaussianModel) -> GaussianModel:
 
 def _move(model: GaussianModel, factor: float, rotation: Float64, shift: Float64) -> GaussianModel:
     """Turn and scale about the centre, then shift by `shift` radii."""
-    from engine.pipeline.rigs import measure_extent
-
     extent = measure_extent(model)
     t = extent.center - factor * rotation @ extent.center + extent.radius * shift
     return transform_model(model, factor, rotation, t)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
+from engine.pipeline.rigs import make_rig
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS", "clone", "crop", "impact"]
@@ -76,7 +77,6 @@ def impact(model: GaussianModel, cameras: Sequence[Camera] | None, rng: np.rando
 
     Without cameras 24 generated views, which `rng` places; InputError where the list of them is empty.
     """
-    from engine.pipeline.rigs import make_rig
     from engine.raster import prepare_view
 
     if cameras is None:

@@ -8,6 +8,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
+from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
 from engine.sim.model_placement import join, random_rotation, unit
 from engine.sim.model_population import crop
@@ -53,8 +54,6 @@ def merge_into(
     InputError
         If the foreign scene is empty.
     """
-    from engine.pipeline.rigs import measure_extent
-
     wanted = max(1, round(strength * len(model)))
     if other is not None and len(other) == 0:
         raise InputError("the foreign scene is empty")
@@ -78,8 +77,6 @@ def foreign_scene(model: GaussianModel, count: int, rng: np.random.Generator) ->
     follow normal laws with the model's own mean and spread, so that no threshold on one attribute tells the
     two apart; no value is copied from the model.
     """
-    from engine.pipeline.rigs import measure_extent
-
     radius = FOREIGN_SIZE * measure_extent(model).radius
     sheets = max(4, count // 1000)
     sheet = rng.integers(sheets, size=count)

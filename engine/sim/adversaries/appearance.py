@@ -6,6 +6,7 @@ All are pure functions `(model, strength, rng) -> model`; geometry and opacities
 import numpy as np
 
 from engine.model import SH_C0, Float32, Float64, GaussianModel
+from engine.pipeline.rigs import make_rig, measure_extent
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS"]
@@ -27,7 +28,6 @@ def bake_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -
 
     A view counts for a Gaussian by the blending weight it has there; one seen nowhere gets the plain mean.
     """
-    from engine.pipeline.rigs import make_rig
     from engine.raster import prepare_view, sh_colors
 
     total, weight, plain = np.zeros((len(model), 3)), np.zeros((len(model), 1)), np.zeros((len(model), 3))
@@ -80,8 +80,6 @@ def repaint(model: GaussianModel, strength: float, rng: np.random.Generator) -> 
     contrast and a smooth pattern of their own; view dependence goes there. A real diffusion edit needs a network that
     is not part of this program: this one is at least as strong in colour and leaves geometry alone.
     """
-    from engine.pipeline.rigs import measure_extent
-
     means = model.means.astype(np.float64)
     radius = measure_extent(model).radius
     wanted = round(strength * len(model))

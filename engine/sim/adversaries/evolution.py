@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.pipeline.rigs import make_rig
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS", "Budget", "evolve"]
@@ -92,7 +93,6 @@ def evolve(
     model: GaussianModel, strength: float, rng: np.random.Generator, *, budget: Budget = Budget()
 ) -> GaussianModel:
     """The PSNR is that of the attacked renders against the marked ones, in the worst view of the search."""
-    from engine.pipeline.rigs import make_rig
     from engine.raster import render
 
     rig = make_rig(model, budget.views, budget.size, budget.size, jitter=rng.random((budget.views, 4)))

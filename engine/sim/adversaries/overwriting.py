@@ -3,6 +3,7 @@
 import numpy as np
 
 from engine.model import GaussianModel
+from engine.pipeline.rigs import make_rig, measure_extent
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS"]
@@ -29,7 +30,6 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
     from engine.compress.hvq import HvqConfig, quantize
     from engine.compress.impact import measure_impact
     from engine.pipeline.delivery import color_weights
-    from engine.pipeline.rigs import make_rig, measure_extent
     from engine.pipeline.scenes import look
     from engine.pipeline.strength import add_dc, solve_strength
     from engine.watermark.planning import make_plan

@@ -7,6 +7,7 @@ functions `(model, strength, rng) -> model`.
 import numpy as np
 
 from engine.model import SH_C0, Float32, GaussianModel
+from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
 from engine.sim.model_values import normal, quantize
 
@@ -29,8 +30,6 @@ def inject(model: GaussianModel, strength: float, rng: np.random.Generator) -> G
 
     Size, rotation, opacity and colour of each are those of independently drawn Gaussians of the model.
     """
-    from engine.pipeline.rigs import measure_extent
-
     count = round(strength * len(model))
     pick = [rng.integers(len(model), size=count) for _ in range(5)]
     reach = INJECTED_REACH * measure_extent(model).radius
@@ -67,8 +66,6 @@ def noise_opacity(model: GaussianModel, strength: float, rng: np.random.Generato
     "[0, inf)",
 )
 def noise_position(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    from engine.pipeline.rigs import measure_extent
-
     std = strength * measure_extent(model).radius
     return model.with_(means=model.means + np.float32(std) * normal(model.means, rng))
 

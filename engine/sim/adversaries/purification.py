@@ -6,6 +6,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float64, GaussianModel
+from engine.pipeline.rigs import measure_extent
 from engine.sim.adversaries.density import cluster_by_density
 from engine.sim.attack import Attacks
 from engine.sim.model_population import impact
@@ -37,8 +38,6 @@ def purify(
     relative, so that it means the same in every scene (4 pixels are about 0.25 for 100k Gaussians in 24 views of
     256 x 256).
     """
-    from engine.pipeline.rigs import measure_extent
-
     contribution = impact(model, cameras, rng)
     mean = float(contribution.mean())
     if mean <= 0:

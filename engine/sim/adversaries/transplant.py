@@ -8,6 +8,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import GaussianModel
+from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS"]
@@ -45,8 +46,6 @@ def transplant(
         If there is no source, or `clean` is not of its length.
     """
     from scipy.spatial import cKDTree
-
-    from engine.pipeline.rigs import measure_extent
 
     if source is None:
         raise InputError("a mark is lifted from a marked model: source=...")

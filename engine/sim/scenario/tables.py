@@ -77,7 +77,8 @@ class Table:
 
     def read(self, kind: type[T]) -> T:
         """A dataclass, all of whose fields are `given`, in their order."""
-        return kind(**{f.name: f.metadata[given](self, f.name) for f in fields(kind)})  # type: ignore[arg-type]
+        asked = fields(kind)  # type: ignore[arg-type]  # no type says "some dataclass"
+        return kind(**{one.name: one.metadata[given](self, one.name) for one in asked})
 
     def text(self, name: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
         """A string, of `choices` where given."""
