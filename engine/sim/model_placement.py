@@ -122,4 +122,5 @@ def random_rotation(rng: np.random.Generator) -> Float64:
 
 
 def unit(vectors: Float64) -> Float64:
+    """(..., D) vectors at length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
