@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +12,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.files import (
+    JPEG_QUALITY,
     check_picture_ending,
     check_target,
     is_picture,
@@ -23,6 +26,7 @@ from engine.cli.options import Json, Seed, SpzFrame
 from engine.errors import InputError
 
 if TYPE_CHECKING:
+    from engine.model import Float32, GaussianModel
     from engine.sim.attack import Attack
 
 
@@ -92,16 +96,23 @@ def attack(
     if to is not None and strength is not None:
         raise InputError("the strength of convert is the format: give --to alone")
     value = to if to is not None else _strength(strength, chosen)
-    run = _attack_picture if picture else _attack_model
+    chosen_reading = chosen.reading(reading)
+    used = chosen_reading.default if value is None else value
+    apply: Callable[..., Any] = partial(chosen.apply, strength=value, rng=seed, reading=reading)
     with console.progress() as progress:
         progress(name, 0.0)
-        report = run(console, chosen, target, out, value, seed, reading, into, spz_frame)
+        if picture:
+            report = _attack_picture(apply, target, out, int(used) if name == "jpeg" else JPEG_QUALITY)
+        else:
+            if name == "convert" and value is None:  # the output's own format is the conversion
+                apply, used = lambda model: model, format_for(out)
+            report = _attack_model(apply, target, out, into, spz_frame, console)
     report |= {
         "attack": name,
         "kind": chosen.kind,
-        "strength": report.get("strength", chosen.reading(reading).default if value is None else value),
-        "meaning": chosen.reading(reading).meaning,
-        "reading": chosen.reading(reading).label,
+        "strength": used,
+        "meaning": chosen_reading.meaning,
+        "reading": chosen_reading.label,
         "seed": seed,
         "out": str(out),
         "bytes_out": out.stat().st_size,
@@ -127,57 +138,33 @@ def _strength(text: str | None, chosen: Attack[Any]) -> float | str | None:
 
 
 def _attack_model(
-    console: Console,
-    chosen: Attack[Any],
-    target: Path,
-    out: Path,
-    value: float | str | None,
-    seed: int,
-    reading: str | None,
-    into: Path | None,
-    spz_frame: str,
+    apply: Callable[..., GaussianModel], target: Path, out: Path, into: Path | None, spz_frame: str, console: Console
 ) -> dict[str, Any]:
     from engine.formats import read_model, write_model
 
     kind = format_for(out)
     loaded = read_model(target, spz_frame=spz_frame)
     say_repairs(console, loaded.repairs)
-    report: dict[str, Any] = {"gaussians_in": len(loaded.model)}
     options = {"other": read_model(into, spz_frame=spz_frame).model} if into is not None else {}
-    if chosen.name == "convert" and value is None:  # the output's own format is the conversion
-        result, report["strength"] = loaded.model, kind
-    else:
-        result = chosen.apply(loaded.model, value, rng=seed, reading=reading, **options)
+    result = apply(loaded.model, **options)
     with whole_file(out) as part:
         write_model(result, part, kind)
-    return report | {
+    return {
+        "gaussians_in": len(loaded.model),
         "gaussians_out": len(result),
         "notes": loss_note(result, kind),
         "said": f"{len(loaded.model):,} -> {len(result):,} Gaussians",
     }
 
 
-def _attack_picture(
-    console: Console,
-    chosen: Attack[Any],
-    target: Path,
-    out: Path,
-    value: float | str | None,
-    seed: int,
-    reading: str | None,
-    into: Path | None,
-    spz_frame: str,
-) -> dict[str, Any]:
+def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path, quality: int) -> dict[str, Any]:
+    """`quality` of a JPEG file: that of the attack `jpeg` is coded once more with the same tables."""
     check_picture_ending(out)
     image = read_picture(target)
-    result = chosen.apply(image, value, rng=seed, reading=reading)
+    result = apply(image)
     before, after = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, result))
     with whole_file(out) as part:
-        if chosen.name == "jpeg":  # coded once more with the same tables: a file as the attack would leave it
-            used = chosen.default if value is None else value
-            write_picture(result, part, out, int(used))
-        else:
-            write_picture(result, part, out)
+        write_picture(result, part, out, quality)
     return {
         "size_in": [image.shape[1], image.shape[0]],
         "size_out": [result.shape[1], result.shape[0]],

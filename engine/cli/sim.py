@@ -23,9 +23,9 @@ COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'f
 def _list_steps(wanted: bool) -> None:
     if not wanted:
         return
-    from engine.sim.scenario import all_kinds
+    from engine.sim.scenario import KINDS
 
-    for word, kind in all_kinds().items():
+    for word, kind in KINDS.items():
         typer.echo(f"  {word:<12} {kind.summary}")
     raise typer.Exit()
 
@@ -123,7 +123,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
         files.append(name)
     if run.frames:
         with whole_file(out / "film.webp") as part:
-            write_movie(part, run.frames, run.scenario.film.rate, kind="webp")
+            write_movie(part, run.frames, run.scenario.film.rate)
         files.append("film.webp")
     if keep_model:
         from engine.formats import write_model

@@ -13,8 +13,7 @@ from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
-from engine.sim.suite import Company, failures_first, run_suite
-from engine.sim.suite_trials import SUITE
+from engine.sim.suite import SUITE, Company, failures_first, run_suite
 
 BITS = 32
 

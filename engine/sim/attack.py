@@ -1,46 +1,72 @@
-"""What an attack is: a pure function with a named strength, in one or two readings of the literature."""
+"""What an attack is: a pure function with a named strength, in one or two readings of the literature.
 
+A module of attacks declares each where it is written, and `engine.sim.attacks` gathers the modules:
+
+    ATTACKS: Attacks[Float32] = Attacks("image")
+
+    @ATTACKS.add("multiply and clip", "factor", 1.5, (0.9, 1.1, 0.5, 1.5), "[0, inf)")
+    def brightness(image, strength, rng): ...
+"""
+
+import re
 from collections.abc import Callable, Sized
-from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Literal, TypeVar, cast
 
 import numpy as np
 
 from engine.errors import InputError
 
-__all__ = ["Attack", "Label", "Reading", "Strength", "check_fraction", "check_positive"]
+__all__ = ["Attack", "Attacks", "Label", "Reading", "Strength", "check_positive"]
 
 Strength = float | str
-"""A number for every attack but `convert`, whose strength is the name of a format."""
+"""A number, but for attacks whose strength is a name: a format, a rule, a viewer's mistake."""
 
 Label = Literal["literal", "as_code"]
 """`literal`: what the words of the papers say. `as_code`: what public code executes under those words."""
 
 T = TypeVar("T", bound=Sized)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
-class Reading(Generic[T]):
+class Reading:
     """One way to carry an attack out.
 
     Parameters
     ----------
     function : callable
-        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone.
+        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
+        may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
     meaning : str
         Unit and meaning of the strength, one line.
     default : float or str
         The strength that papers quote.
     grid : tuple of float or str
         Strengths for curves, from harmless to ruinous.
+    within : str
+        An interval such as "[0, 1)", or "1..100" for whole numbers; empty for names.
     label : {"literal", "as_code"}
     """
 
-    function: Callable[..., T]
+    function: Callable[..., Any]
     meaning: str
     default: Strength
     grid: tuple[Strength, ...]
+    within: str = ""
     label: Label = "literal"
+
+    def checked(self, strength: Strength) -> Strength:
+        """A number as a float, or an int where it is whole; InputError where it is out of range."""
+        if isinstance(strength, str):
+            return strength  # the function knows its words
+        whole = ".." in self.within
+        low, high = (float(end) for end in re.split(r"\.\.|, ", self.within.strip("[()]")))
+        at_end = (strength == low and "(" not in self.within) or (strength == high and ")" not in self.within)
+        if not (low < strength < high or at_end) or (whole and not float(strength).is_integer()):
+            needed = f"be a whole number from {low:g} to {high:g}" if whole else f"lie in {self.within}"
+            raise InputError(f"{self.meaning} must {needed}, got {strength}")
+        return int(strength) if whole else float(strength)
 
 
 @dataclass(frozen=True)
@@ -59,9 +85,9 @@ class Attack(Generic[T]):
     name: str
     kind: Literal["model", "image"]
     summary: str
-    readings: tuple[Reading[T], ...]
+    readings: tuple[Reading, ...]
 
-    def reading(self, label: str | None = None) -> Reading[T]:
+    def reading(self, label: str | None = None) -> Reading:
         """The reading of that label, the default one for None; InputError when there is none."""
         for reading in self.readings:
             if label is None or reading.label == label:
@@ -112,6 +138,7 @@ class Attack(Generic[T]):
         Returns
         -------
         GaussianModel or (H, W, 3) float32
+            A picture lies in 0..1 and may have another size.
 
         Raises
         ------
@@ -124,16 +151,52 @@ class Attack(Generic[T]):
             raise InputError(f"attack {self.name!r} takes as strength: {chosen.meaning}; got {value!r}")
         if len(target) == 0:
             raise InputError(f"attack {self.name!r} needs a {self.kind} that is not empty")
+        if self.kind == "image":
+            _check_image(target)
         generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(rng)
-        return chosen.function(target, value, generator, **options)
+        result: Any = chosen.function(target, chosen.checked(value), generator, **options)
+        if self.kind == "image":  # never a view of the target: clipping copies
+            result = np.ascontiguousarray(np.clip(result, 0.0, 1.0), dtype=np.float32)
+        return cast(T, result)
 
 
-def check_fraction(value: float, what: str, *, zero: bool = True, one: bool = False) -> float:
-    """The value, when in 0..1 (the ends only where allowed); InputError naming `what` otherwise."""
-    inside = (0 < value < 1) or (zero and value == 0) or (one and value == 1)
-    if not inside:
-        raise InputError(f"{what} must lie in {'[' if zero else '('}0, 1{']' if one else ')'}, got {value}")
-    return float(value)
+def _check_image(image: Any) -> None:
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
+    if image.dtype != np.float32:
+        raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
+
+
+class Attacks(dict[str, Attack[T]]):
+    """The attacks of one module by name, in the order in which they are written."""
+
+    def __init__(self, kind: Literal["model", "image"]) -> None:
+        super().__init__()
+        self.kind = kind
+
+    def add(
+        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ""
+    ) -> Callable[[F], F]:
+        """Declares a function an attack of its own name; the other parameters are those of `Attack` and `Reading`."""
+
+        def declare(function: F) -> F:
+            name = function.__name__
+            self[name] = Attack(name, self.kind, summary, (Reading(function, meaning, default, grid, within),))
+            return function
+
+        return declare
+
+    def as_code(
+        self, name: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str
+    ) -> Callable[[F], F]:
+        """Declares a function what public code runs under the words of an attack above."""
+
+        def declare(function: F) -> F:
+            reading = Reading(function, meaning, default, grid, within, "as_code")
+            self[name] = replace(self[name], readings=(*self[name].readings, reading))
+            return function
+
+        return declare
 
 
 def check_positive(value: float, what: str, *, zero: bool = False) -> float:

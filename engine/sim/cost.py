@@ -11,6 +11,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel
+from engine.pipeline.rigs import make_rig
 
 __all__ = ["CHEAP_DB", "Cost", "image_cost", "model_cost"]
 
@@ -70,7 +71,6 @@ def model_cost(
         If a number is out of its range or a model is empty.
     """
     from engine.numerics.similarity import transform_model
-    from engine.pipeline.rigs import make_rig
     from engine.registration.registering import register
 
     if views < 1 or not len(marked) or not len(attacked):

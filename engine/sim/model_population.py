@@ -12,9 +12,15 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
-from engine.sim.attack import check_fraction
+from engine.pipeline.rigs import make_rig
+from engine.sim.attack import Attacks
 
-__all__ = ["clone", "clone_plain", "crop", "impact", "prune_low_impact", "prune_opacity", "prune_random"]
+__all__ = ["ATTACKS", "clone", "crop", "impact"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
+
+_CLONED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
+_PRUNED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 
 CLONE_JITTER = 0.05
 """Shift of a clone in standard deviations of its Gaussian, along its own axes."""
@@ -24,56 +30,58 @@ IMPACT_SIZE = 256
 """Views generated where no cameras are given, and their side in pixels."""
 
 
+@ATTACKS.add(
+    "keep a connected piece about a random Gaussian",
+    "kept share",
+    0.1,
+    (0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01),
+    "(0, 1]",
+)
 def crop(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Keep the share `strength` of the Gaussians nearest to a random one: a connected piece is stolen."""
-    share = check_fraction(strength, "kept share", zero=False, one=True)
+    """The Gaussians nearest to it."""
     seed = model.means[rng.integers(len(model))]
     distance = np.linalg.norm(model.means.astype(np.float64) - seed, axis=1)
-    return model.take(_lowest(distance, max(1, round(share * len(model)))))
+    return model.take(_lowest(distance, max(1, round(strength * len(model)))))
 
 
+@ATTACKS.as_code("crop", "dropped share of the file's order", 0.1, (0.1, 0.3, 0.5, 0.9), "[0, 1)")
+def drop_block(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """GaussianMarker's "crop": drop one contiguous block of the file's order, `strength` of its Gaussians."""
+    count = min(round(strength * len(model)), len(model) - 1)
+    start = int(rng.integers(len(model) - count + 1))
+    keep = np.ones(len(model), dtype=bool)
+    keep[start : start + count] = False
+    return model.take(keep)
+
+
+@ATTACKS.add("remove Gaussians at random", "removed share", 0.2, (*_PRUNED, 0.98, 0.99), "[0, 1)")
 def prune_random(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Remove a random share `strength` of the Gaussians."""
     return _prune(model, rng.random(len(model)), strength)
 
 
+@ATTACKS.add("remove the most transparent Gaussians", "removed share", 0.2, _PRUNED, "[0, 1)")
 def prune_opacity(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Remove the share `strength` of the lowest opacities."""
     return _prune(model, model.opacity_logits, strength)
 
 
+@ATTACKS.add("remove the Gaussians that weigh least in rendered views", "removed share", 0.2, _PRUNED, "[0, 1)")
 def prune_low_impact(
     model: GaussianModel, strength: float, rng: np.random.Generator, *, cameras: Sequence[Camera] | None = None
 ) -> GaussianModel:
-    """Remove the share `strength` that weighs least in the images, as compressors and GSPure do.
+    """As compressors and GSPure do: by the blending weights that `impact` adds up over the cameras' views."""
+    return _prune(model, impact(model, cameras, rng), strength)
 
-    Parameters
-    ----------
-    strength : float
-        Removed share, in [0, 1).
-    rng : numpy.random.Generator
-        Places the views where no cameras are given.
-    cameras : sequence of Camera, optional
-        Views over which the blending weights alpha * T are added up; 24 generated ones where not given.
 
-    Raises
-    ------
-    InputError
-        If the strength is out of range or there is no camera.
+def impact(model: GaussianModel, cameras: Sequence[Camera] | None, rng: np.random.Generator | None = None) -> Float64:
+    """(N,) blending weight alpha * T of each Gaussian, added up over all pixels of all views.
+
+    Without cameras 24 generated views, which `rng` places; InputError where the list of them is empty.
     """
-    check_fraction(strength, "removed share")  # before the views are rendered
-    if cameras is None:
-        from engine.pipeline.rigs import make_rig
-
-        jitter = rng.random((IMPACT_VIEWS, 4))
-        cameras = make_rig(model, IMPACT_VIEWS, IMPACT_SIZE, IMPACT_SIZE, jitter=jitter)
-    return _prune(model, impact(model, cameras), strength)
-
-
-def impact(model: GaussianModel, cameras: Sequence[Camera]) -> Float64:
-    """(N,) blending weight alpha * T of each Gaussian, added up over all pixels of all views."""
     from engine.raster import prepare_view
 
+    if cameras is None:
+        jitter = None if rng is None else rng.random((IMPACT_VIEWS, 4))
+        cameras = make_rig(model, IMPACT_VIEWS, IMPACT_SIZE, IMPACT_SIZE, jitter=jitter)
     if not cameras:
         raise InputError("blending weights need at least one camera")
     total = np.zeros(len(model))
@@ -82,6 +90,7 @@ def impact(model: GaussianModel, cameras: Sequence[Camera]) -> Float64:
     return total
 
 
+@ATTACKS.add("duplicate Gaussians", "share split into look-alike pairs", 0.5, _CLONED, "[0, 1]")
 def clone(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """Split a random share `strength` into pairs that together look like the one they replace.
 
@@ -99,6 +108,7 @@ def clone(model: GaussianModel, strength: float, rng: np.random.Generator) -> Ga
     return _with_copies(thinned, chosen, moves.astype(np.float32))
 
 
+@ATTACKS.as_code("clone", "share duplicated as it is", 0.5, _CLONED, "[0, 1]")
 def clone_plain(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """Append exact duplicates of a random share `strength`, opacities as they were: the look gets denser."""
     chosen = _chosen(model, strength, rng)
@@ -106,8 +116,7 @@ def clone_plain(model: GaussianModel, strength: float, rng: np.random.Generator)
 
 
 def _chosen(model: GaussianModel, strength: float, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    share = check_fraction(strength, "cloned share", one=True)
-    return np.sort(rng.permutation(len(model))[: round(share * len(model))])
+    return np.sort(rng.permutation(len(model))[: round(strength * len(model))])
 
 
 def _with_copies(model: GaussianModel, chosen: npt.NDArray[np.int64], moves: Float32) -> GaussianModel:
@@ -119,8 +128,7 @@ def _with_copies(model: GaussianModel, chosen: npt.NDArray[np.int64], moves: Flo
 
 def _prune(model: GaussianModel, score: npt.NDArray[Any], strength: float) -> GaussianModel:
     """The model without the share of the lowest scores; at least one Gaussian stays."""
-    share = check_fraction(strength, "removed share")
-    removed = min(round(share * len(model)), len(model) - 1)
+    removed = min(round(strength * len(model)), len(model) - 1)
     keep = np.ones(len(model), dtype=bool)
     keep[_lowest(score, removed)] = False
     return model.take(keep)

@@ -1,7 +1,6 @@
-"""Attacks that change what Gaussians are: parameter noise, coarser values, other file formats.
+"""Attacks that change what Gaussians are: parameter noise, coarser values.
 
-All are pure functions `(model, strength, rng) -> model`; the count and order stay (but for `convert`, where
-the format decides).
+All are pure functions `(model, strength, rng) -> model`; the count and order stay.
 """
 
 from typing import Any
@@ -9,51 +8,72 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel
-from engine.sim.attack import check_positive
+from engine.sim.attack import Attacks
 
-__all__ = ["convert", "drop_sh", "noise_all", "noise_colors", "noise_means", "quantize"]
+__all__ = ["ATTACKS", "quantize"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
+
+_OWN_STD = "noise std, in standard deviations of the attribute"
+_SPREADS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
+@ATTACKS.add("noise on the centres", _OWN_STD, 0.01, _SPREADS, "[0, inf)")
 def noise_means(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Gaussian noise on the centres, `strength` times their standard deviation (pooled over the axes)."""
-    return model.with_(means=_noisy(model.means, _strength(strength), rng))
+    """The standard deviation is pooled over the axes."""
+    return model.with_(means=_noisy(model.means, strength, rng))
 
 
+@ATTACKS.as_code("noise_means", "noise std, scene units", 1.0, (0.01, 0.1, 1.0), "[0, inf)")
+def noise_means_wild(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """GaussianMarker's position noise: N(0, `strength`^2) in scene units, whatever the scene's size."""
+    return model.with_(means=model.means + np.float32(strength) * normal(model.means, rng))
+
+
+@ATTACKS.add("noise on all of SH", _OWN_STD, 0.1, _SPREADS, "[0, inf)")
 def noise_colors(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Gaussian noise on every SH coefficient, `strength` times the coefficient's own standard deviation."""
-    return model.with_(sh=_noisy_sh(model.sh, _strength(strength), rng))
+    """Each coefficient by its own standard deviation."""
+    return model.with_(sh=_noisy_sh(model.sh, strength, rng))
 
 
+@ATTACKS.as_code("noise_colors", "noise std on DC coefficients", 8.0, (0.1, 1.0, 8.0), "[0, inf)")
+def noise_dc_wild(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """GaussianMarker's colour noise: N(0, `strength`^2) on the DC coefficients, the code's 8 is far beyond white."""
+    return model.with_dc(model.sh[:, 0] + np.float32(strength) * normal(model.sh[:, 0], rng))
+
+
+@ATTACKS.add("noise on every attribute", _OWN_STD, 0.1, _SPREADS, "[0, inf)")
 def noise_all(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Gaussian noise on every attribute, `strength` times its standard deviation; quaternions stay unit."""
-    factor = _strength(strength)
+    """Quaternions stay unit."""
     return GaussianModel(
-        _noisy(model.means, factor, rng),
-        _noisy(model.log_scales, factor, rng),
-        _unit(_noisy(model.quats, factor, rng)),
-        _noisy(model.opacity_logits, factor, rng),
-        _noisy_sh(model.sh, factor, rng),
+        _noisy(model.means, strength, rng),
+        _noisy(model.log_scales, strength, rng),
+        _unit(_noisy(model.quats, strength, rng)),
+        _noisy(model.opacity_logits, strength, rng),
+        _noisy_sh(model.sh, strength, rng),
     )
 
 
-def drop_sh(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Cut the spherical harmonics down to degree `strength`; 0 leaves the DC colour alone."""
-    if strength not in (0, 1, 2, 3):
-        raise InputError(f"SH degree must be 0, 1, 2 or 3, got {strength}")
-    return model.with_(sh=model.sh[:, : (int(strength) + 1) ** 2])
+@ATTACKS.add("cut the spherical harmonics", "degree kept", 0, (3, 2, 1, 0), "0..3")
+def drop_sh(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
+    """0 leaves the DC colour alone."""
+    return model.with_(sh=model.sh[:, : (strength + 1) ** 2])
 
 
-def quantize(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Round every property to `strength` bits, uniformly between its own smallest and largest value.
+@ATTACKS.add(
+    "round every property between its smallest and largest value",
+    "bits a property",
+    8,
+    (16, 12, 10, 8, 7, 6, 5, 4, 3, 2),
+    "1..24",
+)
+def quantize(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
+    """A property is one column of a PLY file: one axis of the centres, one SH coefficient of one channel.
 
-    A property is one column of a PLY file: one axis of the centres, one SH coefficient of one channel.
     Quaternions are normalised afterwards.
     """
-    if strength not in range(1, 25):
-        raise InputError(f"bits must be a whole number from 1 to 24, got {strength}")
-    levels = 2 ** int(strength) - 1
+    levels = 2**strength - 1
     return GaussianModel(
         _rounded(model.means, levels),
         _rounded(model.log_scales, levels),
@@ -63,44 +83,20 @@ def quantize(model: GaussianModel, strength: float, rng: np.random.Generator) ->
     )
 
 
-def convert(model: GaussianModel, strength: str, rng: np.random.Generator) -> GaussianModel:
-    """Write the model in the trade format `strength` and read it back.
-
-    Parameters
-    ----------
-    strength : str
-        A format that `engine.formats.encode_model` writes: "ply", "compressed.ply", "splat", "spz", "sog".
-    rng : numpy.random.Generator
-        Not used: writers are deterministic.
-
-    Returns
-    -------
-    GaussianModel
-        As the format left it: order, SH degree and precision are the format's choice.
-
-    Raises
-    ------
-    InputError
-        If the format is not written here.
-    """
-    from engine.formats import encode_model, read_model
-
-    return read_model(encode_model(model, strength), name=f"model.{strength}").model
-
-
-def _strength(value: float) -> float:
-    return check_positive(value, "noise in standard deviations", zero=True)
+def normal(like: Float32, rng: np.random.Generator) -> Float32:
+    """Standard normal noise of the shape of an array."""
+    return rng.standard_normal(like.shape, dtype=np.float32)
 
 
 def _noisy(values: Float32, factor: float, rng: np.random.Generator) -> Float32:
     """One spread for the whole attribute: noise must not depend on how the axes happen to lie."""
     spread = np.sqrt(values.astype(np.float64).var(axis=0).mean())
-    return values + np.float32(factor * spread) * rng.standard_normal(values.shape, dtype=np.float32)
+    return values + np.float32(factor * spread) * normal(values, rng)
 
 
 def _noisy_sh(sh: Float32, factor: float, rng: np.random.Generator) -> Float32:
     spread = np.sqrt(sh.astype(np.float64).var(axis=0).mean(axis=1))[:, None]  # (K, 1): channels pooled
-    noise: Float32 = np.float32(factor) * spread.astype(np.float32) * rng.standard_normal(sh.shape, np.float32)
+    noise: Float32 = np.float32(factor) * spread.astype(np.float32) * normal(sh, rng)
     return sh + noise
 
 

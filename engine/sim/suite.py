@@ -1,10 +1,12 @@
-"""Running attacks on a marked model: bits, z, claim, and what the attacker paid. The list is `suite_trials.SUITE`.
+"""Running attacks on a marked model: bits, z, claim, and what the attacker paid. The list is in `suite.toml`.
 
 Extraction is informed: every row was read with the owner's record.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -17,7 +19,7 @@ from engine.sim.attack import Label, Strength
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.cost import CHEAP_DB, Cost, image_cost, model_cost
 
-__all__ = ["Company", "Subject", "Trial", "apply_chain", "failures_first", "run_suite"]
+__all__ = ["SUITE", "Company", "Subject", "Trial", "apply_chain", "failures_first", "run_suite"]
 
 Step = tuple[str, Strength]
 """Name and strength of an attack of the registry."""
@@ -50,6 +52,20 @@ class Trial:
     kind: Literal["model", "image", "copy attack"] = "model"
     reading: Label = "literal"
     copies: int = 0
+
+
+def _read_suite() -> tuple[Trial, ...]:
+    tables = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    trials = []
+    for row in tables["suite"]["trials"]:
+        chain = tuple((name, strength) for name, strength in row["chain"])
+        trials.append(Trial(**{**row, "source": tables["sources"][row["source"]], "chain": chain}))
+    return tuple(trials)
+
+
+SUITE = _read_suite()
+"""All trials, in the order of a table: placed, cut and added to, changed in value, attacked on purpose, chains,
+pictures."""
 
 
 class Subject(Protocol):

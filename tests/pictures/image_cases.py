@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy import ndimage
 
-from engine.sim import image_attacks as attacks
+from engine.sim import image_attack
 
 BLOCK = 5
 SIDE = 300
@@ -63,7 +63,7 @@ def z_score(y: np.ndarray, chips: np.ndarray) -> float:
 
 
 def turn(degrees: float) -> np.ndarray:
-    """Pixel matrix of `attacks.rotate_image`: counter-clockwise about the middle."""
+    """Pixel matrix of the attack `rotate_image`: counter-clockwise about the middle."""
     a, c = np.radians(degrees), SIDE / 2
     about = np.array([[1, 0, c], [0, 1, c], [0, 0, 1.0]])
     spin = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
@@ -74,29 +74,33 @@ def attack(name: str, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The attacked picture, and the true matrix from reference pixel to its pixel."""
     rng = np.random.default_rng(7)
     size = np.eye(3)
+
+    def run(attack: str, image: np.ndarray, strength: float) -> np.ndarray:
+        return image_attack(attack).apply(image, strength, rng=rng)
+
     match name:
         case "none":
             return image, size
         case "jpeg10":
-            return attacks.jpeg(image, 10, rng), size
+            return run("jpeg", image, 10), size
         case "jpeg50":
-            return attacks.jpeg(image, 50, rng), size
+            return run("jpeg", image, 50), size
         case "noise 0.1":
-            return attacks.noise_image(image, 0.1, rng), size
+            return run("noise_image", image, 0.1), size
         case "noise 0.01":
-            return attacks.noise_image(image, 0.01, rng), size
+            return run("noise_image", image, 0.01), size
         case "blur 1":
-            return attacks.blur(image, 1.0, rng), size
+            return run("blur", image, 1.0), size
         case "brightness 0.5":
-            return attacks.brightness(image, 0.5, rng), size
+            return run("brightness", image, 0.5), size
         case "brightness 1.5":
-            return attacks.brightness(image, 1.5, rng), size
+            return run("brightness", image, 1.5), size
         case "rotation 30":
-            return attacks.rotate_image(image, 30.0, rng), turn(30.0)
+            return run("rotate_image", image, 30.0), turn(30.0)
         case "scale 0.75":
-            return attacks.scale_image(image, 0.75, rng), np.diag([0.75, 0.75, 1])
+            return run("scale_image", image, 0.75), np.diag([0.75, 0.75, 1])
         case "scale 1.5":
-            return attacks.scale_image(image, 1.5, rng), np.diag([1.5, 1.5, 1])
+            return run("scale_image", image, 1.5), np.diag([1.5, 1.5, 1])
         case "squeezed":
             import cv2
 
@@ -105,8 +109,8 @@ def attack(name: str, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         case "crop":
             return np.ascontiguousarray(image[40:270, 25:255]), np.array([[1, 0, -25], [0, 1, -40], [0, 0, 1.0]])
         case "rotation, scale, jpeg50":
-            turned = attacks.scale_image(attacks.rotate_image(image, -17.0, rng), 0.8, rng)
-            return attacks.jpeg(turned, 50, rng), np.diag([0.8, 0.8, 1]) @ turn(-17.0)
+            turned = run("scale_image", run("rotate_image", image, -17.0), 0.8)
+            return run("jpeg", turned, 50), np.diag([0.8, 0.8, 1]) @ turn(-17.0)
         case "rotation, noise 0.1":
-            return attacks.noise_image(attacks.rotate_image(image, 10.0, rng), 0.1, rng), turn(10.0)
+            return run("noise_image", run("rotate_image", image, 10.0), 0.1), turn(10.0)
     raise ValueError(name)

@@ -10,7 +10,7 @@ from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.registration.sketch import ALIKE, CROWD, POINTS, Sketch, SuspectIndex, make_sketch
 from engine.sim.attacks import model_attack
-from engine.sim.model_placement import foreign_scene
+from engine.sim.model_travels import foreign_scene
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import numpy as np
@@ -9,9 +10,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
-from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
-from engine.sim.adversaries.attacks import ADVERSARIES, DENOISERS
-from engine.sim.views.attacks import VIEW_ATTACKS
+from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, Reading, find_attack, image_attack, model_attack
 
 MODEL_NAMES = [
     "rotate",
@@ -34,10 +33,50 @@ MODEL_NAMES = [
     "bend",
     "twist",
     "squash",
+    "inject",
+    "noise_dc",
+    "noise_opacity",
+    "noise_position",
+    "quantize_colors",
+    "round_floats",
+    "bake_colors",
+    "smooth_colors",
+    "repaint",
+    "purify",
+    "evolve",
+    "overwrite",
+    "collude",
+    "transplant",
 ]
-IMAGE_NAMES = ["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"]
-MODEL_NAMES += [attack.name for attack in ADVERSARIES]
-IMAGE_NAMES += [attack.name for attack in (*VIEW_ATTACKS, *DENOISERS)]
+VIEW_NAMES = [
+    "lens_radial",
+    "lens_brown",
+    "lens_fisheye",
+    "rolling_shutter",
+    "rolling_exposure",
+    "flicker",
+    "vignette",
+    "gamma",
+    "filmic",
+    "contrast",
+    "saturation",
+    "white_balance",
+    "viewer_color",
+    "resize_nearest",
+    "resize_bilinear",
+    "resize_area",
+    "resize_lanczos",
+    "webp",
+    "avif",
+    "h264",
+    "h265",
+    "mpeg4",
+]
+IMAGE_NAMES = [
+    *["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"],
+    *VIEW_NAMES,
+    *["median", "bilateral", "denoise_nonlocal", "denoise_wavelet"],
+]
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 NEEDS_FFMPEG = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="the ffmpeg command is not here")
 ALL_READINGS = [
@@ -242,7 +281,7 @@ OUT_OF_RANGE = {
     "denoise_nonlocal": -1.0,
     "denoise_wavelet": -0.1,
 }
-OUT_OF_RANGE |= {a.name: "none" if isinstance(a.default, str) else float("nan") for a in VIEW_ATTACKS}
+OUT_OF_RANGE |= {name: "none" if name == "viewer_color" else float("nan") for name in VIEW_NAMES}
 
 
 def test_a_refused_strength_is_known_for_every_attack() -> None:
@@ -253,6 +292,27 @@ def test_a_refused_strength_is_known_for_every_attack() -> None:
 def test_strength_out_of_range_is_an_input_error(attack: Attack, target: GaussianModel | Float32) -> None:
     with pytest.raises(InputError):
         attack.apply(target, OUT_OF_RANGE[attack.name])
+
+
+@pytest.mark.parametrize(
+    ("within", "inside", "outside"),
+    [
+        ("[0, 1)", (0, 0.5), (-0.1, 1, float("nan"), float("inf"))),
+        ("(0, 1]", (0.5, 1), (0, 1.1)),
+        ("(0, inf)", (1e9,), (0, float("inf"))),
+        ("(-inf, inf)", (-3, 3), (float("-inf"), float("nan"))),
+        ("1..100", (1, 50.0, 100), (0, 101, 50.5, float("nan"))),
+    ],
+)
+def test_ranges_of_strengths(within: str, inside: tuple[float, ...], outside: tuple[float, ...]) -> None:
+    reading = Reading(lambda target, strength, rng: target, "share", 1.0, (), within)
+    for strength in inside:
+        assert reading.checked(strength) == strength
+        assert isinstance(reading.checked(strength), int if ".." in within else float)
+    words = "be a whole number from 1 to 100" if ".." in within else f"lie in {within}"
+    for strength in outside:
+        with pytest.raises(InputError, match="share must " + re.escape(words)):
+            reading.checked(strength)
 
 
 def test_strength_of_the_wrong_type_is_an_input_error(model: GaussianModel) -> None:

@@ -9,8 +9,8 @@ from engine.errors import InputError
 from engine.model import GaussianModel, look_at
 from engine.pipeline.rigs import measure_extent
 from engine.sim import model_attack
-from engine.sim.model_placement import foreign_scene
 from engine.sim.model_population import clone, impact
+from engine.sim.model_travels import foreign_scene
 
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 

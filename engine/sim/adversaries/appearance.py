@@ -5,11 +5,13 @@ All are pure functions `(model, strength, rng) -> model`; geometry and opacities
 
 import numpy as np
 
-from engine.errors import InputError
 from engine.model import SH_C0, Float32, Float64, GaussianModel
-from engine.sim.attack import check_fraction
+from engine.pipeline.rigs import make_rig, measure_extent
+from engine.sim.attack import Attacks
 
-__all__ = ["bake_colors", "repaint", "smooth_colors"]
+__all__ = ["ATTACKS"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 BAKE_SIZE = 256
 """Side of the views over which colours are averaged, pixels."""
@@ -20,57 +22,35 @@ REGION_SHARE = 0.05
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 
-def bake_colors(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Bake spherical harmonics to RGB: each Gaussian keeps the mean of its colours over `strength` views.
+@ATTACKS.add("bake spherical harmonics to plain RGB over views", "views", 24, (96, 24, 8, 3, 1), "1..256")
+def bake_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
+    """Each Gaussian keeps the mean of its colours over `strength` views.
 
-    Parameters
-    ----------
-    strength : float
-        Views, a whole number from 1 to 256.
-    rng : numpy.random.Generator
-        Places the views.
-
-    Returns
-    -------
-    GaussianModel
-        Degree 0. A view counts for a Gaussian by the blending weight it has there; a Gaussian seen nowhere gets
-        the plain mean.
+    A view counts for a Gaussian by the blending weight it has there; one seen nowhere gets the plain mean.
     """
-    from engine.pipeline.rigs import make_rig
     from engine.raster import prepare_view, sh_colors
 
-    if strength not in range(1, 257):
-        raise InputError(f"views must be a whole number from 1 to 256, got {strength}")
-    views = int(strength)
     total, weight, plain = np.zeros((len(model), 3)), np.zeros((len(model), 1)), np.zeros((len(model), 3))
-    for camera in make_rig(model, views, BAKE_SIZE, BAKE_SIZE, jitter=rng.random((views, 4))):
+    for camera in make_rig(model, strength, BAKE_SIZE, BAKE_SIZE, jitter=rng.random((strength, 4))):
         seen = prepare_view(model, camera).weights()[0].astype(np.float64)[:, None]
         colors = sh_colors(model.sh, model.means, camera.position.astype(np.float32))
         total += seen * colors
-        plain += colors / views
+        plain += colors / strength
         weight += seen
     mean = np.where(weight > 0, total / np.maximum(weight, 1e-30), plain)
     return model.with_(sh=((mean - 0.5) / SH_C0).astype(np.float32)[:, None])
 
 
-def smooth_colors(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """A parameter-domain denoiser: DC becomes the mean of its `strength` nearest Gaussians with similar colour.
+@ATTACKS.add("mean colour over similar neighbours", "neighbours", 8, (2, 4, 8, 16, 32, 64), "1..256")
+def smooth_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
+    """A bilateral filter of DC over the surface; the Gaussian itself is the first neighbour.
 
-    A bilateral filter over the surface: neighbours count by exp(-d^2 / 2 sigma^2) of their colour distance, sigma
-    the median distance to a neighbour, so that edges stay.
-
-    Parameters
-    ----------
-    strength : float
-        Neighbours, a whole number from 1 to 256; the Gaussian itself is the first.
-    rng : numpy.random.Generator
-        Not used.
+    Neighbours count by exp(-d^2 / 2 sigma^2) of their colour distance, sigma the median distance to a neighbour, so
+    that edges stay.
     """
     from scipy.spatial import cKDTree
 
-    if strength not in range(1, 257):
-        raise InputError(f"neighbours must be a whole number from 1 to 256, got {strength}")
-    count = min(int(strength), len(model))
+    count = min(strength, len(model))
     if count == 1:
         return model
     near = cKDTree(model.means).query(model.means, k=count, workers=2)[1]  # (N, count)
@@ -86,19 +66,23 @@ def smooth_colors(model: GaussianModel, strength: float, rng: np.random.Generato
     return model.with_dc(total / weight)
 
 
+@ATTACKS.add(
+    "paint regions anew, as editing by a diffusion model would",
+    "repainted share",
+    0.5,
+    (0.1, 0.25, 0.5, 0.75, 0.9, 1.0),
+    "[0, 1]",
+)
 def repaint(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """Paint a share `strength` of the model anew, region by region: a stand-in for editing by a diffusion model.
+    """A share `strength` of the model, region by region: a stand-in for editing by a diffusion model.
 
     Connected regions of a twentieth of the Gaussians keep their light and shade and get another colour, another
     contrast and a smooth pattern of their own; view dependence goes there. A real diffusion edit needs a network that
     is not part of this program: this one is at least as strong in colour and leaves geometry alone.
     """
-    from engine.pipeline.rigs import measure_extent
-
-    share = check_fraction(strength, "repainted share", one=True)
     means = model.means.astype(np.float64)
     radius = measure_extent(model).radius
-    wanted = round(share * len(model))
+    wanted = round(strength * len(model))
     colors = 0.5 + SH_C0 * model.sh[:, 0].astype(np.float64)
     painted = np.zeros(len(model), dtype=bool)
     sh = model.sh.copy()

@@ -13,53 +13,15 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
+from engine.sim.attack import Attacks
 
-__all__ = ["RULES", "collude"]
+__all__ = ["ATTACKS", "RULES", "collude"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
 
 _Rule = Callable[[Float32, np.random.Generator], Float32]
-
-
-def collude(
-    model: GaussianModel, strength: str, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
-) -> GaussianModel:
-    """One model out of several copies.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        The first copy.
-    strength : str
-        What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
-        of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
-        Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
-    others : sequence of GaussianModel
-        The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
-        geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
-
-    Raises
-    ------
-    InputError
-        If the rule is unknown, there is no other copy, or the copies differ in shape.
-    """
-    if strength not in RULES:
-        raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")
-    if not others:
-        raise InputError("collusion needs the models of the other copies: others=[...]")
-    for number, other in enumerate(others, start=2):
-        if other.sh.shape != model.sh.shape:
-            raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
-    copies = [model, *others]
-    if strength in _MIXERS:
-        source = _MIXERS[strength](model, len(copies), rng)
-        return model.with_(sh=np.stack([copy.sh for copy in copies])[source, np.arange(len(model))])
-    rule, sh = _VALUE_RULES[strength], np.empty_like(model.sh)
-    rows = max(1, _COEFFICIENTS_AT_A_TIME // (len(copies) * max(1, model.sh[0].size)))
-    for start in range(0, len(model), rows):
-        part = slice(start, start + rows)
-        sh[part] = rule(np.stack([copy.sh[part] for copy in copies]), rng)
-    return model.with_(sh=sh)
 
 
 def _mean(values: Float32, rng: np.random.Generator) -> Float32:
@@ -121,3 +83,45 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 
 RULES = (*_VALUE_RULES, *_MIXERS)
 """Names of the rules."""
+
+
+@ATTACKS.add("put several copies of one asset together", "rule", "mean", RULES)
+def collude(
+    model: GaussianModel, strength: str, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
+) -> GaussianModel:
+    """One model out of several copies.
+
+    Parameters
+    ----------
+    model : GaussianModel
+        The first copy.
+    strength : str
+        What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
+        of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
+        Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
+    others : sequence of GaussianModel
+        The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
+        geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
+
+    Raises
+    ------
+    InputError
+        If the rule is unknown, there is no other copy, or the copies differ in shape.
+    """
+    if strength not in RULES:
+        raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")
+    if not others:
+        raise InputError("collusion needs the models of the other copies: others=[...]")
+    for number, other in enumerate(others, start=2):
+        if other.sh.shape != model.sh.shape:
+            raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
+    copies = [model, *others]
+    if strength in _MIXERS:
+        source = _MIXERS[strength](model, len(copies), rng)
+        return model.with_(sh=np.stack([copy.sh for copy in copies])[source, np.arange(len(model))])
+    rule, sh = _VALUE_RULES[strength], np.empty_like(model.sh)
+    rows = max(1, _COEFFICIENTS_AT_A_TIME // (len(copies) * max(1, model.sh[0].size)))
+    for start in range(0, len(model), rows):
+        part = slice(start, start + rows)
+        sh[part] = rule(np.stack([copy.sh[part] for copy in copies]), rng)
+    return model.with_(sh=sh)

@@ -15,9 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.sim.attack import check_positive
+from engine.pipeline.rigs import make_rig
+from engine.sim.attack import Attacks
 
-__all__ = ["Budget", "evolve"]
+__all__ = ["ATTACKS", "Budget", "evolve"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 GROUPS = 10
 """k-means groups, as GMEA's."""
@@ -79,27 +82,26 @@ class _Judge:
         return float(variance + 10.0 * excess)
 
 
+@ATTACKS.add(
+    "prune and shift colours as a genetic search finds best",
+    "least PSNR, dB",
+    30.0,
+    (45, 40, 35, 30, 25, 20),
+    "(0, inf)",
+)
 def evolve(
     model: GaussianModel, strength: float, rng: np.random.Generator, *, budget: Budget = Budget()
 ) -> GaussianModel:
-    """Prune and shift colours as evolution finds best, keeping `strength` dB.
-
-    Parameters
-    ----------
-    strength : float
-        Least PSNR of the attacked renders against the marked ones, dB, in the worst view of the search.
-    """
-    from engine.pipeline.rigs import make_rig
+    """The PSNR is that of the attacked renders against the marked ones, in the worst view of the search."""
     from engine.raster import render
 
-    floor = check_positive(strength, "least PSNR")
     rig = make_rig(model, budget.views, budget.size, budget.size, jitter=rng.random((budget.views, 4)))
     clean = [np.clip(render(model, camera), 0.0, 1.0) for camera in rig]
-    judge = _Judge(model, _groups(model, rng), rng.random(len(model)), rig, clean, floor)
+    judge = _Judge(model, _groups(model, rng), rng.random(len(model)), rig, clean, strength)
     start = np.zeros((GROUPS, 4))
     population = [(judge(start), start)]
     # A first step that alone would cost about the budget: a colour error e has a PSNR of -20 log10 e.
-    step = 3.5 * 10.0 ** (-floor / 20.0)
+    step = 3.5 * 10.0 ** (-strength / 20.0)
     for _ in range(budget.generations):
         brood = []
         for _ in range(budget.children):

@@ -6,9 +6,14 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float64, GaussianModel
-from engine.sim.attack import check_positive
+from engine.pipeline.rigs import measure_extent
+from engine.sim.adversaries.density import cluster_by_density
+from engine.sim.attack import Attacks
+from engine.sim.model_population import impact
 
-__all__ = ["purify"]
+__all__ = ["ATTACKS"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 NEIGHBOURS = 4
 """Neighbours of a core point: GSPure's second threshold."""
@@ -16,40 +21,24 @@ LEAST_CLUSTER = 32
 """Fewest Gaussians of a cluster."""
 
 
+@ATTACKS.add(
+    "remove clusters of Gaussians that contribute little to views",
+    "least contribution, means of all",
+    0.25,
+    (0.01, 0.03, 0.1, 0.25, 0.5, 1.0),
+    "(0, inf)",
+)
 def purify(
     model: GaussianModel, strength: float, rng: np.random.Generator, *, cameras: Sequence[Camera] | None = None
 ) -> GaussianModel:
-    """Remove the density clusters of Gaussians that contribute little.
+    """Gaussians are clustered by position, contribution (`impact` over the cameras' views) and opacity with HDBSCAN.
 
-    Gaussians are clustered by position, contribution (blending weight alpha * T summed over views and pixels) and
-    opacity together with HDBSCAN; a cluster goes when its mean contribution lies below `strength` times the mean of
-    all, and so does a Gaussian in no cluster by its own. GSPure's threshold is 4 pixels on scenes of its own; ours is
+    A cluster goes when its mean contribution lies below `strength` times the mean of all, and so does a Gaussian in no
+    cluster by its own; at least one Gaussian stays. GSPure's threshold is 4 pixels on scenes of its own; ours is
     relative, so that it means the same in every scene (4 pixels are about 0.25 for 100k Gaussians in 24 views of
     256 x 256).
-
-    Parameters
-    ----------
-    strength : float
-        Least contribution of a cluster, in means of all Gaussians, > 0.
-    rng : numpy.random.Generator
-        Places the views where no cameras are given.
-    cameras : sequence of Camera, optional
-        Views over which contributions are summed; 24 generated ones where not given.
-
-    Returns
-    -------
-    GaussianModel
-        At least one Gaussian, in order, values unchanged.
     """
-    from engine.pipeline.rigs import make_rig, measure_extent
-    from engine.sim.adversaries.density import cluster_by_density
-    from engine.sim.model_population import IMPACT_SIZE, IMPACT_VIEWS, impact
-
-    least = check_positive(strength, "least contribution")
-    if cameras is None:
-        jitter = rng.random((IMPACT_VIEWS, 4))
-        cameras = make_rig(model, IMPACT_VIEWS, IMPACT_SIZE, IMPACT_SIZE, jitter=jitter)
-    contribution = impact(model, cameras)
+    contribution = impact(model, cameras, rng)
     mean = float(contribution.mean())
     if mean <= 0:
         raise InputError("none of the cameras sees the model")
@@ -68,7 +57,7 @@ def purify(
     sums = np.bincount(label[grouped], relative[grouped], clusters)
     worth = relative.copy()
     worth[grouped] = (sums / np.maximum(members, 1))[label[grouped]]
-    keep = worth >= least
+    keep = worth >= strength
     keep[int(np.argmax(contribution))] = True
     return model.take(keep)
 

@@ -8,14 +8,20 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import GaussianModel
-from engine.sim.attack import check_positive
+from engine.pipeline.rigs import measure_extent
+from engine.sim.attack import Attacks
 
-__all__ = ["transplant"]
+__all__ = ["ATTACKS"]
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 NEIGHBOURS = 16
 """Gaussians whose mean colour stands for the unmarked one, where the attacker has only the marked model."""
 
 
+@ATTACKS.add(
+    "lift the mark of another model onto this one", "factor on the lifted mark", 1.0, (0.5, 1, 2, 4), "(0, inf)"
+)
 def transplant(
     model: GaussianModel,
     strength: float,
@@ -24,27 +30,15 @@ def transplant(
     source: GaussianModel | None = None,
     clean: GaussianModel | None = None,
 ) -> GaussianModel:
-    """The model with the mark of another one added.
+    """Both models are brought to one centre and radius; each Gaussian gets the displacement of the nearest source's.
 
     Parameters
     ----------
-    model : GaussianModel
-        The model to frame.
-    strength : float
-        Factor on the lifted mark; 1 adds it as it is.
-    rng : numpy.random.Generator
-        Not used.
     source : GaussianModel
         The marked model to lift from; needed.
     clean : GaussianModel, optional
         The same without the mark, Gaussian by Gaussian: the worst case, an attacker who was sold it. Without it the
         mark is estimated as what a mean over 16 neighbours takes away.
-
-    Returns
-    -------
-    GaussianModel
-        Both models are brought to one centre and radius; each Gaussian gets the displacement of the nearest of the
-        source's.
 
     Raises
     ------
@@ -53,9 +47,6 @@ def transplant(
     """
     from scipy.spatial import cKDTree
 
-    from engine.pipeline.rigs import measure_extent
-
-    gain = check_positive(strength, "factor on the lifted mark")
     if source is None:
         raise InputError("a mark is lifted from a marked model: source=...")
     if clean is not None and len(clean) != len(source):
@@ -70,4 +61,4 @@ def transplant(
     here, there = measure_extent(model), measure_extent(source)
     moved = (model.means - here.center) * (there.radius / here.radius) + there.center
     nearest = cKDTree(source.means).query(moved, workers=2)[1]
-    return model.with_dc(model.sh[:, 0] + gain * lifted[nearest])
+    return model.with_dc(model.sh[:, 0] + strength * lifted[nearest])

@@ -1,7 +1,18 @@
-"""Scenarios: a marked model's life as a TOML file, played step by step and verified after each."""
+"""Scenarios: a marked model's life as a TOML file, played step by step and verified after each.
+
+Who imports whom, from the ground up; each knows only those before it:
+
+    tables      strict reading of TOML, and dataclasses whose fields say how they are read
+    world       objects and records between two steps; what a step is, and what it leaves behind
+    marking     objects at the start: read or trained, marked, placed
+    theft_steps, edit_steps, life_steps, training_steps
+                the kinds of steps; a new one is a dataclass under `@step`, and nothing else
+    script      the whole file, and every kind of step by its word
+    showing     pictures and film
+    running     the run
+"""
 
 from engine.sim.scenario.running import Run, StepResult, run_scenario
-from engine.sim.scenario.script import Scenario, read_scenario
-from engine.sim.scenario.steps import all_kinds
+from engine.sim.scenario.script import KINDS, Scenario, read_scenario
 
-__all__ = ["Run", "Scenario", "StepResult", "all_kinds", "read_scenario", "run_scenario"]
+__all__ = ["KINDS", "Run", "Scenario", "StepResult", "read_scenario", "run_scenario"]

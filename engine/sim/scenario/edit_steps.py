@@ -3,6 +3,7 @@
 Lengths and places are in robust radii of the model the step works on, about its centre: a scenario fits any scene.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,41 +16,24 @@ from engine.numerics.umeyama import Similarity
 from engine.pipeline.rigs import Extent, measure_extent
 from engine.sim import edits
 from engine.sim.edits.inpainting import inpaint
-from engine.sim.scenario.steps import StepKind
-from engine.sim.scenario.tables import Table
-from engine.sim.scenario.viewpoint import viewpoint
-from engine.sim.scenario.world import Advance, Outcome, World
+from engine.sim.scenario.tables import Table, given
+from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step, viewpoint
 
 __all__ = ["KINDS"]
+
+KINDS: dict[str, StepKind] = {}
 
 MASK_SIZE = 512
 SEGMENTS = 24
 """Segments among which `segment` chooses, where the scenario gives no number."""
 
 Selector = Callable[[GaussianModel, Extent], Bool]
-Change = Callable[[GaussianModel, Bool, Extent], GaussianModel]
+Change = Callable[[GaussianModel, Bool], edits.Edited]
 
 
-@dataclass(frozen=True)
-class EditSelection:
-    """An edit of the selected Gaussians of an object."""
-
-    select: Selector
-    change: Change
-    on: str
-
-    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Select and edit."""
-        name, model = world.target(self.on)
-        extent = measure_extent(model)
-        chosen = self.select(model, extent)
-        share = f"{100.0 * chosen.mean():.1f} % of {name} selected"
-        return Outcome(world.put(name, self.change(model, chosen, extent)), notes=(share,))
-
-
-def read_selector(table: Table) -> Selector:
-    """`select = { box | sphere | segment | mask | disc | all }`; everything where there is no `select`."""
-    inside = table.table("select")
+def read_selector(table: Table, name: str) -> Selector:
+    """`select = { box | sphere | segment | mask | disc }`; everything where there is no `select`."""
+    inside = table.table(name)
     if inside is None:
         return lambda model, extent: np.ones(len(model), dtype=np.bool_)
     selector = _read_selector(inside)
@@ -107,62 +91,83 @@ def _disc(u: float, v: float, radius: float) -> Float32:
     return np.asarray((x - u) ** 2 + (y - v) ** 2 <= radius**2, dtype=np.float32)
 
 
-def read_move(table: Table) -> EditSelection:
-    """`do = "move", shift`."""
-    shift = np.array(table.vector("shift", None))
-    return _edit(table, lambda model, chosen, extent: edits.move(model, chosen, extent.radius * shift).model)
-
-
-def read_rotate(table: Table) -> EditSelection:
-    """`do = "rotate", axis, degrees`."""
-    axis, degrees = table.vector("axis", (0.0, 1.0, 0.0)), table.number("degrees", None)
-    return _edit(table, lambda model, chosen, extent: edits.rotate(model, chosen, axis, degrees).model)
-
-
-def read_scale(table: Table) -> EditSelection:
-    """`do = "scale", factor`."""
-    factor = table.number("factor", None, 1e-6, 1e6)
-    return _edit(table, lambda model, chosen, extent: edits.scale(model, chosen, factor).model)
-
-
-def read_recolor(table: Table) -> EditSelection:
-    """`do = "recolor", gain, tint`, or `color, amount`."""
+def read_paint(table: Table, name: str) -> Change:
+    """`gain, tint`, or `color, amount`."""
     if "color" in table:
         color, amount = table.vector("color", None), table.number("amount", 0.5, 0.0, 1.0)
-        return _edit(table, lambda m, chosen, extent: edits.recolor_towards(m, chosen, color, amount).model)
+        return lambda model, chosen: edits.recolor_towards(model, chosen, color, amount)
     gain, tint = table.vector("gain", (1.0, 1.0, 1.0)), table.vector("tint", (0.0, 0.0, 0.0))
-    return _edit(table, lambda m, chosen, extent: edits.recolor(m, chosen, gain=gain, tint=tint).model)
+    return lambda model, chosen: edits.recolor(model, chosen, gain=gain, tint=tint)
 
 
-def read_duplicate(table: Table) -> EditSelection:
-    """`do = "duplicate", shift`."""
-    shift = np.array(table.vector("shift", None))
+@dataclass(frozen=True)
+class _Edit(ABC):
+    """An edit of the selected Gaussians of an object."""
 
-    def copy(model: GaussianModel, chosen: Bool, extent: Extent) -> GaussianModel:
-        return edits.duplicate(model, chosen, Similarity(1.0, np.eye(3), extent.radius * shift)).model
+    select: Selector = given(read_selector)
+    on: str = given(Table.text, "")
 
-    return _edit(table, copy)
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        extent = measure_extent(model)
+        chosen = self.select(model, extent)
+        share = f"{100.0 * chosen.mean():.1f} % of {name} selected"
+        return Outcome(world.put(name, self.change(model, chosen, extent).model), notes=(share,))
 
-
-def read_delete(table: Table) -> EditSelection:
-    """`do = "delete", inpaint`."""
-    fill = table.flag("inpaint", True)
-
-    def remove(model: GaussianModel, chosen: Bool, extent: Extent) -> GaussianModel:
-        return (inpaint if fill else edits.delete)(model, chosen).model
-
-    return _edit(table, remove)
+    @abstractmethod
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited: ...
 
 
-def _edit(table: Table, change: Change) -> EditSelection:
-    return EditSelection(read_selector(table), change, table.text("on", ""))
+@step(KINDS, "move", "shift = [x, y, z]; select, on")
+@dataclass(frozen=True)
+class Move(_Edit):
+    shift: tuple[float, ...] = given(Table.vector, None)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return edits.move(model, chosen, extent.radius * np.array(self.shift))
 
 
-KINDS = {
-    "move": StepKind(read_move, "shift = [x, y, z]; select, on"),
-    "rotate": StepKind(read_rotate, "axis, degrees; select, on"),
-    "scale": StepKind(read_scale, "factor; select, on"),
-    "recolor": StepKind(read_recolor, "gain and tint, or color and amount; select, on"),
-    "duplicate": StepKind(read_duplicate, "shift; select, on"),
-    "delete": StepKind(read_delete, "inpaint = true fills the hole; select, on"),
-}
+@step(KINDS, "rotate", "axis, degrees; select, on")
+@dataclass(frozen=True)
+class Rotate(_Edit):
+    axis: tuple[float, ...] = given(Table.vector, (0.0, 1.0, 0.0))
+    degrees: float = given(Table.number, None)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return edits.rotate(model, chosen, self.axis, self.degrees)
+
+
+@step(KINDS, "scale", "factor; select, on")
+@dataclass(frozen=True)
+class Scale(_Edit):
+    factor: float = given(Table.number, None, 1e-6, 1e6)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return edits.scale(model, chosen, self.factor)
+
+
+@step(KINDS, "recolor", "gain and tint, or color and amount; select, on")
+@dataclass(frozen=True)
+class Recolor(_Edit):
+    paint: Change = given(read_paint)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return self.paint(model, chosen)
+
+
+@step(KINDS, "duplicate", "shift; select, on")
+@dataclass(frozen=True)
+class Duplicate(_Edit):
+    shift: tuple[float, ...] = given(Table.vector, None)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return edits.duplicate(model, chosen, Similarity(1.0, np.eye(3), extent.radius * np.array(self.shift)))
+
+
+@step(KINDS, "delete", "inpaint = true fills the hole; select, on")
+@dataclass(frozen=True)
+class Delete(_Edit):
+    inpaint: bool = given(Table.flag, True)
+
+    def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited:
+        return (inpaint if self.inpaint else edits.delete)(model, chosen)

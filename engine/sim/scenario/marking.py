@@ -1,7 +1,9 @@
-"""The start of a scenario: objects read or trained, marked and placed."""
+"""The start of a scenario: objects as they are written, read or trained, marked and placed."""
 
 import hashlib
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,11 +17,67 @@ from engine.pipeline.progress import Progress
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.sim.capture.from_colmap import train_from_colmap
 from engine.sim.capture.training import TrainConfig
-from engine.sim.scenario.script import Part, Photos, Scenario
+from engine.sim.scenario.tables import Table, given
 from engine.sim.scenario.world import World
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["load_world", "mark", "scenario_key"]
+__all__ = ["Part", "Photos", "load_world", "mark", "scenario_key"]
+
+
+@dataclass(frozen=True)
+class Photos:
+    """Photos with a COLMAP reconstruction, from which an object is trained.
+
+    Parameters
+    ----------
+    colmap, photos : Path
+        Folders of the reconstruction and of the photos.
+    size : int
+        Longest side of the photos in training, pixels.
+    hold_out : int
+        One photo of so many is kept for measuring.
+    """
+
+    colmap: Path = given(Table.file)
+    photos: Path = given(Table.file)
+    size: int = given(Table.integer, 400, 64, 4096)
+    steps: int = given(Table.integer, 2000, 1, 1_000_000)
+    hold_out: int = given(Table.integer, 8, 0, 1000)
+
+
+def read_source(table: Table, name: str) -> Path | Photos:
+    """The file of a model, or the photos to train one from."""
+    return table.read(Photos) if "photos" in table else table.file("model")
+
+
+def read_name(table: Table, name: str) -> str:
+    """The object's own, or that of its file."""
+    return table.text(name, "capture" if "photos" in table else table.file("model").name.split(".")[0])
+
+
+@dataclass(frozen=True)
+class Part:
+    """One object at the start.
+
+    Parameters
+    ----------
+    source : Path or Photos
+        A model file, or what to train one from.
+    bits : int
+        Length of its message; 0 leaves it unmarked.
+    profile : str
+        Of the embedding.
+    shift, turn : (3,)
+        Placement: scene units, and a rotation vector in degrees.
+    """
+
+    source: Path | Photos = given(read_source)
+    name: str = given(read_name)
+    bits: int = given(Table.integer, 32, 0, 256)
+    profile: str = given(Table.text, "balanced")
+    shift: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
+    turn: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
+    scale: float = given(Table.number, 1.0, 1e-6, 1e6)
 
 
 def scenario_key(seed: int) -> OwnerKey:
@@ -27,12 +85,12 @@ def scenario_key(seed: int) -> OwnerKey:
     return OwnerKey(hashlib.sha256(f"mark3dgs scenario key {seed}".encode()).digest())
 
 
-def load_world(scenario: Scenario, progress: Progress) -> tuple[World, tuple[str, ...]]:
+def load_world(parts: Sequence[Part], seed: int, progress: Progress) -> tuple[World, tuple[str, ...]]:
     """The world as delivered, and what there is to say about how it came to be."""
-    world = World({}, {}, {}, {}, scenario_key(scenario.seed))
+    world = World({}, {}, {}, {}, scenario_key(seed))
     notes: list[str] = []
-    for part in scenario.parts:
-        model, digest = _bring(part, scenario.seed, progress, notes)
+    for part in parts:
+        model, digest = _bring(part, seed, progress, notes)
         delivered = model
         if part.bits:
 
@@ -79,7 +137,7 @@ def _bring(part: Part, seed: int, progress: Progress, notes: list[str]) -> tuple
 
     capture = train_from_colmap(
         photos.colmap,
-        photos.images,
+        photos.photos,
         size=photos.size,
         hold_out=photos.hold_out,
         config=TrainConfig(steps=photos.steps, seed=seed),

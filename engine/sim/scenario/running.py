@@ -7,6 +7,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def run_scenario(
         If a step does not fit the world it meets; the message names the step.
     """
     report = progress or (lambda stage, fraction: None)
-    world, made = load_world(scenario, report)  # 1
+    world, made = load_world(scenario.parts, scenario.seed, report)  # 1
     show = Show(scenario.film, world.flat())
     results: list[StepResult] = []
 
@@ -94,11 +95,7 @@ def run_scenario(
         report(label, 0.0)
         began = time.perf_counter()
         try:
-            outcome = named.step.run(
-                world,
-                np.random.default_rng((scenario.seed, number)),
-                lambda fraction, label=label: report(label, fraction),  # type: ignore[misc]
-            )
+            outcome = named.step.run(world, np.random.default_rng((scenario.seed, number)), partial(report, label))
         except InputError as error:
             raise InputError(f"step {label!r}: {error}") from error
         world = outcome.world

@@ -2,83 +2,48 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from engine.errors import InputError
-from engine.sim.scenario.steps import NamedStep, read_step
-from engine.sim.scenario.tables import Table, read_table
+from engine.sim.scenario import edit_steps, life_steps, theft_steps, training_steps
+from engine.sim.scenario.marking import Part
+from engine.sim.scenario.tables import Table, given, read_table
+from engine.sim.scenario.world import Step
 
-__all__ = ["Film", "Part", "Photos", "Scenario", "read_scenario"]
+__all__ = ["KINDS", "Film", "NamedStep", "Scenario", "read_scenario"]
+
+T = TypeVar("T")
 
 MAX_STEPS = 200
 MAX_OBJECTS = 64
 
+KINDS = {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS, **training_steps.KINDS}
+"""Every kind of step, by the word that a scenario calls it with."""
 
-@dataclass(frozen=True)
-class Photos:
-    """Photos with a COLMAP reconstruction, from which an object is trained.
-
-    Parameters
-    ----------
-    colmap, images : Path
-        Folders of the reconstruction and of the photos.
-    size : int
-        Longest side of the photos in training, pixels.
-    hold_out : int
-        One photo of so many is kept for measuring.
-    """
-
-    colmap: Path
-    images: Path
-    size: int
-    steps: int
-    hold_out: int
-
-
-@dataclass(frozen=True)
-class Part:
-    """One object at the start.
-
-    Parameters
-    ----------
-    source : Path or Photos
-        A model file, or what to train one from.
-    bits : int
-        Length of its message; 0 leaves it unmarked.
-    profile : str
-        Of the embedding.
-    shift, turn : (3,)
-        Placement: scene units, and a rotation vector in degrees.
-    """
-
-    name: str
-    source: Path | Photos
-    bits: int
-    profile: str
-    shift: tuple[float, ...]
-    turn: tuple[float, ...]
-    scale: float
+TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "on")
+"""Values that make up the label of a step without one."""
 
 
 @dataclass(frozen=True)
 class Film:
     """How the run is shown: pixels, frames a step (0: no film), frames a second."""
 
-    size: tuple[int, int]
-    frames: int
-    rate: float
+    size: tuple[int, int] = given(Table.size, (640, 480), (3840, 2160))
+    frames: int = given(Table.integer, 16, 0, 1000)
+    rate: float = given(Table.number, 12.0, 1.0, 60.0)
+
+
+@dataclass(frozen=True)
+class NamedStep:
+    """A step with the words under which tables and pictures show it."""
+
+    label: str
+    step: Step
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What happens, in order.
-
-    Parameters
-    ----------
-    seed : int
-        Of the key and of every random choice.
-    parts : tuple of Part
-    steps : tuple of NamedStep
-    """
+    """What happens, in order; the seed is that of the key and of every random choice."""
 
     title: str
     seed: int
@@ -97,7 +62,7 @@ def read_scenario(path: str | Path) -> Scenario:
     """
     path = Path(path)
     top = read_table(path)
-    parts = [_part(table) for table in top.tables("objects")]
+    parts = tuple(_whole(table, Part) for table in top.tables("objects"))
     if not 1 <= len(parts) <= MAX_OBJECTS:
         raise InputError(f"{path}: a scenario has 1 to {MAX_OBJECTS} [[objects]], got {len(parts)}")
     names = [part.name for part in parts]
@@ -109,44 +74,24 @@ def read_scenario(path: str | Path) -> Scenario:
     scenario = Scenario(
         title=top.text("title", path.stem),
         seed=top.integer("seed", 0, 0, 2**63 - 1),
-        parts=tuple(parts),
-        steps=tuple(read_step(table) for table in tables),
-        film=_film(top.table("film") or Table({}, f"{path}: film", path.parent)),
+        parts=parts,
+        steps=tuple(_step(table) for table in tables),
+        film=_whole(top.table("film") or Table({}, f"{path}: film", path.parent), Film),
     )
     top.done()
     return scenario
 
 
-def _part(table: Table) -> Part:
-    if "photos" in table:
-        source: Path | Photos = Photos(
-            table.file("colmap"),
-            table.file("photos"),
-            table.integer("size", 400, 64, 4096),
-            table.integer("steps", 2000, 1, 1_000_000),
-            table.integer("hold_out", 8, 0, 1000),
-        )
-        name = "capture"
-    else:
-        source = table.file("model")
-        name = source.name.split(".")[0]
-    part = Part(
-        name=table.text("name", name),
-        source=source,
-        bits=table.integer("bits", 32, 0, 256),
-        profile=table.text("profile", "balanced"),
-        shift=table.vector("shift", (0.0, 0.0, 0.0)),
-        turn=table.vector("turn", (0.0, 0.0, 0.0)),
-        scale=table.number("scale", 1.0, 1e-6, 1e6),
-    )
+def _whole(table: Table, kind: type[T]) -> T:
+    """The dataclass that a table gives, nothing left over."""
+    made = table.read(kind)
     table.done()
-    return part
+    return made
 
 
-def _film(table: Table) -> Film:
-    width, height = (int(side) for side in table.vector("size", (640, 480), 2))
-    if not (64 <= width <= 3840 and 64 <= height <= 2160):
-        raise InputError(f"{table.place}: size must lie in 64..3840 by 64..2160, got {width}x{height}")
-    film = Film((width, height), table.integer("frames", 16, 0, 1000), table.number("rate", 12.0, 1.0, 60.0))
-    table.done()
-    return film
+def _step(table: Table) -> NamedStep:
+    word = table.text("do", choices=tuple(KINDS))
+    label = table.text("label", "")
+    step = _whole(table, KINDS[word].made)
+    told = [str(table.values[name]) for name in TELLING if name in table]
+    return NamedStep(label or " ".join([word, *told]), step)

@@ -7,12 +7,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Float32, GaussianModel
 from engine.pipeline.rigs import Extent, measure_extent
 from engine.raster import render
 from engine.sim.scenario.script import Film
-from engine.sim.scenario.viewpoint import viewpoint
-from engine.sim.scenario.world import Outcome
+from engine.sim.scenario.world import Outcome, viewpoint
 from engine.sim.views.movies import caption
 
 __all__ = ["Show"]
@@ -23,9 +22,6 @@ TURN = 75.0
 """How far the camera walks round the scene in one step, degrees."""
 
 ELEVATION = 22.0
-
-CAPTION = 0.15
-"""Share of the picture's height that captions cover: the scene stands in the middle of the rest."""
 
 FOLLOW = (0.2, 2.5)
 """A model that has grown or shrunk beyond these factors, or left the picture, is looked at anew."""
@@ -58,11 +54,8 @@ class Show:
             self._follow(models[-1])
             moments = []
             for model in models:
-                moments.append(
-                    np.clip(
-                        render(model, viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)), 0.0, 1.0
-                    )
-                )
+                camera = viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)
+                moments.append(np.clip(render(model, camera), 0.0, 1.0))
                 self._azimuth += TURN / len(models)
         drawn = [caption(moment, lines) for moment in moments]
         if self._film.frames:
@@ -75,12 +68,6 @@ class Show:
         away = np.linalg.norm(now.center - before.center) / before.radius
         if away > 1.0 or not FOLLOW[0] < now.radius / before.radius < FOLLOW[1]:
             self._extent = now
-
-    def _camera(self) -> Camera:
-        camera = viewpoint(self._extent, self._azimuth, ELEVATION, *self._film.size)
-        K = camera.K.copy()
-        K[1, 2] -= CAPTION / 2.0 * camera.height
-        return Camera(camera.viewmat, K, camera.width, camera.height)
 
     def _fitted(self, picture: Float32) -> Float32:
         """A picture of any size in the middle of a frame."""

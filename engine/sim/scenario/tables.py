@@ -1,20 +1,36 @@
-"""Strict reading of TOML tables: every value has a type and a range, and unknown names are errors."""
+"""Strict reading of TOML tables: every value has a type and a range, and unknown names are errors.
+
+A dataclass says beside each field how its value is read, `views: int = given(Table.integer, 100, 1, 10_000)`, and
+`Table.read` makes one.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from engine.errors import InputError
 
-__all__ = ["Table", "read_table"]
+__all__ = ["Table", "given", "read_table"]
 
 MAX_BYTES = 1 << 20
 """A scenario is written by a person; anything larger is no scenario."""
+LEAST_SIDE = 64
+"""Of a picture, pixels."""
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def given(read: Callable[Concatenate[Table, str, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """A field of a dataclass, read from the table's value of the same name with these defaults and limits."""
+    asked: T = field(metadata={given: lambda table, name: read(table, name, *args, **kwargs)})
+    return asked
 
 
 def read_table(path: Path) -> Table:
@@ -59,6 +75,11 @@ class Table:
                 hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(sorted(self._asked))}"
                 raise InputError(f"{self.place}: {name!r} is not known here{hint}")
 
+    def read(self, kind: type[T]) -> T:
+        """A dataclass, all of whose fields are `given`, in their order."""
+        asked = fields(kind)  # type: ignore[arg-type]  # no type says "some dataclass"
+        return kind(**{one.name: one.metadata[given](self, one.name) for one in asked})
+
     def text(self, name: str, default: str | None = None, choices: Sequence[str] = ()) -> str:
         """A string, of `choices` where given."""
         value = self._take(name, default, str, "a string")
@@ -87,6 +108,14 @@ class Table:
         if len(value) != size or not all(_is_number(v) for v in value):
             raise InputError(f"{self.place}: {name} must be a list of {size} numbers, got {value!r}")
         return tuple(self._number(name, v) for v in value)
+
+    def size(self, name: str, default: tuple[int, int], largest: tuple[int, int]) -> tuple[int, int]:
+        """Width and height of pictures, pixels."""
+        width, height = (int(side) for side in self.vector(name, default, 2))
+        if not (LEAST_SIDE <= width <= largest[0] and LEAST_SIDE <= height <= largest[1]):
+            limits = " by ".join(f"{LEAST_SIDE}..{side}" for side in largest)
+            raise InputError(f"{self.place}: {name} must lie in {limits}, got {width}x{height}")
+        return width, height
 
     def file(self, name: str) -> Path:
         """An existing file."""

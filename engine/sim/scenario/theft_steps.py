@@ -1,63 +1,78 @@
-"""Steps of thieves: attacks on models, pictures that turn up, fine-tuning."""
+"""Steps of thieves: attacks on models, pictures that turn up."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from engine.errors import InputError
-from engine.model import Camera, Float32
+from engine.model import Float32
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from engine.sim.attack import Strength
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.cost import model_cost
-from engine.sim.scenario.steps import StepKind
-from engine.sim.scenario.tables import Table
-from engine.sim.scenario.world import Advance, Outcome, World
+from engine.sim.scenario.tables import Table, given
+from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step
 
 __all__ = ["KINDS"]
+
+KINDS: dict[str, StepKind] = {}
 
 COST_VIEWS, COST_SIZE = 2, 300
 """Neutral views in which an attack's cost is measured, and their side in pixels."""
 
 
+Link = tuple[str, Strength | None]
+"""An attack's name and strength; None is its default."""
+
+
+def read_attack(table: Table, name: str) -> str:
+    """The name of an attack on models."""
+    return model_attack(table.text(name)).name
+
+
+def read_reading(table: Table, name: str) -> str | None:
+    """One of the attack's readings, or None: its default."""
+    readings = [reading.label for reading in model_attack(table.text("name")).readings]
+    return table.text(name, "-", ("-", *readings)).replace("-", "") or None
+
+
+def read_chain(table: Table, name: str) -> tuple[Link, ...]:
+    """Attacks on pictures."""
+    attacks = table.pairs(name)
+    for attack, _ in attacks:
+        image_attack(attack)  # an unknown one is refused before any work
+    return attacks
+
+
+@step(KINDS, "attack", "an attack on the model: name, strength, reading, on")
 @dataclass(frozen=True)
 class AttackModel:
     """An attack of the registry on the file, or on one object."""
 
-    name: str
-    strength: Strength | None
-    reading: str | None
-    on: str
+    name: str = given(read_attack)
+    reading: str | None = given(read_reading)
+    strength: Strength | None = given(Table.strength)
+    on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Apply it."""
         name, model = world.target(self.on)
         attacked = model_attack(self.name).apply(model, self.strength, rng=rng, reading=self.reading)
         cost = model_cost(model, attacked, views=COST_VIEWS, size=COST_SIZE)
         return Outcome(world.put(name, attacked), cost=cost)
 
 
-def read_attack(table: Table) -> AttackModel:
-    """`do = "attack", name, strength, reading, on`."""
-    name = table.text("name")
-    attack = model_attack(name)
-    reading = table.text("reading", "-", ("-", *(r.label for r in attack.readings)))
-    return AttackModel(name, table.strength("strength"), None if reading == "-" else reading, table.text("on", ""))
-
-
+@step(KINDS, "pictures", "only pictures turn up: views, size, attacks = [[name, strength]], known_cameras, on")
 @dataclass(frozen=True)
 class TakePictures:
-    """Only pictures turn up: views that nobody planned, through a chain of image attacks."""
+    """Views that nobody planned, through a chain of image attacks; the world stays as it was."""
 
-    views: int
-    size: tuple[int, int]
-    attacks: tuple[tuple[str, Strength | None], ...]
-    known_cameras: bool
-    on: str
+    attacks: tuple[Link, ...] = given(read_chain)
+    size: tuple[int, int] = given(Table.size, (800, 600), (4096, 4096))
+    views: int = given(Table.integer, 1, 1, 64)
+    known_cameras: bool = given(Table.flag, False)
+    on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Render and attack; the world stays as it was."""
         _, model = world.target(self.on)
         cameras = make_rig(model, self.views, *self.size, jitter=rng.random((self.views, 4)))
         pictures = []
@@ -67,30 +82,4 @@ class TakePictures:
                 picture = image_attack(name).apply(picture, strength, rng=rng)
             pictures.append(picture)
             advance((k + 1) / self.views)
-        told: tuple[Camera, ...] | None = tuple(cameras) if self.known_cameras else None
-        return Outcome(world, pictures=tuple(pictures), cameras=told)
-
-
-def read_pictures(table: Table) -> TakePictures:
-    """`do = "pictures", views, size, attacks, known_cameras, on`."""
-    attacks = table.pairs("attacks")
-    for name, _ in attacks:
-        image_attack(name)  # an unknown one is refused before any work
-    width, height = (int(side) for side in table.vector("size", (800, 600), 2))
-    if not (64 <= width <= 4096 and 64 <= height <= 4096):
-        raise InputError(f"{table.place}: size must lie in 64..4096 pixels a side, got {width}x{height}")
-    return TakePictures(
-        table.integer("views", 1, 1, 64),
-        (width, height),
-        attacks,
-        table.flag("known_cameras", False),
-        table.text("on", ""),
-    )
-
-
-KINDS = {
-    "attack": StepKind(read_attack, "an attack on the model: name, strength, reading, on"),
-    "pictures": StepKind(
-        read_pictures, "only pictures turn up: views, size, attacks = [[name, strength]], known_cameras, on"
-    ),
-}
+        return Outcome(world, pictures=tuple(pictures), cameras=tuple(cameras) if self.known_cameras else None)

@@ -12,28 +12,34 @@ from engine.sim.adversaries.collusion import RULES, collude
 from engine.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
 from engine.sim.capture.training import TrainConfig
 from engine.sim.cost import model_cost
-from engine.sim.fine_tuning import SETTINGS, FineTuneSetting, fine_tune, pictures_of
+from engine.sim.fine_tuning import SETTINGS, fine_tune, pictures_of
 from engine.sim.scenario.marking import mark
-from engine.sim.scenario.steps import StepKind
-from engine.sim.scenario.tables import Table
+from engine.sim.scenario.tables import Table, given
 from engine.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
-from engine.sim.scenario.world import Advance, Outcome, World
+from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step
 
 __all__ = ["KINDS"]
 
+KINDS: dict[str, StepKind] = {}
 
+
+def read_trained(table: Table, name: str) -> Literal["all", "colors"]:
+    """What moves."""
+    return "all" if table.text(name, "all", ("all", "colors")) == "all" else "colors"
+
+
+@step(KINDS, "fine_tune", "training goes on: setting, epochs, trained = all | colors, size, on")
 @dataclass(frozen=True)
 class FineTune:
-    """Training the stolen model on (paper, Table 5)."""
+    """Training the stolen model on (paper, Table 5); the attacker's clean pictures show what was registered."""
 
-    setting: FineTuneSetting
-    epochs: int
-    trained: Literal["all", "colors"]
-    size: int
-    on: str
+    setting: str = given(Table.text, "clean+key", tuple(SETTINGS))
+    trained: Literal["all", "colors"] = given(read_trained)
+    epochs: int = given(Table.integer, 100, 1, 100_000)
+    size: int = given(Table.integer, 400, 32, 2048)
+    on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Train; the attacker's clean pictures show what was registered."""
         name, model = world.target(self.on)
         opened = world.record_of(name)
         seed = int(rng.integers(2**31))
@@ -41,7 +47,7 @@ class FineTune:
         found = register(clean, model, seed=seed)
         if found.found:  # back to where the pictures show it
             model = transform_model(model, found.scale, found.R, found.t)
-        cameras, images = pictures_of(self.setting, clean, model, opened.cameras, size=self.size, seed=seed)
+        cameras, images = pictures_of(SETTINGS[self.setting], clean, model, opened.cameras, size=self.size, seed=seed)
         tuned = fine_tune(model, cameras, images, self.epochs, trained=self.trained, seed=seed, advance=advance)
         cost = model_cost(model, tuned, views=COST_VIEWS, size=COST_SIZE)
         if found.found:
@@ -50,31 +56,18 @@ class FineTune:
         return Outcome(world.put(name, tuned), cost=cost)
 
 
-def read_fine_tune(table: Table) -> FineTune:
-    """`do = "fine_tune", setting, epochs, trained, size, on`."""
-    setting = table.text("setting", "clean+key", tuple(SETTINGS))
-    trained = table.text("trained", "all", ("all", "colors"))
-    return FineTune(
-        SETTINGS[setting],
-        table.integer("epochs", 100, 1, 100_000),
-        trained,  # type: ignore[arg-type]
-        table.integer("size", 400, 32, 2048),
-        table.text("on", ""),
-    )
-
-
+@step(KINDS, "retrain", "a fresh model from renders: views, steps, points, size, on")
 @dataclass(frozen=True)
 class Retrain:
-    """A fresh model trained from nothing but renders of the stolen one."""
+    """A model trained from nothing but renders: not one of its Gaussians is one of the stolen model's."""
 
-    views: int
-    steps: int
-    points: int
-    size: int
-    on: str
+    views: int = given(Table.integer, 100, 1, 10_000)
+    steps: int = given(Table.integer, 3000, 1, 1_000_000)
+    points: int = given(Table.integer, 50_000, 100, 10_000_000)
+    size: int = given(Table.integer, 400, 32, 2048)
+    on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Render, train; not one Gaussian of the new model is one of the old."""
         name, model = world.target(self.on)
         cameras = make_rig(model, self.views, self.size, self.size, jitter=rng.random((self.views, 4)))
         train = TrainConfig(steps=self.steps, sh_degree=0, densify=None, opacity_rate=0.02)
@@ -86,27 +79,16 @@ class Retrain:
         return Outcome(world.put(name, fresh), notes=(note,))
 
 
-def read_retrain(table: Table) -> Retrain:
-    """`do = "retrain", views, steps, points, size, on`."""
-    return Retrain(
-        table.integer("views", 100, 1, 10_000),
-        table.integer("steps", 3000, 1, 1_000_000),
-        table.integer("points", 50_000, 100, 10_000_000),
-        table.integer("size", 400, 32, 2048),
-        table.text("on", ""),
-    )
-
-
+@step(KINDS, "collude", "several copies become one: copies, rule, on")
 @dataclass(frozen=True)
 class Collude:
-    """Several buyers put their copies together; every one of them should be named."""
+    """Several buyers put their copies together, which are marked here; every one of them should be named."""
 
-    copies: int
-    rule: str
-    on: str
+    copies: int = given(Table.integer, 3, 2, 10)
+    rule: str = given(Table.text, "mean", tuple(RULES))
+    on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        """Mark further copies of what was registered, and combine them; their records join the world's."""
         name, _ = world.target(self.on)
         first = world.record_of(name)
         records, models = {}, []
@@ -127,15 +109,3 @@ class Collude:
         left = {other: record for other, record in world.records.items() if other != name}
         world = replace(world, records={**left, **records})
         return Outcome(world.put(name, mixed), cost=cost)
-
-
-def read_collude(table: Table) -> Collude:
-    """`do = "collude", copies, rule, on`."""
-    return Collude(table.integer("copies", 3, 2, 10), table.text("rule", "mean", tuple(RULES)), table.text("on", ""))
-
-
-KINDS = {
-    "fine_tune": StepKind(read_fine_tune, "training goes on: setting, epochs, trained = all | colors, size, on"),
-    "retrain": StepKind(read_retrain, "a fresh model from renders: views, steps, points, size, on"),
-    "collude": StepKind(read_collude, "several copies become one: copies, rule, on"),
-}

@@ -1,24 +1,31 @@
-"""What a scenario plays with: objects, each perhaps with a mark of its own, and what one step leaves behind."""
+"""What a scenario plays with: objects, each perhaps with a mark of its own; what a step is and leaves behind."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
 
 from engine.errors import InputError
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.pipeline.rigs import FIELD_OF_VIEW, UP, Extent, direction
 from engine.pipeline.sealing import OpenedRecord
 from engine.sim.cost import Cost
 from engine.sim.model_placement import join
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["Advance", "Outcome", "World"]
+__all__ = ["Advance", "Outcome", "Step", "StepKind", "World", "step", "viewpoint"]
 
 Advance = Callable[[float], None]
 """Told the fraction of a step that is done."""
 
 EVERYTHING = "everything"
 """Name of the one object that is left when a step treats the whole file as one."""
+
+MARGIN = 1.3
+"""Distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +114,42 @@ class Outcome:
     cameras: tuple[Camera, ...] | None = None
     notes: tuple[str, ...] = ()
     cost: Cost | None = None
+
+
+class Step(Protocol):
+    """One thing that happens to a world."""
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        """Carry it out; the world given stays as it is."""
+        ...
+
+
+@dataclass(frozen=True)
+class StepKind:
+    """A kind of step: a dataclass of `given` fields, and one line for `mark3dgs sim --list`."""
+
+    made: type[Step]
+    summary: str
+
+
+S = TypeVar("S", bound=type[Step])
+
+
+def step(kinds: dict[str, StepKind], word: str, summary: str) -> Callable[[S], S]:
+    """Enters a class among `kinds` under the word by which scenarios call it."""
+
+    def enter(made: S) -> S:
+        kinds[word] = StepKind(made, summary)
+        return made
+
+    return enter
+
+
+def viewpoint(extent: Extent, azimuth: float, elevation: float, width: int, height: int) -> Camera:
+    """Camera on an orbit around a scene, or in the middle of a room looking out; angles in degrees."""
+    toward = direction(np.radians(azimuth), np.radians(elevation))
+    focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
+    if extent.is_room:
+        return look_at(extent.center, extent.center + extent.radius * toward, UP, focal, width, height)
+    away = MARGIN * extent.radius / np.sin(np.arctan(min(width, height) / (2.0 * focal)))
+    return look_at(extent.center + away * toward, extent.center, UP, focal, width, height)

@@ -4,87 +4,79 @@ A render is a pinhole's picture; these make of it what another camera would have
 the picture's edge there is black.
 """
 
-from typing import Protocol
-
 import numpy as np
 
-from engine.errors import InputError
 from engine.model import Float32, Float64
 from engine.numerics.lens import BrownLens, FisheyeLens
-from engine.sim.attack import check_fraction
-from engine.sim.views.checks import check_image, finished
+from engine.sim.attack import Attacks
 
-__all__ = ["FOCAL", "lens_brown", "lens_fisheye", "lens_radial", "rolling_shutter"]
+__all__ = ["ATTACKS"]
+
+ATTACKS: Attacks[Float32] = Attacks("image")
 
 FOCAL = 1.105
-"""Focal length in widths of the picture where none is told: that of the generated rigs (49 degrees)."""
+"""Focal length in widths of the picture: that of the generated rigs (49 degrees)."""
 
 CALIBRATED = BrownLens(k1=-0.2834, k2=0.0740, p1=0.00194, p2=0.00018)
 """A wide machine-vision lens: EuRoC MAV's cam0 (Burri et al. 2016), its tangential part ten times as large."""
 
 
-class _Lens(Protocol):
-    def undistort(self, points: Float64) -> Float64: ...
+@ATTACKS.add(
+    "a lens with radial distortion: barrel or pincushion",
+    "k1, below 0 a barrel",
+    -0.1,
+    (-0.01, 0.01, -0.03, 0.03, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3),
+    "(-inf, inf)",
+)
+def lens_radial(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
+    """OpenCV's k1."""
+    return _through(image, BrownLens(k1=strength))
 
 
-def lens_radial(image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL) -> Float32:
-    """Plain radial distortion with k1 = `strength`: a barrel below zero, a pincushion above.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-    strength : float
-        OpenCV's k1.
-    rng : numpy.random.Generator
-        Not used.
-    focal : float
-        Focal length of the picture, widths of it.
-
-    Returns
-    -------
-    (H, W, 3) float32
-
-    Raises
-    ------
-    InputError
-        If a number is not finite or the image is not one.
-    """
-    return _through(image, BrownLens(k1=float(strength)), focal)
+@ATTACKS.add(
+    "a wide lens with radial and tangential distortion",
+    "multiples of a calibrated lens",
+    0.5,
+    (0.05, 0.1, 0.25, 0.5, 0.75, 1.0),
+    "(-inf, inf)",
+)
+def lens_brown(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
+    """Each coefficient of `CALIBRATED` times `strength`."""
+    c, s = CALIBRATED, strength
+    return _through(image, BrownLens(s * c.k1, s * c.k2, s * c.k3, s * c.p1, s * c.p2))
 
 
-def lens_brown(image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL) -> Float32:
-    """Radial and tangential distortion of a calibrated lens (`CALIBRATED`), each coefficient times `strength`."""
-    c, s = CALIBRATED, float(strength)
-    return _through(image, BrownLens(s * c.k1, s * c.k2, s * c.k3, s * c.p1, s * c.p2), focal)
+@ATTACKS.add(
+    "a fisheye lens", "0 pinhole, 1/2 stereographic, 1 equidistant", 0.5, (0.05, 0.1, 0.25, 0.5, 1.0), "[0, 1]"
+)
+def lens_fisheye(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
+    return _through(image, FisheyeLens(strength))
 
 
-def lens_fisheye(image: Float32, strength: float, rng: np.random.Generator, *, focal: float = FOCAL) -> Float32:
-    """A fisheye: `strength` 0 is the pinhole, 1/2 stereographic, 1 equidistant."""
-    return _through(image, FisheyeLens(float(strength)), focal)
-
-
+@ATTACKS.add(
+    "a camera that pans while its rows are read",
+    "shift of the last row, widths",
+    0.03,
+    (0.002, 0.01, 0.03, 0.1, 0.2),
+    "(-1, 1)",
+)
 def rolling_shutter(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
-    """A camera that pans while its rows are read: the last row is shifted by `strength` widths against the first."""
+    """The shift is against the first row."""
     from engine.numerics.resampling import remap
 
-    check_image(image)
-    check_fraction(abs(strength), "shift of the last row")
     height, width = image.shape[:2]
     positions = _pixels(height, width)
     positions[..., 0] += strength * width * (positions[..., 1] / height - 0.5)
-    return finished(remap(image, positions)[0])
+    return remap(image, positions)[0]
 
 
-def _through(image: Float32, lens: _Lens, focal: float) -> Float32:
+def _through(image: Float32, lens: BrownLens | FisheyeLens) -> Float32:
     from engine.numerics.resampling import remap
 
-    check_image(image)
-    if not (np.isfinite(focal) and focal > 0):
-        raise InputError(f"focal length must be positive, got {focal}")
     height, width = image.shape[:2]
-    center, unit = np.array([width / 2, height / 2]), focal * width
+    center, unit = np.array([width / 2, height / 2]), FOCAL * width
     positions = unit * lens.undistort((_pixels(height, width) - center) / unit) + center
-    return finished(remap(image, positions)[0])
+    return remap(image, positions)[0]
 
 
 def _pixels(height: int, width: int) -> Float64:

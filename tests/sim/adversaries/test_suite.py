@@ -13,8 +13,7 @@ from engine.model import GaussianModel
 from engine.pipeline.verification import VerifyConfig
 from engine.sim import find_attack, model_attack
 from engine.sim.cost import image_cost, model_cost
-from engine.sim.suite import Company, Trial, apply_chain, failures_first, run_suite
-from engine.sim.suite_trials import SUITE
+from engine.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
 from tests.sim.adversaries.conftest import Marked
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import InputError
-from engine.sim.scenario import all_kinds, read_scenario
+from engine.sim.scenario import KINDS, read_scenario
 
 PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
 OBJECT = f'[[objects]]\nmodel = "{PLANT}"\n'
@@ -68,7 +68,7 @@ def test_refusals(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_every_kind_says_what_it_takes() -> None:
-    kinds = all_kinds()
+    kinds = KINDS
     assert {"attack", "pictures", "recolor", "delete", "drop", "press", "add", "remove"} <= set(kinds)
     assert all(kind.summary for kind in kinds.values())
 
