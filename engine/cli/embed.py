@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +13,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.files import check_target, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import format_for, loss_note, repair_entries, say_repairs
+from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, Key, SpzFrame
 from engine.errors import InputError
 
@@ -86,6 +86,7 @@ def embed(
     kind = format_for(out)
 
     from engine.formats import read_cameras, read_model, write_model
+    from engine.formats.writing import loss_note
     from engine.pipeline.choosing import AUTO, START, choose
     from engine.pipeline.embedding import embed as embed_mark
     from engine.pipeline.progress import Clock
@@ -158,7 +159,7 @@ def embed(
         "format_out": kind,
         "profile": profile,
         "choice": None if choice is None else choice.report(),
-        "repairs": repair_entries(loaded.repairs),
+        "repairs": [asdict(repair) for repair in loaded.repairs],
         "notes": loss_note(made.model, kind),
         "seconds": time.perf_counter() - began,
         "seconds_by_stage": stages,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from engine.cli.console import Console
 from engine.errors import InputError
 
 if TYPE_CHECKING:
     from engine.formats import Repair
-    from engine.model import GaussianModel
 
 DEMO_SCENE = "plant.splat"
 
@@ -25,28 +24,6 @@ def format_for(path: Path) -> str:
             return name
     endings = ", ".join(f".{name}" for name in FORMATS)
     raise InputError(f"{str(path)!r}: the ending must name a format: {endings}")
-
-
-def loss_note(model: GaussianModel, kind: str) -> list[str]:
-    """What the format cannot hold of this model, in words."""
-    notes = []
-    if kind == "splat" and model.sh_degree > 0:
-        notes.append(
-            ".splat stores no spherical harmonics: colour that changes with the view"
-            f" (degree {model.sh_degree}) was dropped; the mark survives"
-        )
-    if kind != "ply" and model.is_flat:
-        thickness = "as thin as it allows" if kind == "spz" else "of next to no thickness"
-        notes.append(
-            f".{kind} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
-            " and other programs draw them as such; .ply keeps two scales; the mark survives"
-        )
-    return notes
-
-
-def repair_entries(repairs: Iterable[Repair]) -> list[dict[str, Any]]:
-    """Repairs as plain values."""
-    return [{"code": repair.code, "count": repair.count, "text": repair.text} for repair in repairs]
 
 
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import are_pictures, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key
@@ -61,6 +61,7 @@ def trace(
     files = _files(records)
 
     from engine.formats import read_cameras, read_model
+    from engine.formats.pictures import read_picture
     from engine.pipeline.sealing import open_record
     from engine.pipeline.tracing import trace_images, trace_model
     from engine.pipeline.verification import VerifyConfig

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,9 +12,9 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import repair_entries, say_repairs
+from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key, SpzFrame
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def verify(
     from engine.pipeline.sealing import open_record
     from engine.pipeline.verification import VerifyConfig
     from engine.watermark.keys import OwnerKey
+    from engine.watermark.wording import PLAIN, words_of
 
     config = VerifyConfig(false_claim_rate=false_claim_rate, route=route, decoder=decoder)
     owner = OwnerKey.read(key)
@@ -87,7 +89,7 @@ def verify(
             progress("read", 0.0)
             loaded = read_model(suspects[0], spz_frame=spz_frame)
             say_repairs(console, loaded.repairs)
-            repairs = repair_entries(loaded.repairs)
+            repairs = [asdict(repair) for repair in loaded.repairs]
             read_seconds = time.perf_counter() - started
             found = verify_model(loaded.model, opened, config, progress)
     report = claim_report(found, opened) | {
@@ -101,7 +103,8 @@ def verify(
         "read": read_seconds,
         **found.seconds_by_stage,
     }
-    for line in claim_lines(report, ", ".join(report["suspects"])):
+    words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=len(suspects) if pictures else 0)
+    for line in claim_lines(words):
         console.say(line)
     console.emit(report)
     return VERDICT_CODES[report["verdict"]]
@@ -122,6 +125,7 @@ def _look_at_pictures(
     paths: list[Path], opened: OpenedRecord, config: VerifyConfig, cameras: Path | None, progress: Progress
 ) -> tuple[float, Verification]:
     from engine.formats import read_cameras
+    from engine.formats.pictures import read_picture
     from engine.pipeline.verification import verify_images
 
     started = time.perf_counter()

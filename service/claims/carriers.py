@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from typing import Any
 
 MOST_BYTES = 64 << 20
-_MEMBERS = {"document", "jws", "timestamp"}
+_MEMBERS = {"document", "jws", "timestamp", "summary"}
 
 
 class UnreadableError(ValueError):
@@ -23,8 +23,8 @@ class Carried:
     ----------
     kind : str
         "jws", "json" or "html".
-    document : dict or None
-        As a JSON claim spells it out.
+    document, summary : dict or None
+        As a JSON claim spells them out.
     pictures : dict
         Name -> bytes, of a report.
     """
@@ -32,6 +32,7 @@ class Carried:
     kind: str
     jws: str
     document: dict[str, Any] | None = None
+    summary: Any = None
     timestamp: bytes | None = None
     pictures: dict[str, bytes] = field(default_factory=dict)
 
@@ -71,8 +72,9 @@ def _from_json(text: str) -> Carried:
         claim = strict_json(text)
         document, jws, stamp = claim["document"], claim["jws"], claim.get("timestamp")
         if not (isinstance(document, dict) and isinstance(jws, str) and set(claim) <= _MEMBERS):
-            raise UnreadableError("a claim as JSON has the members `document`, `jws` and `timestamp`, and no other")
-        return Carried("json", jws, document, _decode(stamp) if stamp is not None else None)
+            raise UnreadableError("a claim as JSON has no members but `document`, `jws`, `timestamp` and `summary`")
+        stamped = _decode(stamp) if stamp is not None else None
+        return Carried("json", jws, document, claim.get("summary"), stamped)
     except (KeyError, RecursionError) as error:
         raise UnreadableError(f"this JSON is no claim: {error or 'too deep'}") from None
     except UnreadableError:
@@ -89,7 +91,9 @@ def _from_html(text: str) -> Carried:
         raise UnreadableError("this page is no report: it holds no signed claim")
     stamp = reader.texts.get("timestamp")
     pictures = {name: _decode(data) for name, data in reader.pictures.items()}
-    return Carried("html", reader.texts["jws"], None, _decode(stamp) if stamp is not None else None, pictures)
+    return Carried(
+        "html", reader.texts["jws"], timestamp=_decode(stamp) if stamp is not None else None, pictures=pictures
+    )
 
 
 class _ReportReader(HTMLParser):

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
+from service.claims.document import document_words, summary_of
 from service.core import Service
 from service.db.schema import claims
 from service.http.access import Core, Reader
@@ -20,12 +21,47 @@ router = APIRouter(tags=["claims"])
 JWS_TYPE = "application/jose"
 
 
+class Fact(BaseModel):
+    """Something that was found."""
+
+    label: str
+    text: str
+
+
+class Bar(BaseModel):
+    """What a bound is held against."""
+
+    log10: float
+    text: str
+
+
+class NamedCheck(BaseModel):
+    """A check of the document, with its name and outcome for people."""
+
+    code: str
+    ok: bool | None
+    text: str
+    name: str
+    outcome: str
+
+
+class Summary(BaseModel):
+    """The claim in words; they follow from the document, and are not signed themselves."""
+
+    headline: str
+    finding: str = Field(description="The verdict in one sentence.")
+    facts: list[Fact]
+    limits: list[Bar]
+    checks: list[NamedCheck]
+
+
 class SignedClaim(BaseModel):
     """A claim: the document, and the signature over it."""
 
     document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
     jws: str = Field(description="Compact JWS over the document, Ed25519.")
     timestamp: str | None = Field(description="RFC 3161 token of the JWS, base64; null where none was made.")
+    summary: Summary
 
 
 class ClaimSummary(BaseModel):
@@ -34,6 +70,8 @@ class ClaimSummary(BaseModel):
     id: str
     asset_id: str | None
     verdict: str
+    headline: str
+    finding: str
     log10_false_claim: float
     created_at: str
 
@@ -85,7 +123,8 @@ def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     """A claim."""
     row = own(core, caller.tenant, claim_id)
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
-    return SignedClaim(document=json.loads(row.document), jws=row.jws, timestamp=stamp)
+    document = json.loads(row.document)
+    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
 
 
 @router.get(
@@ -125,10 +164,13 @@ def own(core: Service, tenant: str, claim_id: str) -> Any:
 
 def _summary(row: Any) -> ClaimSummary:
     document = json.loads(row.document)
+    words = document_words(document)
     return ClaimSummary(
         id=row.id,
         asset_id=row.asset,
         verdict=document["verdict"],
+        headline=words.headline,
+        finding=words.finding,
         log10_false_claim=document["log10_false_claim"],
         created_at=row.created_at,
     )

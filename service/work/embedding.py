@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from engine.cli.models import loss_note, repair_entries
 from engine.formats import encode_model
+from engine.formats.writing import loss_note
 from engine.pipeline.choosing import AUTO, START, choose
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import EmbedConfig, profile
@@ -84,7 +84,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "record_bytes": len(record),
         "profile": request["profile"],
         "choice": None if choice is None else choice.report(),
-        "repairs": repair_entries(loaded.repairs),
+        "repairs": [asdict(repair) for repair in loaded.repairs],
         "notes": loss_note(made.model, kind),
         "seconds": ended - began,
         "seconds_by_stage": {

@@ -15,10 +15,10 @@ from engine.errors import RecordError
 from engine.model import Float32, GaussianModel
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.claim import Verdict
 from engine.watermark.messages import message_hex
 from service.problems import Problem
-from service.work.checks import NO_RECORD, checks_of
 from service.work.evidence_pictures import draw_evidence
 from service.work.inputs import Candidate, load_cameras, load_candidates, load_model, load_pictures
 from service.work.process import Progress
@@ -164,11 +164,11 @@ def _report(best: Outcome | None, tries: int, suspect: Suspect) -> dict[str, Any
     nothing: dict[str, Any] = {"asset": None, "claim": None, "record": None, "registered_message": None, "files": {}}
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}
-    claim = best.found.claim if best.found is not None else None
+    claim = best.found.claim.to_json() if best.found is not None else None
     reply = nothing | {
         "asset": best.ranked.candidate.asset,
         "tries": tries,
-        "claim": claim.to_json() if claim is not None else None,
+        "claim": claim,
         "checks": checks_of(claim, best.error, len(suspect.pictures)),
     }
     if best.opened is not None:
