@@ -17,33 +17,18 @@ class UnreadableError(ValueError):
 
 @dataclass(frozen=True)
 class Carried:
-    """What was found in a file.
+    """What was found in a file."""
 
-    Parameters
-    ----------
-    kind : str
-        "jws", "json" or "html".
-    document, summary : dict or None
-        As a JSON claim spells them out.
-    pictures : dict
-        Name -> bytes, of a report.
-    """
-
-    kind: str
+    kind: str  # jws, json or html
     jws: str
-    document: dict[str, Any] | None = None
+    document: dict[str, Any] | None = None  # as a JSON claim spells it out, and `summary` too
     summary: Any = None
     timestamp: bytes | None = None
-    pictures: dict[str, bytes] = field(default_factory=dict)
+    pictures: dict[str, bytes] = field(default_factory=dict)  # of a report, by name
 
 
 def unpack(data: bytes) -> Carried:
-    """Find the claim in a file.
-
-    Raises
-    ------
-    UnreadableError
-    """
+    """Find the claim in a file, or raise UnreadableError."""
     if len(data) > MOST_BYTES:
         raise UnreadableError(f"a claim has at most {MOST_BYTES} bytes, this file has {len(data)}")
     try:
@@ -58,12 +43,7 @@ def unpack(data: bytes) -> Carried:
 
 
 def strict_json(text: str | bytes) -> Any:
-    """JSON in which no name stands twice (readers disagree about which one counts) and no number is NaN.
-
-    Raises
-    ------
-    ValueError
-    """
+    """JSON in which no name stands twice (readers disagree about which counts) and no number is NaN, or ValueError."""
     return json.loads(text, object_pairs_hook=_each_once, parse_constant=_refuse)
 
 

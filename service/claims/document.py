@@ -173,9 +173,9 @@ def build_document(
     sha256 : sequence of str
         Of each file handed in.
     asset : mapping or None
-        Row of the asset that the reply names.
+        Row of the asset that the reply names; without one, the two dates are "".
     registered_at, original_registered_at : str
-        When the asset entered the log, and when a copy of its original was first registered; "" without an asset.
+        When the asset entered the log, and when a copy of its original was first registered.
     pictures : mapping
         Name -> SHA-256 of the pictures of the report.
     """

@@ -38,23 +38,14 @@ def bit_lines(message: Mapping[str, Any]) -> list[list[Bit]]:
 
 @dataclass(frozen=True)
 class Scale:
-    """The false-claim bound on a logarithmic axis.
-
-    Parameters
-    ----------
-    ticks : list of (x, power)
-    bar : float
-        Where the bound stands, or the right end if it lies beyond.
-    limits : list of (x, text)
-        What it is held against.
-    """
+    """The false-claim bound on a logarithmic axis: places in x."""
 
     left: float
     right: float
-    ticks: list[tuple[float, int]]
-    bar: float
+    ticks: list[tuple[float, int]]  # and powers of ten
+    bar: float  # where the bound stands, or the right end if it lies beyond
     beyond: bool
-    limits: list[tuple[float, str]]
+    limits: list[tuple[float, str]]  # what it is held against
 
 
 def bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> Scale:

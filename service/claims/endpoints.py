@@ -4,17 +4,14 @@ import base64
 import json
 from typing import Any
 
-import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
-from service.core import Service
+from service.db.pages import own, page
 from service.db.schema import claims
-from service.http.access import Core, Reader
+from service.http.access import After, Core, Limit, Reader
 from service.http.failures import responses
-from service.http.lists import After, Limit, page
-from service.problems import Problem
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
@@ -110,7 +107,7 @@ def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
 )
 def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
     """The signed claim alone: hand it to whoever must be convinced."""
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     return Response(
         row.jws, media_type=JWS_TYPE, headers={"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
     )
@@ -121,7 +118,7 @@ def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
 )
 def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     """A claim."""
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
     document = json.loads(row.document)
     return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
@@ -140,7 +137,7 @@ def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
     from service.claims.report import report_html
 
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 
@@ -150,16 +147,6 @@ def key_set(core: Core, response: Response) -> KeySet:
     """Public keys of claims, those of the past too."""
     response.headers["Cache-Control"] = "public, max-age=300"
     return KeySet(keys=jwks(core.db)["keys"])
-
-
-def own(core: Service, tenant: str, claim_id: str) -> Any:
-    """The row of a claim; not-found for other tenants' too."""
-    mine = (claims.c.id == claim_id) & (claims.c.tenant == tenant)
-    with core.db.read() as connection:
-        row = connection.execute(sa.select(claims).where(mine)).first()
-    if row is None:
-        raise Problem("not-found", f"there is no claim {claim_id!r}")
-    return row
 
 
 def _summary(row: Any) -> ClaimSummary:

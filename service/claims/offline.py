@@ -37,36 +37,20 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked.
+    """One thing that was checked."""
 
-    Parameters
-    ----------
-    code : str
-        readable, signature, schema, arithmetic, log, registration, document, summary, pictures, page or timestamp.
-    """
-
-    code: str
+    code: str  # readable, signature, schema, arithmetic, log, registration, or as `_around` says
     status: Status
     text: str
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What is known of a file after checking it.
+    """What is known of a file after checking it."""
 
-    Parameters
-    ----------
-    checks : tuple of Check
-        In order; after a failure that leaves nothing to go by, no more are made.
-    document : dict or None
-        What is signed; None unless the signature and the form hold.
-    signed_by : str
-        Id of the key.
-    """
-
-    checks: tuple[Check, ...]
-    document: dict[str, Any] | None = None
-    signed_by: str = ""
+    checks: tuple[Check, ...]  # in order; after a failure that leaves nothing to go by, no more are made
+    document: dict[str, Any] | None = None  # what is signed; None unless the signature and the form hold
+    signed_by: str = ""  # id of the key
 
     @property
     def valid(self) -> bool:
@@ -83,8 +67,6 @@ def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequen
 
     Parameters
     ----------
-    data : bytes
-        The file.
     jwks : mapping
         The keys that are trusted to sign claims.
     tsa_certificates : sequence of Certificate

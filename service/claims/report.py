@@ -35,10 +35,6 @@ def report_html(
 
     Parameters
     ----------
-    document : mapping
-        The signed document.
-    jws : str
-        Its signature, with it.
     pictures : mapping
         Name -> PNG bytes, as `document["pictures"]` names them.
     timestamp : bytes, optional

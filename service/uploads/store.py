@@ -11,6 +11,7 @@ import sqlalchemy as sa
 from engine.formats.pictures import starts_like_picture
 from service.clock import now
 from service.core import Service
+from service.db.pages import own
 from service.db.schema import uploads
 from service.problems import Problem
 
@@ -32,14 +33,8 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
 
 
 def get(service: Service, tenant: str, upload_id: str) -> Any:
-    """The row of a slot; not-found for other tenants' too."""
-    with service.db.read() as connection:
-        row = connection.execute(
-            sa.select(uploads).where((uploads.c.id == upload_id) & (uploads.c.tenant == tenant))
-        ).first()
-    if row is None:
-        raise Problem("not-found", f"there is no upload {upload_id!r}")
-    return row
+    """The row of a slot."""
+    return own(service.db, uploads, tenant, upload_id)
 
 
 def add_part(service: Service, row: Any, path: Path, length: int) -> None:

@@ -1,21 +1,7 @@
 """`python -m service.work`: the process of one task; what it says is in `process`."""
 
-from collections.abc import Mapping
-
-from service.work.process import Task, serve
-
-
-def _tasks() -> Mapping[str, Task]:
-    from service.work.tasks import TASKS
-
-    return TASKS
-
-
-def _warm_up() -> None:
-    from service.work.tasks import preload
-
-    preload()
-
+from service.work.process import serve
+from service.work.tasks import TASKS, preload
 
 if __name__ == "__main__":
-    serve(_tasks, _warm_up)
+    serve(TASKS, preload)
