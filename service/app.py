@@ -18,9 +18,8 @@ from service.claims.endpoints import router as claims
 from service.core import Service
 from service.embeds.endpoints import router as embeds
 from service.health.endpoints import router as health
-from service.http.failures import RequestIds, install
-from service.http.headers import SafeHeaders
-from service.http.limits import BodyLimit
+from service.http.failures import install
+from service.http.middleware import BodyLimit, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
@@ -70,7 +69,6 @@ def make_app(service: Service) -> FastAPI:
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)
     app.add_middleware(SafeHeaders)
-    app.add_middleware(RequestIds)
 
     @app.get("/", include_in_schema=False)
     def page() -> FileResponse:

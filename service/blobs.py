@@ -20,16 +20,9 @@ _CHUNK = 4 << 20
 
 
 class Blobs:
-    """Files by digest, and parts of uploads by name.
+    """Files by digest, and parts of uploads by name, in a folder or (by a URL s3://...) in a store.
 
-    Parameters
-    ----------
-    url : str
-        s3://..., or empty for the folder.
-    folder : Path
-        Of the local blobs.
-    scratch : Path
-        For files in the making; on the file system of the folder, so that putting a file is a rename.
+    Files in the making lie in `scratch`, on the file system of the folder, so that putting a file is a rename.
     """
 
     def __init__(self, url: str, folder: Path, scratch: Path) -> None:
@@ -45,9 +38,9 @@ class Blobs:
             self.store = from_url(url)
 
     @contextmanager
-    def new_file(self, ending: str = "") -> Iterator[Path]:
+    def new_file(self) -> Iterator[Path]:
         """A fresh path in the scratch folder; whatever is left there at the end is removed."""
-        path = self.scratch / f"{secrets.token_hex(16)}{ending}"
+        path = self.scratch / f"{secrets.token_hex(16)}"
         try:
             yield path
         finally:

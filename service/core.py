@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from service.blobs import Blobs
 from service.db import Database
 from service.jobs.durable import DurableJobs
+from service.jobs.port import Run
+from service.problems import Problem
 from service.settings import Settings
 from service.trust.master import MasterKey
+from service.trust.owner_keys import open_key
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,39 @@ class Service:
         db.migrate()
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
         return cls(settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database()))
+
+    def do_task(self, run: Run, task: str, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Do a task of `service.work` in a step; its reply, with `kept` (name -> SHA-256) in place of its `files`."""
+        reply = run.work(task, request)
+        files: dict[str, str] = reply.pop("files", {})
+        return reply | {"kept": {name: self.blobs.put(run.folder / file) for name, file in files.items()}}
+
+    def local(self, sha256: str | None, run: Run) -> str | None:
+        """Path where a step can read a blob, if there is one."""
+        return str(self.blobs.local(sha256, run.folder)) if sha256 else None
+
+    def candidates(self, rows: Iterable[Any], run: Run) -> list[dict[str, Any]]:
+        """Rows of the table `assets` as tasks take them; their owner keys go through a pipe only.
+
+        An asset whose owner key was erased cannot be looked for: it is left out.
+        """
+        found = []
+        for row in rows:
+            try:
+                key = open_key(self.db, self.master, row.tenant, row.owner_key)
+            except Problem as problem:
+                if problem.kind != "not-found":
+                    raise
+                continue
+            found.append(
+                {
+                    "asset": row.id,
+                    "record": self.local(row.record_sha256, run),
+                    "sketch": self.local(row.sketch_sha256, run),
+                    "key": key.secret.hex(),
+                }
+            )
+        return found
 
     def close(self) -> None:
         """Give connections back."""

@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import (
-    JPEG_QUALITY,
-    check_picture_ending,
-    check_target,
-    is_picture,
-    read_picture,
-    refuse_same,
-    whole_file,
-    write_picture,
-)
-from engine.cli.models import format_for, loss_note, say_repairs
+from engine.cli.files import JPEG_QUALITY, check_picture_ending, check_target, refuse_same, whole_file, write_picture
+from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, Seed, SpzFrame
 from engine.errors import InputError
 
@@ -82,6 +73,7 @@ def attack(
     began = time.perf_counter()
     check_target(out)
     refuse_same(target, out)
+    from engine.formats.pictures import is_picture
     from engine.sim.attacks import find_attack
 
     chosen = find_attack(name)
@@ -141,6 +133,7 @@ def _attack_model(
     apply: Callable[..., GaussianModel], target: Path, out: Path, into: Path | None, spz_frame: str, console: Console
 ) -> dict[str, Any]:
     from engine.formats import read_model, write_model
+    from engine.formats.writing import loss_note
 
     kind = format_for(out)
     loaded = read_model(target, spz_frame=spz_frame)
@@ -159,6 +152,8 @@ def _attack_model(
 
 def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path, quality: int) -> dict[str, Any]:
     """`quality` of a JPEG file: that of the attack `jpeg` is coded once more with the same tables."""
+    from engine.formats.pictures import read_picture
+
     check_picture_ending(out)
     image = read_picture(target)
     result = apply(image)

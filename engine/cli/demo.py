@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.claim_text import claim_lines, headline, odds, surely
+from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.embed import size
-from engine.cli.files import check_target, read_picture, whole_file, write_picture, write_secret
+from engine.cli.files import check_target, whole_file, write_picture, write_secret
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from engine.pipeline.sealing import OpenedRecord
     from engine.pipeline.verification import Verification
     from engine.watermark.keys import OwnerKey
+    from engine.watermark.wording import Words
 
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
@@ -62,6 +63,8 @@ def demo(
 
       mark3dgs demo --out demo-out
     """
+    from engine.watermark.wording import PLAIN, words_of
+
     console = Console(json)
     began = time.perf_counter()
     scene = model if model is not None else shipped_scene()
@@ -76,8 +79,8 @@ def demo(
         outcomes = _trials(work, original, made.model, opened)
         outcomes["another key"] = _wrong_key(work)
         progress("picture", 0.0)
-        stolen = outcomes["piece"]
-        _picture(out / "demo.png", scene.name, original, made, stolen)
+        words = words_of(outcomes["piece"], PLAIN, suspect=STOLEN)
+        _picture(out / "demo.png", scene.name, original, made, words)
     expected = {
         "moved": "marked",
         "piece": "marked",
@@ -87,7 +90,7 @@ def demo(
     }
     found = {name: outcome["verdict"] for name, outcome in outcomes.items()}
     console.say()
-    for line in claim_lines(stolen, STOLEN):
+    for line in claim_lines(words):
         console.say(line)
     console.say()
     console.say(f"{time.perf_counter() - began:.0f} s in all. Look at {out / 'demo.png'}; try it yourself:")
@@ -158,6 +161,7 @@ def _trials(
 
     from engine.evaluate.bars_images import random_view
     from engine.formats import read_model, write_model
+    from engine.formats.pictures import read_picture
     from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
     from engine.raster import render
     from engine.sim.attacks import model_attack
@@ -213,10 +217,12 @@ def _trials(
 
 
 def _summary(report: Mapping[str, Any]) -> str:
+    from engine.watermark.wording import PLAIN, surely
+
     verdict = report["verdict"].replace("_", " ")
     bits = f"{report['matching_bits']}/{report['bits']} bits"
     if report["verdict"] == "marked":
-        chance = odds(report["log10_false_claim"])
+        chance = PLAIN.odds(report["log10_false_claim"])
         return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
     return f"{verdict:<11} {bits}, as coins would; a worn mark would show: {surely(report['power'])} sure"
 
@@ -240,7 +246,7 @@ def _wider(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
-def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, stolen: Mapping[str, Any]) -> None:
+def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, words: Words) -> None:
     """Original, marked, their difference, the stolen piece and the claim, in one picture."""
     import numpy as np
 
@@ -261,6 +267,6 @@ def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, st
             Panel("Original", f"{name}, {len(original):,} Gaussians", before),
             Panel("Marked", fidelity, after),
             Panel("Stolen", f"{len(found):,} Gaussians, cropped, moved, as .spz", piece),
-            headline(stolen, STOLEN),
-            claim_lines(stolen, STOLEN)[2:],
+            words.headline,
+            claim_lines(words, headline=False, parts=("says", "does_not_say")),
         )

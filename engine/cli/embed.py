@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.files import check_target, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import format_for, loss_note, repair_entries, say_repairs
+from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, Key, Knobs, SpzFrame
 from engine.errors import InputError
 
@@ -83,6 +84,7 @@ def embed(
     kind = format_for(out)
 
     from engine.formats import read_cameras, read_model, write_model
+    from engine.formats.writing import loss_note
     from engine.pipeline.embedding import embed as embed_mark
     from engine.pipeline.profiles import compose
     from engine.watermark.keys import OwnerKey
@@ -137,7 +139,7 @@ def embed(
         "format_in": loaded.format,
         "format_out": kind,
         "profile": profile,
-        "repairs": repair_entries(loaded.repairs),
+        "repairs": [asdict(repair) for repair in loaded.repairs],
         "notes": loss_note(made.model, kind),
         "seconds": time.perf_counter() - began,
         "seconds_by_stage": stages,

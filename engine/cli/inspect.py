@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,6 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.embed import size
-from engine.cli.models import repair_entries
 from engine.cli.options import Json, SpzFrame
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def describe_model(loaded: LoadedModel) -> dict[str, Any]:
         "is_room": extent.is_room,
         "opacity_median": float(np.median(model.opacities)),
         "scale_median": float(np.exp(np.median(model.log_scales))),
-        "repairs": repair_entries(loaded.repairs),
+        "repairs": [asdict(repair) for repair in loaded.repairs],
     }
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from engine.cli.console import Console, Progress
-from engine.cli.files import is_picture, read_picture
 from engine.errors import InputError
 
 if TYPE_CHECKING:
     from engine.formats import Repair
-    from engine.model import GaussianModel
     from engine.pipeline.searching import Suspect
 
 DEMO_SCENE = "plant.splat"
@@ -29,28 +27,6 @@ def format_for(path: Path) -> str:
     raise InputError(f"{str(path)!r}: the ending must name a format: {endings}")
 
 
-def loss_note(model: GaussianModel, kind: str) -> list[str]:
-    """What the format cannot hold of this model, in words."""
-    notes = []
-    if kind == "splat" and model.sh_degree > 0:
-        notes.append(
-            ".splat stores no spherical harmonics: colour that changes with the view"
-            f" (degree {model.sh_degree}) was dropped; the mark survives"
-        )
-    if kind != "ply" and model.is_flat:
-        thickness = "as thin as it allows" if kind == "spz" else "of next to no thickness"
-        notes.append(
-            f".{kind} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
-            " and other programs draw them as such; .ply keeps two scales; the mark survives"
-        )
-    return notes
-
-
-def repair_entries(repairs: Iterable[Repair]) -> list[dict[str, Any]]:
-    """Repairs as plain values."""
-    return [{"code": repair.code, "count": repair.count, "text": repair.text} for repair in repairs]
-
-
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
     """Tell what was mended on loading."""
     for repair in repairs:
@@ -62,6 +38,7 @@ def load_suspect(
 ) -> tuple[Suspect, tuple[Repair, ...]]:
     """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
     from engine.formats import read_cameras, read_model
+    from engine.formats.pictures import is_picture, read_picture
     from engine.pipeline.searching import Suspect
 
     progress("read", 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import load_suspect, repair_entries
+from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key, SpzFrame
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def verify(
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
     from engine.watermark.keys import OwnerKey
+    from engine.watermark.wording import PLAIN, words_of
 
     config = VerifyConfig(false_claim_rate=false_claim_rate, route=route, decoder=decoder)
     owner = OwnerKey.read(key)
@@ -83,7 +85,7 @@ def verify(
         found = search_for(suspect, opened, config, progress)
     report = claim_report(found, opened) | {
         "suspects": [str(path) for path in suspects],
-        "repairs": repair_entries(repairs),
+        "repairs": [asdict(repair) for repair in repairs],
         "seconds": time.perf_counter() - began,
     }
     report["seconds_by_stage"] = {
@@ -92,7 +94,8 @@ def verify(
         "read": read_seconds,
         **found.seconds_by_stage,
     }
-    for line in claim_lines(report, ", ".join(report["suspects"])):
+    words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=len(suspects) if pictures else 0)
+    for line in claim_lines(words):
         console.say(line)
     console.emit(report)
     return VERDICT_CODES[report["verdict"]]

@@ -27,6 +27,23 @@ def encode_model(model: GaussianModel, format: str) -> bytes:
     return b"".join(_encode(model, format))
 
 
+def loss_note(model: GaussianModel, format: str) -> list[str]:
+    """What the format cannot hold of this model, in words."""
+    notes = []
+    if format == "splat" and model.sh_degree > 0:
+        notes.append(
+            ".splat stores no spherical harmonics: colour that changes with the view"
+            f" (degree {model.sh_degree}) was dropped; the mark survives"
+        )
+    if format != "ply" and model.is_flat:
+        thickness = "as thin as it allows" if format == "spz" else "of next to no thickness"
+        notes.append(
+            f".{format} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
+            " and other programs draw them as such; .ply keeps two scales; the mark survives"
+        )
+    return notes
+
+
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:
     """Write a model and return the bytes written; an earlier file of that name is replaced in one step.
 

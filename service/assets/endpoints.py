@@ -1,19 +1,19 @@
 """/v1/assets: what was marked, and its files."""
 
-import json
 from typing import Annotated, Any, Literal
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Header, Query, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
-from service.assets.converting import convert
 from service.core import Service
-from service.db.schema import assets
-from service.http.access import Core, Reader
+from service.db.pages import own, page
+from service.db.schema import assets, conversions
+from service.http.access import After, Core, Limit, Reader
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
 from service.http.failures import responses
-from service.http.lists import After, Limit, page
+from service.http.forms import FROM_JSON
+from service.jobs.once import run_once, task_folder
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
@@ -22,13 +22,17 @@ Range = Annotated[str | None, Header(description="bytes=first-last")]
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
 
 
+CONVERTING_SECONDS = 60.0
+
+
 class Asset(BaseModel):
     """One registered embedding."""
 
+    model_config = ConfigDict(from_attributes=True)
     id: str
     label: str
-    copy_name: str = Field(description="Recipient of this copy.")
-    owner_key_id: str
+    copy_name: str = Field(validation_alias="copy", description="Recipient of this copy.")
+    owner_key_id: str = Field(validation_alias="owner_key")
     record_id: str
     message: str = Field(description="Registered message, hexadecimal.")
     profile: str
@@ -38,7 +42,7 @@ class Asset(BaseModel):
     model_sha256: str
     model_format: str
     registered_at: str
-    report: dict[str, Any] = Field(description="Measurements of the embedding.")
+    report: Annotated[dict[str, Any], FROM_JSON] = Field(description="Measurements of the embedding.")
 
 
 class AssetList(BaseModel):
@@ -53,23 +57,20 @@ def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     """Assets of this tenant, newest first."""
     with core.db.read() as connection:
         rows, following = page(connection, assets, caller.tenant, limit, after, "registered_at")
-    return AssetList(items=[shape(row) for row in rows], next=following)
+    return AssetList(items=[Asset.model_validate(row) for row in rows], next=following)
 
 
 @router.get("/{asset_id}", operation_id="getAsset", responses=responses("unauthorized", "forbidden", "not-found"))
 def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
     """One asset."""
-    return shape(own(core, caller.tenant, asset_id))
+    return Asset.model_validate(own(core.db, assets, caller.tenant, asset_id))
 
 
 @router.get(
     "/{asset_id}/model",
     operation_id="getModel",
     response_class=Response,
-    responses={
-        **file_responses(MODEL_TYPE, 206),
-        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", "invalid-request"),
-    },
+    responses=file_responses(MODEL_TYPE, "invalid-request"),
 )
 def get_model(
     asset_id: str,
@@ -80,70 +81,49 @@ def get_model(
     range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
-    row = own(core, caller.tenant, asset_id)
+    row = own(core.db, assets, caller.tenant, asset_id)
     sha256, kind = (
         (row.model_sha256, row.model_format) if version == "marked" else (row.original_sha256, row.original_format)
     )
     if wanted is not None and wanted != kind:
-        sha256, kind = convert(core, sha256, wanted), wanted
+        sha256, kind = _convert(core, sha256, wanted), wanted
     return send_blob(core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
 
 
 @router.get(
-    "/{asset_id}/record",
-    operation_id="getRecord",
-    response_class=Response,
-    responses={
-        **file_responses(RECORD_TYPE, 206),
-        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable"),
-    },
+    "/{asset_id}/record", operation_id="getRecord", response_class=Response, responses=file_responses(RECORD_TYPE)
 )
 def get_record(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
     """The sealed record: with the owner key it proves the mark without this service."""
-    row = own(core, caller.tenant, asset_id)
+    row = own(core.db, assets, caller.tenant, asset_id)
     return send_blob(core, row.record_sha256, f"{row.id}.record", RECORD_TYPE, range)
 
 
 @router.get(
-    "/{asset_id}/preview.png",
-    operation_id="getPreview",
-    response_class=Response,
-    responses={
-        **file_responses("image/png", 206),
-        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable"),
-    },
+    "/{asset_id}/preview.png", operation_id="getPreview", response_class=Response, responses=file_responses("image/png")
 )
 def get_preview(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
     """Original, marked, and twenty times their difference."""
-    row = own(core, caller.tenant, asset_id)
+    row = own(core.db, assets, caller.tenant, asset_id)
     return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)
 
 
-def own(core: Service, tenant: str, asset_id: str) -> Any:
-    """The row of an asset; not-found for other tenants' too."""
-    mine = (assets.c.id == asset_id) & (assets.c.tenant == tenant)
-    with core.db.read() as connection:
-        row = connection.execute(sa.select(assets).where(mine)).first()
-    if row is None:
-        raise Problem("not-found", f"there is no asset {asset_id!r}")
-    return row
-
-
-def shape(row: Any) -> Asset:
-    """The row for the client."""
-    return Asset(
-        id=row.id,
-        label=row.label,
-        copy_name=row.copy,
-        owner_key_id=row.owner_key,
-        record_id=row.record_id,
-        message=row.message,
-        profile=row.profile,
-        gaussians=row.gaussians,
-        original_sha256=row.original_sha256,
-        original_format=row.original_format,
-        model_sha256=row.model_sha256,
-        model_format=row.model_format,
-        registered_at=row.registered_at,
-        report=json.loads(row.report),
-    )
+def _convert(service: Service, sha256: str, kind: str) -> str:
+    """Digest of a stored model in another format: made once, in a process of its own."""
+    known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
+    with service.db.read() as connection:
+        found = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
+    if found is not None:
+        return str(found)
+    with task_folder(service.settings) as folder:
+        request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
+        reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS)
+        if reply is None:
+            raise Problem(
+                "unavailable", f"converting took over {CONVERTING_SECONDS:.0f} s", headers={"Retry-After": "60"}
+            )
+        digest = service.blobs.put(folder / reply["files"]["model"])
+    with service.db.write() as connection:
+        if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:
+            connection.execute(conversions.insert().values(model_sha256=sha256, format=kind, sha256=digest))
+    return digest

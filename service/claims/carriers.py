@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from typing import Any
 
 MOST_BYTES = 64 << 20
-_MEMBERS = {"document", "jws", "timestamp"}
+_MEMBERS = {"document", "jws", "timestamp", "summary"}
 
 
 class UnreadableError(ValueError):
@@ -17,32 +17,18 @@ class UnreadableError(ValueError):
 
 @dataclass(frozen=True)
 class Carried:
-    """What was found in a file.
+    """What was found in a file."""
 
-    Parameters
-    ----------
-    kind : str
-        "jws", "json" or "html".
-    document : dict or None
-        As a JSON claim spells it out.
-    pictures : dict
-        Name -> bytes, of a report.
-    """
-
-    kind: str
+    kind: str  # jws, json or html
     jws: str
-    document: dict[str, Any] | None = None
+    document: dict[str, Any] | None = None  # as a JSON claim spells it out, and `summary` too
+    summary: Any = None
     timestamp: bytes | None = None
-    pictures: dict[str, bytes] = field(default_factory=dict)
+    pictures: dict[str, bytes] = field(default_factory=dict)  # of a report, by name
 
 
 def unpack(data: bytes) -> Carried:
-    """Find the claim in a file.
-
-    Raises
-    ------
-    UnreadableError
-    """
+    """Find the claim in a file, or raise UnreadableError."""
     if len(data) > MOST_BYTES:
         raise UnreadableError(f"a claim has at most {MOST_BYTES} bytes, this file has {len(data)}")
     try:
@@ -57,12 +43,7 @@ def unpack(data: bytes) -> Carried:
 
 
 def strict_json(text: str | bytes) -> Any:
-    """JSON in which no name stands twice (readers disagree about which one counts) and no number is NaN.
-
-    Raises
-    ------
-    ValueError
-    """
+    """JSON in which no name stands twice (readers disagree about which counts) and no number is NaN, or ValueError."""
     return json.loads(text, object_pairs_hook=_each_once, parse_constant=_refuse)
 
 
@@ -71,8 +52,9 @@ def _from_json(text: str) -> Carried:
         claim = strict_json(text)
         document, jws, stamp = claim["document"], claim["jws"], claim.get("timestamp")
         if not (isinstance(document, dict) and isinstance(jws, str) and set(claim) <= _MEMBERS):
-            raise UnreadableError("a claim as JSON has the members `document`, `jws` and `timestamp`, and no other")
-        return Carried("json", jws, document, _decode(stamp) if stamp is not None else None)
+            raise UnreadableError("a claim as JSON has no members but `document`, `jws`, `timestamp` and `summary`")
+        stamped = _decode(stamp) if stamp is not None else None
+        return Carried("json", jws, document, claim.get("summary"), stamped)
     except (KeyError, RecursionError) as error:
         raise UnreadableError(f"this JSON is no claim: {error or 'too deep'}") from None
     except UnreadableError:
@@ -89,7 +71,9 @@ def _from_html(text: str) -> Carried:
         raise UnreadableError("this page is no report: it holds no signed claim")
     stamp = reader.texts.get("timestamp")
     pictures = {name: _decode(data) for name, data in reader.pictures.items()}
-    return Carried("html", reader.texts["jws"], None, _decode(stamp) if stamp is not None else None, pictures)
+    return Carried(
+        "html", reader.texts["jws"], timestamp=_decode(stamp) if stamp is not None else None, pictures=pictures
+    )
 
 
 class _ReportReader(HTMLParser):

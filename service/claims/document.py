@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.claims.wording import meaning
+from engine.watermark.checks import named
+from engine.watermark.wording import TYPOGRAPHIC, Form, Words, words_of
 
 SCHEMA_VERSION = 1
 
@@ -172,9 +173,9 @@ def build_document(
     sha256 : sequence of str
         Of each file handed in.
     asset : mapping or None
-        Row of the asset that the reply names.
+        Row of the asset that the reply names; without one, the two dates are "".
     registered_at, original_registered_at : str
-        When the asset entered the log, and when a copy of its original was first registered; "" without an asset.
+        When the asset entered the log, and when a copy of its original was first registered.
     pictures : mapping
         Name -> SHA-256 of the pictures of the report.
     """
@@ -212,9 +213,32 @@ def build_document(
             "copy": asset["copy"],
             "registered_at": registered_at,
         }
-    plain["meaning"] = meaning(plain)
+    plain["meaning"] = document_words(plain).meaning
     return ClaimDocument.model_validate(plain).model_dump(by_alias=True, exclude={"audit"})
 
+
+_SAME = (
+    "verdict",
+    "confidence",
+    "log10_false_claim",
+    "meets_dishonest_claimant_rate",
+    "derived_fraction",
+    "derived_but_unmarked",
+    "transform",
+    "missing",
+    "notes",
+)
+_MESSAGE = {
+    "hex": "message",
+    "bits": "bits",
+    "matching": "matching_bits",
+    "bit_accuracy": "bit_accuracy",
+    "reliability": "bit_reliability",
+    "log10_binomial_tail": "log10_binomial_tail",
+}
+_THRESHOLD = {"false_claim_rate": "false_claim_rate", "z": "z_threshold"}
+_EVIDENCE = ("route", "z", "unmarked_z", "expected_z", "power")
+"""Members of the document, and what the engine calls them."""
 
 _NOTHING: dict[str, Any] = {
     "verdict": "inconclusive",
@@ -233,27 +257,35 @@ _NOTHING: dict[str, Any] = {
 
 
 def _found(claim: Mapping[str, Any], registered: str) -> dict[str, Any]:
-    same = (
-        "verdict",
-        "confidence",
-        "log10_false_claim",
-        "meets_dishonest_claimant_rate",
-        "derived_fraction",
-        "derived_but_unmarked",
-        "transform",
-        "missing",
-        "notes",
-    )
-    return {name: claim[name] for name in same} | {
-        "threshold": {"false_claim_rate": claim["false_claim_rate"], "z": claim["z_threshold"]},
-        "message": {
-            "hex": claim["message"],
-            "registered": registered,
-            "bits": claim["bits"],
-            "matching": claim["matching_bits"],
-            "bit_accuracy": claim["bit_accuracy"],
-            "reliability": claim["bit_reliability"],
-            "log10_binomial_tail": claim["log10_binomial_tail"],
-        },
-        "evidence": [{name: claim[name] for name in ("route", "z", "unmarked_z", "expected_z", "power")}],
+    return {name: claim[name] for name in _SAME} | {
+        "threshold": {name: claim[theirs] for name, theirs in _THRESHOLD.items()},
+        "message": {name: claim[theirs] for name, theirs in _MESSAGE.items()} | {"registered": registered},
+        "evidence": [{name: claim[name] for name in _EVIDENCE}],
+    }
+
+
+def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Words:
+    """The document in the engine's words; those of an old document are made anew, but for its own `meaning`."""
+    message, threshold = document["message"] or {}, document["threshold"] or {}
+    evidence = document["evidence"][0] if document["evidence"] else {}
+    claim = {
+        **{name: document[name] for name in (*_SAME, "tries", "copy", "record_id", "registered_at")},
+        **{theirs: message.get(name) for name, theirs in _MESSAGE.items()},
+        **{theirs: threshold.get(name) for name, theirs in _THRESHOLD.items()},
+        **{name: evidence.get(name) for name in _EVIDENCE},
+    }
+    subject = document["subject"]
+    pictures = len(subject["sha256"]) if subject["kind"] == "pictures" else 0
+    return words_of(claim, form, pictures=pictures, logged=True)
+
+
+def summary_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The words as the API hands them out beside the document, JSON values."""
+    words = document_words(document)
+    return {
+        "headline": words.headline,
+        "finding": words.finding,
+        "facts": [{"label": fact.label, "text": fact.text} for fact in words.facts],
+        "limits": [{"log10": log10, "text": text} for log10, text in words.limits],
+        "checks": named(document["checks"]),
     }

@@ -1,11 +1,8 @@
 """Where things stand in the report's two drawings; the template draws them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log10
 from typing import Any
-
-from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
 WIDTH = 724
 BITS_PER_LINE = 32
@@ -41,38 +38,25 @@ def bit_lines(message: Mapping[str, Any]) -> list[list[Bit]]:
 
 @dataclass(frozen=True)
 class Scale:
-    """The false-claim bound on a logarithmic axis.
-
-    Parameters
-    ----------
-    ticks : list of (x, power)
-    bar : float
-        Where the bound stands, or the right end if it lies beyond.
-    asked, dishonest : float
-        Where the claim's own threshold and 2^-128 stand.
-    """
+    """The false-claim bound on a logarithmic axis: places in x."""
 
     left: float
     right: float
-    ticks: list[tuple[float, int]]
-    bar: float
+    ticks: list[tuple[float, int]]  # and powers of ten
+    bar: float  # where the bound stands, or the right end if it lies beyond
     beyond: bool
-    asked: float | None
-    dishonest: float
+    limits: list[tuple[float, str]]  # what it is held against
 
 
-def bound_scale(document: Mapping[str, Any]) -> Scale:
+def bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> Scale:
     """Places on the axis from 1 (left) down to 10^-60 (right)."""
-    powers = -document["log10_false_claim"]
-    threshold = document["threshold"]
     return Scale(
         _AXIS_LEFT,
         _AXIS_RIGHT,
         [(_place(power), power) for power in range(0, _AXIS_POWERS + 1, 10)],
-        _place(powers),
-        powers > _AXIS_POWERS,
-        _place(-log10(threshold["false_claim_rate"])) if threshold else None,
-        _place(-log10(DISHONEST_CLAIMANT_RATE)),
+        _place(-log10_bound),
+        -log10_bound > _AXIS_POWERS,
+        [(_place(-log10), text) for log10, text in limits],
     )
 
 

@@ -4,20 +4,52 @@ import base64
 import json
 from typing import Any
 
-import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
-from service.core import Service
+from service.claims.document import document_words, summary_of
+from service.db.pages import own, page
 from service.db.schema import claims
-from service.http.access import Core, Reader
+from service.http.access import After, Core, Limit, Reader
 from service.http.failures import responses
-from service.http.lists import After, Limit, page
-from service.problems import Problem
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
 JWS_TYPE = "application/jose"
+
+
+class Fact(BaseModel):
+    """Something that was found."""
+
+    label: str
+    text: str
+
+
+class Bar(BaseModel):
+    """What a bound is held against."""
+
+    log10: float
+    text: str
+
+
+class NamedCheck(BaseModel):
+    """A check of the document, with its name and outcome for people."""
+
+    code: str
+    ok: bool | None
+    text: str
+    name: str
+    outcome: str
+
+
+class Summary(BaseModel):
+    """The claim in words; they follow from the document, and are not signed themselves."""
+
+    headline: str
+    finding: str = Field(description="The verdict in one sentence.")
+    facts: list[Fact]
+    limits: list[Bar]
+    checks: list[NamedCheck]
 
 
 class SignedClaim(BaseModel):
@@ -26,6 +58,7 @@ class SignedClaim(BaseModel):
     document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
     jws: str = Field(description="Compact JWS over the document, Ed25519.")
     timestamp: str | None = Field(description="RFC 3161 token of the JWS, base64; null where none was made.")
+    summary: Summary
 
 
 class ClaimSummary(BaseModel):
@@ -34,6 +67,8 @@ class ClaimSummary(BaseModel):
     id: str
     asset_id: str | None
     verdict: str
+    headline: str
+    finding: str
     log10_false_claim: float
     created_at: str
 
@@ -72,7 +107,7 @@ def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
 )
 def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
     """The signed claim alone: hand it to whoever must be convinced."""
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     return Response(
         row.jws, media_type=JWS_TYPE, headers={"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
     )
@@ -83,9 +118,10 @@ def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
 )
 def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     """A claim."""
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
-    return SignedClaim(document=json.loads(row.document), jws=row.jws, timestamp=stamp)
+    document = json.loads(row.document)
+    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
 
 
 @router.get(
@@ -101,7 +137,7 @@ def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
     from service.claims.report import report_html
 
-    row = own(core, caller.tenant, claim_id)
+    row = own(core.db, claims, caller.tenant, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 
@@ -113,22 +149,15 @@ def key_set(core: Core, response: Response) -> KeySet:
     return KeySet(keys=jwks(core.db)["keys"])
 
 
-def own(core: Service, tenant: str, claim_id: str) -> Any:
-    """The row of a claim; not-found for other tenants' too."""
-    mine = (claims.c.id == claim_id) & (claims.c.tenant == tenant)
-    with core.db.read() as connection:
-        row = connection.execute(sa.select(claims).where(mine)).first()
-    if row is None:
-        raise Problem("not-found", f"there is no claim {claim_id!r}")
-    return row
-
-
 def _summary(row: Any) -> ClaimSummary:
     document = json.loads(row.document)
+    words = document_words(document)
     return ClaimSummary(
         id=row.id,
         asset_id=row.asset,
         verdict=document["verdict"],
+        headline=words.headline,
+        finding=words.finding,
         log10_false_claim=document["log10_false_claim"],
         created_at=row.created_at,
     )

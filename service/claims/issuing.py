@@ -10,8 +10,7 @@ import sqlalchemy as sa
 from service.claims.document import ClaimDocument, build_document
 from service.clock import now
 from service.core import Service
-from service.db import Database
-from service.db.alone import alone
+from service.db import Database, alone
 from service.db.schema import assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
@@ -33,12 +32,9 @@ class IssuedClaim:
 
 
 def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any]:
-    """The claim of a verify job, issued and, where a time-stamping service is set, stamped; the job's result.
+    """The claim of a verify job (`reply`: of its task), issued and, where a time-stamping service is set, stamped.
 
-    Parameters
-    ----------
-    reply : mapping
-        Of the task `verify`, with `kept` (name -> SHA-256) in place of `files`.
+    Returns the job's result.
     """
     with service.db.write() as connection:
         claim = issue_claim(
@@ -69,14 +65,10 @@ def issue_claim(
     sha256: Sequence[str],
     pictures: Mapping[str, str],
 ) -> IssuedClaim:
-    """Log, sign and store the claim of a verification; a job that has a claim keeps it.
+    """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
     Parameters
     ----------
-    connection : Connection
-        Of `Database.write`.
-    reply : mapping
-        Of the task `verify`.
     sha256 : sequence of str
         Of each file handed in, in order.
     pictures : mapping

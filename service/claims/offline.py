@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
-from service.claims.document import SCHEMA_VERSION, ClaimDocument
+from service.claims.document import SCHEMA_VERSION, ClaimDocument, summary_of
 from service.claims.report import report_html
 from service.trust.canonical import canonical
 from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
@@ -37,36 +37,20 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked.
+    """One thing that was checked."""
 
-    Parameters
-    ----------
-    code : str
-        readable, signature, schema, arithmetic, log, registration, document, pictures, page or timestamp.
-    """
-
-    code: str
+    code: str  # readable, signature, schema, arithmetic, log, registration, or as `_around` says
     status: Status
     text: str
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What is known of a file after checking it.
+    """What is known of a file after checking it."""
 
-    Parameters
-    ----------
-    checks : tuple of Check
-        In order; after a failure that leaves nothing to go by, no more are made.
-    document : dict or None
-        What is signed; None unless the signature and the form hold.
-    signed_by : str
-        Id of the key.
-    """
-
-    checks: tuple[Check, ...]
-    document: dict[str, Any] | None = None
-    signed_by: str = ""
+    checks: tuple[Check, ...]  # in order; after a failure that leaves nothing to go by, no more are made
+    document: dict[str, Any] | None = None  # what is signed; None unless the signature and the form hold
+    signed_by: str = ""  # id of the key
 
     @property
     def valid(self) -> bool:
@@ -83,8 +67,6 @@ def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequen
 
     Parameters
     ----------
-    data : bytes
-        The file.
     jwks : mapping
         The keys that are trusted to sign claims.
     tsa_certificates : sequence of Certificate
@@ -212,22 +194,30 @@ def _around(data: bytes, carried: Carried, document: dict[str, Any], payload: by
     if carried.kind == "json":
         same = _canonical_or_none(carried.document) == payload
         text = "The document is the one that was signed." if same else "the document is not the one that was signed"
-        return [Check("document", Status.PASS if same else Status.FAIL, text)]
+        found = [Check("document", Status.PASS if same else Status.FAIL, text)]
+        if carried.summary is not None:
+            found.append(_drawn("summary", carried.summary == summary_of(document), document))
+        return found
     if carried.kind == "jws":
         return []
     digests = {name: hashlib.sha256(picture).hexdigest() for name, picture in carried.pictures.items()}
     same = digests == document["pictures"]
     text = "The pictures are those that were signed." if same else "the pictures are not those that were signed"
     pictures = Check("pictures", Status.PASS if same else Status.FAIL, text)
-    drawn = report_html(document, carried.jws, carried.pictures, carried.timestamp).encode()
-    if drawn == data:
-        return [pictures, Check("page", Status.PASS, "Every word on the page follows from what was signed.")]
+    page = report_html(document, carried.jws, carried.pictures, carried.timestamp).encode()
+    return [pictures, _drawn("page", page == data, document)]
+
+
+def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
+    """Whether words around the claim are those that this program makes of it."""
+    if same:
+        return Check(code, Status.PASS, f"Every word of the {code} follows from what was signed.")
     ours = document["tool"]["version"]
     text = (
-        f"the page is not the one that this program draws from the signed claim (made by version {ours}): rely on the"
-        " signed claim only"
+        f"the {code} is not the one that this program draws from the signed claim (made by version {ours}): rely on"
+        " the signed claim only"
     )
-    return [pictures, Check("page", Status.FAIL, text)]
+    return Check(code, Status.FAIL, text)
 
 
 def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> Check:

@@ -5,24 +5,19 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
+from engine.watermark.checks import named
+from engine.watermark.wording import ROUTES, TYPOGRAPHIC, when
+from service.claims.document import document_words
 from service.claims.drawing import bit_lines, bound_scale
-from service.claims.wording import ROUTES, VERDICTS, bound, facts, power_of_ten, rate, sentence, when
 from service.trust.timestamps import TimestampFault, stamped_at
 
-CHECKS = {True: ("pass", "✓", "holds"), False: ("fail", "✕", "does not hold"), None: ("open", "–", "not decided")}
-CHECK_NAMES = {
-    "record_intact": "Record",
-    "owner_key": "Owner's key",
-    "derived": "Same model",
-    "mark": "Mark",
-    "evidence": "Evidence",
-}
+SIGNS = {True: ("pass", "✓"), False: ("fail", "✕"), None: ("open", "–")}
 CAPTIONS = {
     "suspect": "The suspect.",
     "reference": "The registered original, without the mark.",
@@ -40,33 +35,27 @@ def report_html(
 
     Parameters
     ----------
-    document : mapping
-        The signed document.
-    jws : str
-        Its signature, with it.
     pictures : mapping
         Name -> PNG bytes, as `document["pictures"]` names them.
     timestamp : bytes, optional
         RFC 3161 reply about the JWS.
     """
+    words = document_words(document)
     return _template().render(
         claim=document,
-        verdict=VERDICTS[document["verdict"]],
-        sentence=sentence(document),
-        facts=facts(document),
+        words=words,
+        facts=[fact for fact in words.facts if fact.leading],
+        odds=TYPOGRAPHIC.odds(document["log10_false_claim"]),
         message=document["message"],
         bits=bit_lines(document["message"]) if document["message"] else None,
-        scale=bound_scale(document),
+        scale=bound_scale(document["log10_false_claim"], words.limits),
         pictures=[
             (name, CAPTIONS.get(name, name), base64.b64encode(pictures[name]).decode())
             for name in (*CAPTIONS, *sorted(set(pictures) - set(CAPTIONS)))
             if name in pictures
         ],
         evidence=[(ROUTES.get(one["route"], one["route"]), one) for one in document["evidence"]],
-        checks=[
-            (*CHECKS[check["ok"]], CHECK_NAMES.get(check["code"], check["code"]), check["text"])
-            for check in document["checks"]
-        ],
+        checks=[(*SIGNS[check["ok"]], check) for check in named(document["checks"])],
         timeline=_timeline(document, jws, timestamp),
         jws=jws,
         timestamp=base64.b64encode(timestamp).decode() if timestamp else "",
@@ -108,5 +97,5 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(bound=bound, power=power_of_ten, rate=rate, when=when)
+    environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when)
     return environment.get_template("report.html")

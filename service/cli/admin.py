@@ -1,12 +1,18 @@
 """`mark3dgs apikey`, `audit` and `rotate-signing-key`: for whoever runs the service, on its own data."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.cli.console import Console
 from engine.cli.options import Json
+from service.cli.serve import start
+
+if TYPE_CHECKING:
+    from service.core import Service
 
 apikey = typer.Typer(no_args_is_help=True, help="Make, list and revoke API keys of the service.")
 audit = typer.Typer(no_args_is_help=True, help="The append-only log of the service.")
@@ -28,11 +34,9 @@ def create(
 
       mark3dgs apikey create --tenant acme --scopes embed,verify,read
     """
-    from service.cli.serve import start
     from service.trust.api_keys import issue
 
-    console = Console(json)
-    _, service = start(console)
+    console, service = _opened(json)
     token = issue(service.db, service.master, tenant, [s.strip() for s in scopes.split(",") if s.strip()], label)
     console.say(token)
     console.emit({"api_key": token, "tenant": tenant})
@@ -42,11 +46,9 @@ def create(
 @apikey.command("list")
 def list_(tenant: Tenant = "default", json: Json = False) -> int:
     """API keys of a tenant, without their secrets."""
-    from service.cli.serve import start
     from service.trust.api_keys import list_keys
 
-    console = Console(json)
-    _, service = start(console)
+    console, service = _opened(json)
     keys = list_keys(service.db, tenant)
     for key in keys:
         state = f"revoked {key.revoked_at[:19]}" if key.revoked_at else "active"
@@ -62,11 +64,9 @@ def revoke(
     json: Json = False,
 ) -> int:
     """End an API key for good."""
-    from service.cli.serve import start
     from service.trust.api_keys import revoke as end
 
-    console = Console(json)
-    _, service = start(console)
+    console, service = _opened(json)
     end(service.db, tenant, key_id)
     console.say(f"revoked {key_id}")
     console.emit({"revoked": key_id})
@@ -79,11 +79,9 @@ def verify(json: Json = False) -> int:
 
     Exit codes: 0 all holds, 3 something was altered.
     """
-    from service.cli.serve import start
     from service.trust.audit_check import verify_log
 
-    console = Console(json)
-    _, service = start(console)
+    console, service = _opened(json)
     found = verify_log(service.db)
     console.say(found.text())
     console.emit(found.to_json())
@@ -92,12 +90,15 @@ def verify(json: Json = False) -> int:
 
 def rotate_signing_key(json: Json = False) -> int:
     """Sign claims with a new key from now on. Old claims stay valid: the old public key stays published."""
-    from service.cli.serve import start
     from service.trust.signing import rotate
 
-    console = Console(json)
-    _, service = start(console)
+    console, service = _opened(json)
     kid = rotate(service.db, service.master)
     console.say(f"claims are now signed by key {kid}")
     console.emit({"kid": kid})
     return 0
+
+
+def _opened(json: bool) -> tuple[Console, Service]:
+    console = Console(json)
+    return console, start(console)[1]

@@ -40,9 +40,10 @@ def verify_report(
       mark3dgs verify-report claim.jws --jwks jwks.json
       mark3dgs verify-report report.html --jwks jwks.json --json
     """
+    from engine.watermark.wording import PLAIN
     from service.claims import offline
     from service.claims.carriers import MOST_BYTES
-    from service.claims.wording import VERDICTS, bound, sentence
+    from service.claims.document import document_words
 
     console = Console(json)
     keys = _read_jwks(jwks)
@@ -56,8 +57,10 @@ def verify_report(
         claim = found.document
         console.say()
         console.say(f"Signed claim {claim['claim_id']} of {claim['created_at'][:19]}Z")
-        console.say(f"{VERDICTS[claim['verdict']]}. {sentence(claim)}")
-        console.say(f"False-claim bound: {bound(claim['log10_false_claim'])}")
+        words = document_words(claim, PLAIN)
+        console.say(f"{words.headline}. {words.finding}")
+        for fact in words.facts:
+            console.say(f"  {fact.label:<16}{fact.text}")
     console.say()
     console.say("VALID" if found.valid else "NOT VALID")
     console.emit({"file": str(file), **found.to_json()})

@@ -1,6 +1,6 @@
 """Our tables: SQLite by default, PostgreSQL by URL, the same code. Start at `schema`; all writes go by `Database`."""
 
-from service.db.database import Database
+from service.db.database import Database, alone
 from service.db.schema import metadata
 
-__all__ = ["Database", "metadata"]
+__all__ = ["Database", "alone", "metadata"]

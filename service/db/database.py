@@ -9,8 +9,10 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError
 
+from service.db.schema import metadata
 from service.problems import Problem
 
+_LOCK = 0x6D61726B  # "mark"
 BUSY_MILLISECONDS = 15_000
 POSTGRES_CONNECT = {
     "connect_timeout": 3,
@@ -58,18 +60,35 @@ class Database:
             yield connection
 
     def migrate(self) -> None:
-        """Bring the tables up to this version of the program."""
+        """Bring the tables up to this version of the program: an empty database is made as the schema says, an older
+        one is changed step by step."""
         from alembic import command
         from alembic.config import Config
 
         config = Config()
         config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
-        config.attributes["engine"] = self.engine
-        command.upgrade(config, "head")
+        with self.engine.begin() as connection:
+            alone(connection)
+            config.attributes["connection"] = connection
+            if sa.inspect(connection).has_table("alembic_version"):
+                command.upgrade(config, "head")
+            else:
+                metadata.create_all(connection)
+                command.stamp(config, "head")
 
     def close(self) -> None:
         """Give the connections back."""
         self.engine.dispose()
+
+
+def alone(connection: sa.Connection) -> None:
+    """Wait for other transactions that asked for this, and keep them waiting until this one ends.
+
+    On SQLite every writing transaction is alone already. Ask before reading what the write depends on: on
+    PostgreSQL a statement sees what was committed before it began.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK)))
 
 
 @contextmanager

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
-from service.http.answers import JobView, respond, submit
+from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
-from service.http.failures import responses
-from service.http.forms import WHOLE, form_schema, read_form
-from service.jobs.port import Job, State
+from service.http.forms import WHOLE, Files, form_schema, read_form
+from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import list_keys, open_key, store
-from service.uploads.taking import expect, take, whole
+from service.uploads.taking import gather
 
 router = APIRouter(prefix="/v1", tags=["embed"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
@@ -77,35 +75,12 @@ BODY = form_schema(EmbedRequest, FILES, ("upload_id", "cameras_upload_id"), ("mo
 
 
 @router.post(
-    "/embed",
-    status_code=202,
-    operation_id="embed",
-    openapi_extra=BODY,
-    response_model=JobView,
-    responses={
-        200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
-        **responses(
-            "malformed-request",
-            "unauthorized",
-            "forbidden",
-            "not-found",
-            "conflict",
-            "too-large",
-            "unsupported-media-type",
-            "invalid-request",
-            "budget-exceeded",
-        ),
-    },
+    "/embed", status_code=202, operation_id="embed", openapi_extra=BODY, response_model=JobView, responses=JOB_RESPONSES
 )
 async def embed(
-    request: Request,
-    core: Core,
-    caller: Embedder,
-    prefer: Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")] = None,
-    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=128)] = None,
+    request: Request, core: Core, caller: Embedder, prefer: Prefer = None, idempotency_key: RetryKey = None
 ) -> Response:
     """Mark a model under an owner key. The job's result names the asset, from which model and record are fetched."""
-    files: dict[str, Any]
     body, files = await read_form(request, EmbedForm, tuple(FILES))
     job = await asyncio.to_thread(_submit, core, caller, body, files, idempotency_key)
     return await respond(core, job, prefer)
@@ -117,32 +92,25 @@ class EmbedForm(EmbedRequest):
     upload_id: str = Field("", max_length=64)
 
 
-def _submit(core: Service, caller: Caller, body: EmbedForm, files: dict[str, Any], retry_key: str | None) -> Job:
-    tenant = caller.tenant
-    values = body.model_dump()
-    for field, name in (("upload_id", "model"), ("cameras_upload_id", "cameras")):
-        given = files.get(name, [])
-        if len(given) > 1 or (given and values[field]):
+def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_key: str | None) -> Job:
+    tenant, digests = caller.tenant, {}
+    for name, upload_id in (("model", body.upload_id), ("cameras", body.cameras_upload_id)):
+        named, brought = [upload_id] if upload_id else [], files.get(name, [])
+        if len(named) + len(brought) > 1:
             raise Problem("invalid-request", f"give one {name}, as a file or as an upload")
-        if given:
-            values[field] = take(core, tenant, given[0]).id
-    if not values["upload_id"]:
+        rows = gather(core, tenant, named, brought, name)
+        digests[name] = rows[0].sha256 if rows else None
+    if digests["model"] is None:
         raise Problem("invalid-request", "body.upload_id: a model is needed, as an upload or as the file 'model'")
-    model = whole(core, tenant, values["upload_id"])
-    cameras = whole(core, tenant, values["cameras_upload_id"]) if values["cameras_upload_id"] else None
-    expect([model], "model")
-    expect([cameras] if cameras else [], "cameras")
-    digests = {"model": model.sha256, "cameras": cameras.sha256 if cameras else None}
-    unnamed = {name: value for name, value in values.items() if not name.endswith("upload_id")}
+    unnamed = body.model_dump(exclude={"upload_id", "cameras_upload_id"})
 
-    def make() -> Job:
-        key_id = values["key_id"] or _usual_key(core, tenant)
+    def make() -> dict[str, Any]:
+        key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
         spend(core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key")
-        asked = {**unnamed, **digests, "key_id": key_id}
-        return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "embed", State.QUEUED, asked)
+        return {**unnamed, **digests, "key_id": key_id}
 
-    return submit(core, tenant, retry_key, {"embed": unnamed, **digests}, make)
+    return submit(core, caller, "embed", retry_key, {"embed": unnamed, **digests}, make)
 
 
 def _usual_key(core: Service, tenant: str) -> str:

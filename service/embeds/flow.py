@@ -8,7 +8,6 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
-from service.registry import candidates
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
@@ -24,26 +23,25 @@ def embed_flow(service: Service) -> Flow:
 
 def _embed(service: Service, run: Run) -> dict[str, Any]:
     """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest."""
-    asked, folder = run.job.request, run.folder
+    asked = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     rows = _to_screen(service, run.job)
-    made = run.work(
+    return service.do_task(
+        run,
         "embed",
         {
-            "model": str(service.blobs.local(asked["model"], folder)),
-            "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
+            "model": service.local(asked["model"], run),
+            "cameras": service.local(asked["cameras"], run),
             "key": owner.secret.hex(),
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "candidates": candidates(service, rows, folder),
+            "candidates": service.candidates(rows, run),
             "limit": SCREENED,
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
         },
     )
-    kept = {name: service.blobs.put(folder / file) for name, file in made.get("files", {}).items()}
-    return {**{name: value for name, value in made.items() if name != "files"}, "kept": kept}
 
 
 def _to_screen(service: Service, job: Job) -> list[Any]:

@@ -1,9 +1,9 @@
-"""Who is asking, and whether they may."""
+"""What handlers are handed: the service, who is asking (and whether they may), and the page of a list."""
 
 from collections.abc import Callable
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Query, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from service.core import Service
@@ -43,6 +43,10 @@ Reader = Annotated[Caller, Depends(may("read"))]
 Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
 Admin = Annotated[Caller, Depends(may("admin"))]
+
+
+Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
+After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]
 
 
 def _uploader(caller: Annotated[Caller, Depends(_caller)]) -> Caller:

@@ -2,30 +2,35 @@
 
 import asyncio
 import re
+import secrets
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from fastapi import Response
+from fastapi import Header, Response
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from service.core import Service
 from service.http import idempotency
-from service.jobs.port import FINAL, Job
+from service.http.failures import responses
+from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
+from service.trust.api_keys import Caller
 
 MAX_WAIT_SECONDS = 60
 POLL_SECONDS = 0.1
+_WITHIN = BeforeValidator(lambda fraction: min(max(fraction, 0.0), 1.0))
 
 
 class JobView(BaseModel):
     """A job as it stands."""
 
+    model_config = ConfigDict(from_attributes=True)
     id: str
     kind: Literal["embed", "verify"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
     stage: str = Field(description="What it is doing.")
-    fraction: float = Field(ge=0, le=1, description="How far that stage is.")
+    fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
     cancelling: bool
     result: dict[str, Any] | None = Field(description="asset_id or claim_id and what to know at once.")
     problem: dict[str, Any] | None = Field(description="Why it failed (RFC 9457).")
@@ -34,24 +39,38 @@ class JobView(BaseModel):
     finished_at: str
 
 
+Prefer = Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")]
+RetryKey = Annotated[str | None, Header(min_length=1, max_length=128)]
+JOB_RESPONSES: dict[int | str, dict[str, Any]] = {
+    200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
+    **responses(
+        "malformed-request",
+        "unauthorized",
+        "forbidden",
+        "not-found",
+        "conflict",
+        "too-large",
+        "unsupported-media-type",
+        "invalid-request",
+        "budget-exceeded",
+    ),
+}
+"""Of a request that becomes a job."""
+
+
 def view(job: Job) -> JobView:
     """The job for the client."""
-    return JobView(
-        id=job.id,
-        kind=job.kind,
-        state=job.state.value,
-        stage=job.stage,
-        fraction=min(max(job.fraction, 0.0), 1.0),
-        cancelling=job.cancelling,
-        result=dict(job.result) if job.result is not None else None,
-        problem=dict(job.problem) if job.problem is not None else None,
-        created_at=job.created_at,
-        started_at=job.started_at,
-        finished_at=job.finished_at,
-    )
+    return JobView.model_validate(job)
 
 
-def submit(service: Service, tenant: str, key: str | None, body: Mapping[str, Any], make: Callable[[], Job]) -> Job:
+def submit(
+    service: Service,
+    caller: Caller,
+    kind: str,
+    key: str | None,
+    body: Mapping[str, Any],
+    make: Callable[[], Mapping[str, Any]],
+) -> Job:
     """Take a job on, once for each Idempotency-Key.
 
     Parameters
@@ -59,24 +78,30 @@ def submit(service: Service, tenant: str, key: str | None, body: Mapping[str, An
     key : str or None
         The Idempotency-Key.
     body : mapping
-        The request with digests in place of files.
+        The request with digests in place of files: what that key stands for.
     make : callable
-        Checks the request, spends budgets, and makes the job.
+        Checks the request, spends budgets, and returns what the job is asked.
     """
+
+    def take_on() -> Job:
+        asked = make()
+        job_id = f"job_{secrets.token_hex(12)}"
+        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked))
+
     if key is None:
-        return service.jobs.submit(make())
-    first = idempotency.begin(service.db, tenant, key, body)
+        return take_on()
+    first = idempotency.begin(service.db, caller.tenant, key, body)
     if first is not None:
-        job = service.jobs.get(tenant, first)
+        job = service.jobs.get(caller.tenant, first)
         if job is None:
             raise Problem("not-found", f"the job {first!r} of this Idempotency-Key is gone")
         return job
     try:
-        job = service.jobs.submit(make())
+        job = take_on()
     except BaseException:
-        idempotency.release(service.db, tenant, key)
+        idempotency.release(service.db, caller.tenant, key)
         raise
-    idempotency.settle(service.db, tenant, key, job.id)
+    idempotency.settle(service.db, caller.tenant, key, job.id)
     return job
 
 

@@ -9,14 +9,15 @@ from fastapi.responses import StreamingResponse
 
 from service.blobs import blob_name
 from service.core import Service
+from service.http.failures import responses
 from service.problems import Problem
 
 MODEL_TYPE = "application/octet-stream"
 _CHUNK = 4 << 20
 
 
-def send_blob(service: Service, sha256: str, name: str, media_type: str, range_header: str | None) -> Response:
-    """A blob under a file name; its digest is its ETag."""
+def send_blob(service: Service, sha256: str, name: str, media_type: str, part: str | None) -> Response:
+    """A blob under a file name, or the part of it that `Range` asks for; its digest is its ETag."""
     import obstore
 
     store, key = service.blobs.store, blob_name(sha256)
@@ -31,8 +32,8 @@ def send_blob(service: Service, sha256: str, name: str, media_type: str, range_h
         "Accept-Ranges": "bytes",
     }
     first, last, status = 0, size - 1, 200
-    if (part := _one_range(range_header or "", size)) is not None:
-        (first, last), status = part, 206
+    if (found := _one_range(part or "", size)) is not None:
+        (first, last), status = found, 206
         headers["Content-Range"] = f"bytes {first}-{last}/{size}"
     headers["Content-Length"] = str(last + 1 - first)
 
@@ -57,11 +58,11 @@ def _one_range(text: str, size: int) -> tuple[int, int] | None:
     return (first, last) if first <= last else None
 
 
-def file_responses(media_type: str, *also: int) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI of a file, whole or in part."""
-    schema = {"type": "string", "format": "binary"}
-    content = {media_type: {"schema": schema}}
-    found: dict[int | str, dict[str, Any]] = {200: {"description": "The file", "content": content}}
-    if 206 in also:
-        found[206] = {"description": "The part that Range asked for", "content": content}
-    return found
+def file_responses(media_type: str, *also: str) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI of a file of one's own, whole or in part, and of the problems instead of it."""
+    content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
+    return {
+        200: {"description": "The file", "content": content},
+        206: {"description": "The part that Range asked for", "content": content},
+        **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", *also),
+    }

@@ -3,7 +3,6 @@
 import errno
 import json
 import logging
-import secrets
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -11,11 +10,9 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Route
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.problems import KINDS, MEDIA_TYPE, Problem
 
-REQUEST_ID = "x-request-id"
 log = logging.getLogger("mark3dgs.http")
 
 _BY_STATUS = {
@@ -32,27 +29,6 @@ _BY_STATUS = {
     429: "budget-exceeded",
     503: "unavailable",
 }
-
-
-class RequestIds:
-    """Middleware: every request has an id, said in the response, in problems and in the log."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        request_id = secrets.token_hex(8)
-        scope["request_id"] = request_id
-
-        async def tell(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message["headers"] = [*message["headers"], (REQUEST_ID.encode(), request_id.encode())]
-            await send(message)
-
-        await self.app(scope, receive, tell)
 
 
 def answer(problem: Problem, request: Request) -> Response:

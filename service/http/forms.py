@@ -13,6 +13,7 @@ from service.http.failures import invalid
 from service.problems import Problem
 
 T = TypeVar("T", bound=BaseModel)
+Files = dict[str, list[UploadFile]]
 MAX_FILES, MAX_FIELDS = 66, 32
 
 
@@ -23,15 +24,12 @@ def _whole(value: Any) -> Any:
 WHOLE = BeforeValidator(_whole)
 """For whole numbers: in JSON, 2.0 is one too. It stands after the `Field` with the limits, which it hides otherwise."""
 
+FROM_JSON = BeforeValidator(lambda text: json.loads(text) if text else None)
+"""For what a row holds as JSON text."""
 
-async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tuple[T, dict[str, list[UploadFile]]]:
-    """The request as a model, and the files that came with it by field name.
 
-    Parameters
-    ----------
-    kind : type of BaseModel
-    files : sequence of str
-        Fields that may hold files.
+async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tuple[T, Files]:
+    """The request as a model, and the files that came with it, of the fields that may hold `files`.
 
     Raises
     ------
@@ -39,7 +37,7 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
         unsupported-media-type, malformed-request or invalid-request.
     """
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
-    found: dict[str, list[UploadFile]] = {}
+    found: Files = {}
     if media == "application/json":
         try:
             values = json.loads(await request.body())
@@ -77,8 +75,6 @@ def form_schema(
 
     Parameters
     ----------
-    kind : type of BaseModel
-        Flat: its schema needs no references.
     files : dict
         Field -> (description, several files?).
     without : sequence of str

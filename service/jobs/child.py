@@ -35,21 +35,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Limits:
-    """What one task may use.
+    """What one task may use."""
 
-    Parameters
-    ----------
-    memory_bytes : int
-        Address space.
-    cpu_seconds : int
-        CPU time of all its threads.
-    file_bytes : int
-        Largest file.
-    """
-
-    memory_bytes: int
-    cpu_seconds: int
-    file_bytes: int
+    memory_bytes: int  # of address space
+    cpu_seconds: int  # of all its threads
+    file_bytes: int  # of its largest file
 
     @property
     def seconds(self) -> int:
@@ -62,13 +52,7 @@ class Stopped(Exception):
 
 
 class Children:
-    """Runs tasks one after another, each in a fresh process, and keeps one process warm for the next.
-
-    Parameters
-    ----------
-    command : sequence of str
-        Starts the process.
-    """
+    """Runs tasks one after another, each in a fresh process (`command` starts it), and keeps one warm for the next."""
 
     def __init__(self, limits: Limits, command: Sequence[str] = COMMAND) -> None:
         self._limits, self._command = limits, tuple(command)
@@ -94,21 +78,17 @@ class Children:
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
     ) -> dict[str, Any]:
-        """Do a task and return its reply.
+        """Do a task and return its reply. Secrets may be in the request: it goes through a pipe.
 
         Parameters
         ----------
-        request : mapping
-            JSON values; secrets are allowed, they go through a pipe.
         folder : Path
             For the files that the task makes.
         go_on : callable
-            Told stage and fraction about three times a second, changed or not; False ends the task.
+            Told stage and fraction about three times a second, changed or not; False ends the task with `Cancelled`.
 
         Raises
         ------
-        Cancelled
-            `go_on` said so.
         Stopped
             By `stop`.
         Problem

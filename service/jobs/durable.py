@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from service.clock import ago
@@ -26,20 +26,12 @@ _PAGE = 500
 _log = logging.getLogger(__name__)
 
 
-class DurableJobs:
-    """Implements `port.Jobs`.
-
-    Parameters
-    ----------
-    db : Database
-        Of our tables.
-    jobs_url : str
-        SQLAlchemy URL of the job engine's own tables.
-    """
+class DurableJobs(Rows):
+    """The rows of jobs, and the engine (with tables of its own, at `jobs_url`) that sees to it that they are done."""
 
     def __init__(self, db: Database, jobs_url: str) -> None:
+        super().__init__(db)
         self.url = jobs_url
-        self.rows = Rows(db)
         self.presence = Presence(db)
         self._watch = Watch()
         self._lock = threading.Lock()
@@ -47,7 +39,7 @@ class DurableJobs:
 
     def submit(self, job: Job) -> Job:
         """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job."""
-        known = self.rows.add(job)
+        known = self.add(job)
         if known is None:
             raise Problem("conflict", f"the job id {job.id!r} is taken")
         if known.state == State.QUEUED:
@@ -56,26 +48,6 @@ class DurableJobs:
             except Exception as error:  # the row is what counts; whatever this was, `reconcile` makes up for it
                 _log.warning("job %s is enqueued later: %s", known.id, error)
         return known
-
-    def get(self, tenant: str, job_id: str) -> Job | None:
-        """The job, if it is this tenant's."""
-        return self.rows.get(tenant, job_id)
-
-    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
-        """Jobs of a tenant, newest first, after the job with this id."""
-        return self.rows.page(tenant, limit, after)
-
-    def cancel(self, tenant: str, job_id: str) -> Job | None:
-        """Ask for a job to stop. A final job stays as it is."""
-        return self.rows.cancel(tenant, job_id)
-
-    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
-        """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
-        return self.rows.progress(job_id, stage, fraction, attempt)
-
-    def result(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None = None) -> None:
-        """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
-        self.rows.finish(job_id, state, value, attempt)
 
     def recover(self, silent_seconds: float, but: str = "") -> Sequence[str]:
         """Take over the jobs of workers not heard of for that long; ids of those workers.
@@ -112,10 +84,10 @@ class DurableJobs:
 
     def reconcile(self) -> None:
         """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
-        waiting = self.rows.open_before(ago(_SETTLED_HOURS))
+        waiting = self.open_before(ago(_SETTLED_HOURS))
         for start in range(0, len(waiting), _PAGE):
             page = waiting[start : start + _PAGE]
-            found = self._client().list_workflows(workflow_ids=page, load_input=False, load_output=False)
+            found = self._client().list_workflows(workflow_ids=list(page), load_input=False, load_output=False)
             status = {workflow.workflow_id: workflow.status for workflow in found}
             for job_id in page:
                 if job_id not in status:
@@ -123,7 +95,7 @@ class DurableJobs:
                 elif status[job_id] not in ("ENQUEUED", "PENDING", "DELAYED"):
                     _log.error("job %s ended as %s and said nothing", job_id, status[job_id])
                     problem = Problem("internal", "the work ended without a result")
-                    self.rows.finish(job_id, State.FAILED, problem.to_json(), None)
+                    self.result(job_id, State.FAILED, problem.to_json())
 
     def close(self) -> None:
         """Give connections back."""

@@ -1,10 +1,10 @@
-"""The port: what the service asks of a job engine. Behind it stand DBOS (`durable`) and, in tests, a plain fake."""
+"""Jobs, their states, and the steps that do them, whatever the engine behind (`durable`: DBOS)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 
 class State(StrEnum):
@@ -23,91 +23,37 @@ FINAL = frozenset({State.SUCCEEDED, State.DISPUTED, State.FAILED, State.CANCELLE
 
 @dataclass(frozen=True)
 class Job:
-    """One job as it stands.
-
-    Parameters
-    ----------
-    id, tenant, api_key : str
-        `api_key` is the public id of the key that asked for it.
-    kind : str
-        Key of the flows: "embed" or "verify".
-    request : mapping
-        What was asked, JSON values; never a secret.
-    stage, fraction : str, float
-        What it is doing, and how far that is, 0 to 1.
-    result : mapping or None
-        Once succeeded or disputed.
-    problem : mapping or None
-        RFC 9457 object, once failed.
-    revision : int
-        Grows with every change; the ETag.
-    cancelling : bool
-        Cancellation was asked for.
-    created_at, started_at, finished_at : str
-        UTC, ISO 8601; empty while not yet.
-    """
+    """One job as it stands."""
 
     id: str
     tenant: str
-    api_key: str
-    kind: str
+    api_key: str  # public id of the key that asked for it
+    kind: str  # embed or verify: key of the flows
     state: State
-    request: Mapping[str, Any]
-    stage: str = ""
-    fraction: float = 0.0
-    result: Mapping[str, Any] | None = None
-    problem: Mapping[str, Any] | None = None
-    revision: int = 0
-    cancelling: bool = False
-    created_at: str = ""
+    request: Mapping[str, Any]  # what was asked, JSON values; never a secret
+    stage: str = ""  # what it is doing
+    fraction: float = 0.0  # how far that is, 0 to 1
+    result: Mapping[str, Any] | None = None  # once succeeded or disputed
+    problem: Mapping[str, Any] | None = None  # once failed, as in RFC 9457
+    revision: int = 0  # grows with every change; the ETag
+    cancelling: bool = False  # cancellation was asked for
+    created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two
     started_at: str = ""
     finished_at: str = ""
-
-
-class Jobs(Protocol):
-    """A job engine."""
-
-    def submit(self, job: Job) -> Job:
-        """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job."""
-
-    def get(self, tenant: str, job_id: str) -> Job | None:
-        """The job, if it is this tenant's."""
-
-    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
-        """Jobs of a tenant, newest first, after the job with this id."""
-
-    def cancel(self, tenant: str, job_id: str) -> Job | None:
-        """Ask for a job to stop. A final job stays as it is."""
-
-    def progress(self, job_id: str, stage: str, fraction: float) -> bool:
-        """Say how far a job is. False: cancellation was asked for (or the job is gone); stop."""
-
-    def result(self, job_id: str, state: State, value: Mapping[str, Any]) -> None:
-        """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
-
-    def recover(self, silent_seconds: float) -> Sequence[str]:
-        """Take over the jobs of workers not heard of for that long; ids of those workers."""
 
 
 @dataclass
 class Run:
     """What a step of a flow is handed.
 
-    Parameters
-    ----------
-    results : dict
-        What the steps before returned, by step name.
-    folder : Path
-        An empty scratch folder of this step, removed after it.
-    work : callable
-        `work(task, request) -> reply`: runs a task of `service.work` in a process of its own, with limits; progress
-        goes to the job, a cancelled job raises `Cancelled`, an error of the engine raises the `Problem` it means.
-        Files that the task makes lie in `folder`.
+    `work(task, request) -> reply` runs a task of `service.work` in a process of its own, with limits: progress goes to
+    the job, a cancelled job raises `Cancelled`, an error of the engine the `Problem` it means. Files that it makes lie
+    in `folder`.
     """
 
     job: Job
-    results: dict[str, Any] = field(default_factory=dict)
-    folder: Path = Path()
+    results: dict[str, Any] = field(default_factory=dict)  # of the steps before, by name
+    folder: Path = Path()  # scratch of this step, empty, removed after it
     work: Callable[[str, Mapping[str, Any]], dict[str, Any]] = lambda task, request: {}
 
 

@@ -61,12 +61,8 @@ class Watch:
     def silent(self, seen: Mapping[str, float], owners: Collection[str], seconds: float) -> list[str]:
         """Workers that left, or have not changed their row for that long.
 
-        Parameters
-        ----------
-        seen : mapping
-            Worker -> its last sign of life, as just read.
-        owners : collection of str
-            Workers that hold jobs; one without a row is as silent as can be.
+        `seen` is each worker's last sign of life, as just read; one that only holds jobs (`owners`), without a row, is
+        as silent as can be.
         """
         moment = time.monotonic()
         signs: dict[str, float | None] = dict.fromkeys(owners) | dict(seen)

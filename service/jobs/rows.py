@@ -1,7 +1,7 @@
 """The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from sqlalchemy.exc import IntegrityError
 
 from service.clock import now
 from service.db import Database
+from service.db.pages import page
 from service.db.schema import jobs
 from service.jobs.port import FINAL, Job, State
 
@@ -19,19 +20,11 @@ _CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
 
 @dataclass(frozen=True)
 class Attempt:
-    """A job that a worker has begun.
-
-    Parameters
-    ----------
-    number : int
-        Of this attempt, from 1. Once another worker has begun the job, this one can change it no more.
-    tries : int
-        Attempts at the present step, this one included; those that a shut-down ended do not count.
-    """
+    """A job that a worker has begun."""
 
     job: Job
-    number: int
-    tries: int
+    number: int  # from 1; once another worker has begun the job, this attempt can change it no more
+    tries: int  # at the present step, this one included; those that a shut-down ended do not count
 
 
 class Rows:
@@ -65,16 +58,10 @@ class Rows:
             row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
         return None if row is None else _job(row)
 
-    def page(self, tenant: str, limit: int, after: str) -> list[Job]:
-        """A tenant's jobs, newest first."""
-        query = sa.select(jobs).where(jobs.c.tenant == tenant)
-        if after:
-            known = sa.select(jobs.c.created_at).where(_mine(tenant, after)).scalar_subquery()
-            same_moment = (jobs.c.created_at == known) & (jobs.c.id < after)
-            query = query.where((jobs.c.created_at < known) | same_moment)
-        query = query.order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
+    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
+        """Jobs of a tenant, newest first, after the job with this id."""
         with self._db.read() as connection:
-            return [_job(row) for row in connection.execute(query)]
+            return [_job(row) for row in page(connection, jobs, tenant, limit, after)[0]]
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """A queued job is cancelled at once; a running one is asked to stop."""
@@ -103,8 +90,8 @@ class Rows:
             row = connection.execute(sa.select(jobs).where(this)).one()
         return Attempt(_job(row), row.attempts, row.tries)
 
-    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None) -> bool:
-        """Stage and fraction, written where they changed; False where this attempt must stop."""
+    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
+        """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
         with self._db.read() as connection:
             row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id)).first()
         if row is None or row.state != State.RUNNING or row.cancelling:
@@ -118,8 +105,8 @@ class Rows:
             changed = sa.update(jobs).where(running).values({"stage": stage, "fraction": fraction} | _CHANGED)
             return connection.execute(changed).rowcount > 0
 
-    def finish(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None) -> bool:
-        """End a job; False where it had ended, or is another attempt's."""
+    def result(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None = None) -> None:
+        """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
         if state not in FINAL:
             raise ValueError(f"{state} is no final state")
         ended: dict[str, Any] = {"state": state.value, "finished_at": now()}
@@ -128,8 +115,7 @@ class Rows:
         elif state == State.FAILED:
             ended |= {"problem": dumps(value)}
         with self._db.write() as connection:
-            changed = sa.update(jobs).where(_held(job_id, attempt) & _OPEN).values(ended | _CHANGED)
-            return connection.execute(changed).rowcount > 0
+            connection.execute(sa.update(jobs).where(_held(job_id, attempt) & _OPEN).values(ended | _CHANGED))
 
     def settled(self, job_id: str, attempt: int) -> None:
         """A step is done: what is tried next is another."""
@@ -142,7 +128,7 @@ class Rows:
         with self._db.write() as connection:
             connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
-    def open_before(self, time: str) -> list[str]:
+    def open_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that are not final and were asked for before that time, oldest first."""
         query = sa.select(jobs.c.id).where(_OPEN & (jobs.c.created_at < time)).order_by(jobs.c.created_at)
         with self._db.read() as connection:

@@ -32,22 +32,7 @@ T = TypeVar("T")
 
 
 class Runner:
-    """Runs jobs, each step once.
-
-    Parameters
-    ----------
-    flows : mapping
-        Kind of job -> its steps.
-    scratch : Path
-        Folder of the steps' folders.
-    stopping : threading.Event
-        Set when the worker shuts down.
-
-    Attributes
-    ----------
-    active : set of str
-        Jobs that are running here.
-    """
+    """Runs jobs, each step once, in folders under `scratch`; `active` are those running here."""
 
     def __init__(
         self,
@@ -66,7 +51,7 @@ class Runner:
         """The workflow: returns once the job's row is final. What it raises, DBOS would take for an end."""
         self.active.add(job_id)
         try:
-            attempt = self._patiently(lambda: self._jobs.rows.begin(job_id, self._worker), _OUT_OF_REACH)
+            attempt = self._patiently(lambda: self._jobs.begin(job_id, self._worker), _OUT_OF_REACH)
             if attempt is None:
                 return
             try:
@@ -101,7 +86,7 @@ class Runner:
         """What is kept of a step. How it failed is kept as a value too: it would fail again."""
         try:
             kept = self._patiently(lambda: self._do(attempt, step, results))
-            self._patiently(lambda: self._jobs.rows.settled(attempt.job.id, attempt.number))
+            self._patiently(lambda: self._jobs.settled(attempt.job.id, attempt.number))
         except Cancelled:
             return {"cancelled": True}
         except Problem as problem:

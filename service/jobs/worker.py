@@ -32,8 +32,6 @@ class Worker:
 
     Parameters
     ----------
-    flows : mapping
-        Kind of job -> its steps.
     name : str, optional
         Letters, digits, dots and dashes. A worker that comes back under its name takes up its jobs at once; at most
         one process may use a name. Without one, a fresh name is made.
@@ -157,7 +155,7 @@ class Worker:
 
     def _leave(self) -> None:
         try:
-            self._jobs.rows.handed_back(self.name)
+            self._jobs.handed_back(self.name)
             self._jobs.presence.leave(self.name)
         except Exception as error:
             _log.warning("worker %s ends without a word: %s", self.name, error)

@@ -1,6 +1,7 @@
 """/v1/keys: owner keys, sealed; shown once, when asked for at the making."""
 
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
@@ -9,10 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.db import schema
+from service.db.pages import page
 from service.db.schema import assets
-from service.http.access import Admin, Core, Reader
+from service.http.access import Admin, After, Core, Limit, Reader
 from service.http.failures import responses
-from service.http.lists import After, Limit, page
 from service.problems import Problem
 from service.trust import owner_keys
 
@@ -40,6 +41,7 @@ class NewKey(BaseModel):
 class KeyView(BaseModel):
     """An owner key; never its secret."""
 
+    model_config = ConfigDict(from_attributes=True)
     id: str
     fingerprint: str = Field(description="Public short name of the key; records name it.")
     label: str
@@ -70,7 +72,7 @@ def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> M
     key = OwnerKey.generate() if body.key is None else owner_keys.parse_key(body.key)
     made = owner_keys.store(core.db, core.master, caller.tenant, key, body.label)
     response.headers["Cache-Control"] = "no-store"
-    return MadeKey(**shape(made).model_dump(), key=key.to_text() if body.reveal else None)
+    return MadeKey(**asdict(made), key=key.to_text() if body.reveal else None)
 
 
 @router.get("", operation_id="listKeys", responses=responses("unauthorized", "forbidden", "invalid-request"))
@@ -79,7 +81,7 @@ def list_keys(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
     with core.db.read() as connection:
         present = schema.owner_keys.c.deleted_at.is_(None)
         rows, following = page(connection, schema.owner_keys, caller.tenant, limit, after, where=present)
-    return KeyList(items=[shape(row) for row in rows], next=following)
+    return KeyList(items=[KeyView.model_validate(row) for row in rows], next=following)
 
 
 @router.delete(
@@ -105,8 +107,3 @@ def _assets(core: Service, tenant: str, key_id: str) -> int:
     mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
     with core.db.read() as connection:
         return int(connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())
-
-
-def shape(row: Any) -> KeyView:
-    """The row for the client."""
-    return KeyView(id=row.id, fingerprint=row.fingerprint, label=row.label, created_at=row.created_at)

@@ -8,10 +8,9 @@ from fastapi import APIRouter, Depends, Header, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 
-from service.http.access import Core, Reader
+from service.http.access import After, Core, Limit, Reader
 from service.http.answers import JobView, view
 from service.http.failures import responses
-from service.http.lists import After, Limit
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from service.clock import now
-from service.db import Database
-from service.db.alone import alone
+from service.db import Database, alone
 from service.db.schema import api_keys
 from service.problems import Problem
 from service.trust import audit
@@ -44,13 +43,7 @@ class ApiKey:
 
 
 def issue(db: Database, master: MasterKey, tenant: str, scopes: Iterable[str], label: str = "") -> str:
-    """A new key's token. It is nowhere kept: whoever loses it needs another.
-
-    Raises
-    ------
-    Problem
-        "invalid-request", if a scope is unknown, or none is given.
-    """
+    """A new key's token. It is nowhere kept: whoever loses it needs another. "invalid-request" for unknown scopes."""
     with db.write() as connection:
         return _issue(connection, master, tenant, scopes, label)
 
@@ -65,13 +58,7 @@ def issue_first(db: Database, master: MasterKey, tenant: str, label: str = "") -
 
 
 def check(db: Database, master: MasterKey, token: str) -> Caller:
-    """Whose token this is.
-
-    Raises
-    ------
-    Problem
-        "unauthorized", the same for a malformed, unknown, wrong and revoked token, and after the same work.
-    """
+    """Whose token this is; "unauthorized" for malformed, unknown, wrong and revoked ones alike, after the same work."""
     match = _TOKEN.fullmatch(token)
     key_id, secret = match.groups() if match else ("", "")
     with db.read() as connection:
@@ -84,16 +71,10 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
 
 
 def revoke(db: Database, tenant: str, key_id: str) -> None:
-    """End a key for good. Twice is once.
-
-    Raises
-    ------
-    Problem
-        "not-found", if this tenant has no such key.
-    """
+    """End a key of this tenant ("not-found" where it has no such key) for good. Twice is once."""
     with db.write() as connection:
         alone(connection)
-        this = sa.and_(api_keys.c.id == key_id, api_keys.c.tenant == tenant)
+        this = (api_keys.c.id == key_id) & (api_keys.c.tenant == tenant)
         row = connection.execute(api_keys.select().where(this)).one_or_none()
         if row is None:
             raise Problem("not-found", f"there is no API key {key_id!r}")

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.clock import now
-from service.db.alone import alone
+from service.db import alone
 from service.db.schema import audit, audit_nodes
 from service.trust import merkle
 from service.trust.canonical import canonical
@@ -25,27 +25,15 @@ NO_PREVIOUS = bytes(32).hex()
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the log.
-
-    Parameters
-    ----------
-    at : str
-        UTC, ISO 8601.
-    tenant, event, subject : str
-        Whose it is, what happened, and the id of what it happened to.
-    payload : mapping
-        Digests and public facts, never secrets.
-    previous : str
-        Hash of the entry before, hex.
-    """
+    """One entry of the log."""
 
     index: int
-    at: str
+    at: str  # UTC, ISO 8601
     tenant: str
     event: str
-    subject: str
-    payload: Mapping[str, Any]
-    previous: str
+    subject: str  # id of what it is about
+    payload: Mapping[str, Any]  # digests and public facts, never secrets
+    previous: str  # hash of the entry before, hex
 
     def to_json(self) -> dict[str, Any]:
         """What the leaf says."""
@@ -61,15 +49,6 @@ def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[
     """Add an entry; it stands once the caller's transaction is committed.
 
     Appenders wait for one another until they commit, so append last, where there is a choice. O(log n).
-
-    Parameters
-    ----------
-    connection : Connection
-        Of `Database.write`.
-    payload : mapping
-        JSON values; digests and public facts, never secrets.
-    subject : str
-        Id of what this is about, for `find`.
     """
     alone(connection)
     query = sa.select(audit.c.index, audit.c.hash).order_by(audit.c.index.desc()).limit(1)

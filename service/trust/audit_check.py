@@ -23,40 +23,22 @@ _PAGE = 1000
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that was altered.
+    """Something that was altered."""
 
-    Parameters
-    ----------
-    index : int or None
-        Entry of the log; None for a row that no entry speaks of.
-    code : str
-        entry, chain, gap, tree, asset, claim or signature.
-    """
-
-    index: int | None
-    code: str
+    index: int | None  # in the log; None for a row that no entry speaks of
+    code: str  # entry, chain, gap, tree, asset, claim or signature
     text: str
 
 
 @dataclass(frozen=True)
 class LogReport:
-    """What a check of the log found.
-
-    Parameters
-    ----------
-    root : str
-        Merkle root over all of them, hex; "" where the tree is broken.
-    assets, claims : int
-        Rows compared with the log.
-    faults : tuple of Fault
-        In the order of the log, the first broken entry first; at most MOST_FAULTS.
-    """
+    """What a check of the log found."""
 
     entries: int
-    root: str
-    assets: int
+    root: str  # Merkle root over all of them, hex; "" where the tree is broken
+    assets: int  # rows compared with the log
     claims: int
-    faults: tuple[Fault, ...]
+    faults: tuple[Fault, ...]  # in the order of the log, at most MOST_FAULTS
 
     @property
     def ok(self) -> bool:

@@ -9,10 +9,7 @@ import rfc8785
 def canonical(value: Any) -> bytes:
     """UTF-8 bytes of a JSON value in canonical form: sorted names, no spaces, one way to write each number.
 
-    Raises
-    ------
-    ValueError
-        If the value holds NaN, an infinity, an integer beyond 2^53, a lone surrogate or no JSON at all.
+    ValueError if it holds NaN, an infinity, an integer beyond 2^53, a lone surrogate or no JSON at all.
     """
     return rfc8785.dumps(value)
 

@@ -16,24 +16,12 @@ CLAIM_ISSUED = "claim.issued"
 
 
 def asset_digest(row: Mapping[str, Any]) -> str:
-    """Digest of a whole row of the table `assets`.
-
-    Raises
-    ------
-    KeyError
-        If a column is missing.
-    """
+    """Digest of a whole row of the table `assets`."""
     return digest({column.name: row[column.name] for column in assets.columns})
 
 
 def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
-    """Log the registration of an asset, in the transaction that inserts its row.
-
-    Parameters
-    ----------
-    row : mapping
-        Every column of the table `assets`.
-    """
+    """Log the registration of an asset, in the transaction that inserts its row (every column of it)."""
     payload = {
         "digest": asset_digest(row),
         "original_sha256": row["original_sha256"],
@@ -44,13 +32,7 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
 
 
 def registration_of(connection: sa.Connection, asset: str) -> Entry:
-    """The entry that logged an asset's registration.
-
-    Raises
-    ------
-    Problem
-        "internal", if there is none: the log or the table was altered.
-    """
+    """The entry that logged an asset's registration; "internal" if there is none: log or table were altered."""
     entry = audit.find(connection, ASSET_REGISTERED, asset)
     if entry is None:
         raise Problem("internal", f"the audit log does not know the asset {asset!r}")
@@ -68,13 +50,6 @@ def commit_claim(
     """Log a claim, and return its member `audit`: the entry, and the proof that it is in the log.
 
     The registration of the asset is proven under the same root, so that a reader sees which came first.
-
-    Parameters
-    ----------
-    document : mapping
-        With the members `claim_id` and `asset`.
-    registration : Entry or None
-        Of the asset.
     """
     payload = {"asset": document["asset"], "digest": claim_digest(document)}
     entry = audit.append(connection, tenant, CLAIM_ISSUED, payload, document["claim_id"])

@@ -16,8 +16,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from engine.errors import Mark3DGSError
-from service.db import Database
-from service.db.alone import alone
+from service.db import Database, alone
 from service.db.schema import facts
 from service.problems import Problem
 from service.settings import Settings

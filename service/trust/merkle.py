@@ -59,16 +59,7 @@ def inclusion_proof(index: int, size: int, fetch: Fetch) -> list[bytes]:
 
 
 def check_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes) -> bool:
-    """Whether the proof leads from a leaf to the root (RFC 9162 2.1.3.2).
-
-    Parameters
-    ----------
-    leaf : bytes
-        Hash of the leaf.
-    index, size : int
-        Which leaf, of how many.
-    proof : sequence of bytes
-    """
+    """Whether the proof leads from the hash of leaf `index` of `size` to the root (RFC 9162 2.1.3.2)."""
     if not 0 <= index < size:
         return False
     here, last, found = index, size - 1, leaf

@@ -10,8 +10,7 @@ import sqlalchemy as sa
 from engine.errors import KeyFileError
 from engine.watermark.keys import OwnerKey
 from service.clock import now
-from service.db import Database
-from service.db.alone import alone
+from service.db import Database, alone
 from service.db.schema import owner_keys
 from service.problems import Problem
 from service.trust import audit
@@ -34,13 +33,7 @@ class KeyInfo:
 
 
 def parse_key(text: str) -> OwnerKey:
-    """An owner key from hexadecimal digits (64 or more), or from the text of a key file.
-
-    Raises
-    ------
-    Problem
-        "invalid-request"; it never repeats the text.
-    """
+    """An owner key from hexadecimal digits (64 or more), or from the text of a key file, which no error repeats."""
     try:
         if len(text) > MOST_TEXT or not text.isascii():
             raise KeyFileError(f"an owner key is at most {MOST_TEXT} ASCII characters")
@@ -54,13 +47,8 @@ def parse_key(text: str) -> OwnerKey:
 
 
 def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: str = "") -> KeyInfo:
-    """Keep a key. One that was deleted comes back under its old id, so that its marks can be verified again.
-
-    Raises
-    ------
-    Problem
-        "conflict", if the tenant has this key already.
-    """
+    """Keep a key ("conflict" where the tenant has it). One that was deleted comes back under its old id, so that its
+    marks can be verified again."""
     with db.write() as connection:
         alone(connection)
         same = sa.and_(owner_keys.c.tenant == tenant, owner_keys.c.fingerprint == key.fingerprint)
@@ -86,17 +74,11 @@ def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: st
 
 
 def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> OwnerKey:
-    """The key itself.
-
-    Raises
-    ------
-    Problem
-        "not-found", if this tenant has no such key (any more).
-    """
+    """The key itself; "not-found" where this tenant has no such key (any more)."""
     with db.read() as connection:
         row = connection.execute(owner_keys.select().where(_this(tenant, key_id))).one_or_none()
-    if row is None or row.sealed is None:
-        raise _missing(key_id)
+    if row is None:
+        raise Problem("not-found", f"there is no owner key {key_id!r}")
     return OwnerKey(master.unseal(row.sealed, _bound(tenant, key_id, row.version)))
 
 
@@ -109,28 +91,18 @@ def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
 
 
 def delete(db: Database, tenant: str, key_id: str) -> None:
-    """Erase a key. What was marked with it can be verified again only once its owner imports it again.
-
-    Raises
-    ------
-    Problem
-        "not-found", if this tenant has no such key.
-    """
+    """Erase a key. What was marked with it can be verified again only once its owner imports it again."""
     with db.write() as connection:
         alone(connection)
-        gone = owner_keys.update().where(_this(tenant, key_id), owner_keys.c.deleted_at.is_(None))
-        if connection.execute(gone.values(sealed=None, deleted_at=now())).rowcount == 0:
-            raise _missing(key_id)
+        gone = owner_keys.update().where(_this(tenant, key_id)).values(sealed=None, deleted_at=now())
+        if connection.execute(gone).rowcount == 0:
+            raise Problem("not-found", f"there is no owner key {key_id!r}")
         audit.append(connection, tenant, "owner_key.deleted", {}, key_id)
 
 
 def _this(tenant: str, key_id: str) -> sa.ColumnElement[bool]:
-    return sa.and_(owner_keys.c.id == key_id, owner_keys.c.tenant == tenant)
+    return (owner_keys.c.id == key_id) & (owner_keys.c.tenant == tenant) & owner_keys.c.deleted_at.is_(None)
 
 
 def _bound(tenant: str, key_id: str, version: int) -> bytes:
     return bind("owner key", tenant, key_id, version)
-
-
-def _missing(key_id: str) -> Problem:
-    return Problem("not-found", f"there is no owner key {key_id!r}")

@@ -12,8 +12,7 @@ from joserfc.errors import JoseError
 from joserfc.jwk import KeySet, OKPKey
 
 from service.clock import now
-from service.db import Database
-from service.db.alone import alone
+from service.db import Database, alone
 from service.db.schema import signing_keys
 from service.problems import Problem
 from service.trust import audit
@@ -57,13 +56,7 @@ def jwks(db: Database) -> dict[str, Any]:
 
 
 def sign(connection: sa.Connection, master: MasterKey, payload: bytes) -> str:
-    """Compact JWS of a payload, by the key that signs at present.
-
-    Raises
-    ------
-    Problem
-        "internal", if there is no key or it cannot be opened.
-    """
+    """Compact JWS of a payload, by the key that signs at present; "internal" where there is none that opens."""
     row = _active(connection)
     if row is None:
         raise Problem("internal", "there is no signing key")
@@ -73,17 +66,7 @@ def sign(connection: sa.Connection, master: MasterKey, payload: bytes) -> str:
 
 
 def verify(token: str, jwks: Mapping[str, Any]) -> tuple[bytes, str]:
-    """Payload of a compact JWS, and the id of the key that signed it.
-
-    Parameters
-    ----------
-    jwks : mapping
-        The keys that are trusted.
-
-    Raises
-    ------
-    SignatureFault
-    """
+    """Payload of a compact JWS, and the id of the key of the trusted `jwks` that signed it, or SignatureFault."""
     match = _COMPACT.fullmatch(token)
     if match is None or not _one_spelling(match[1]):
         raise SignatureFault("this is no compact JWS")

@@ -36,13 +36,8 @@ class Stamped:
 
 
 def stamp(url: str, jws: str) -> Stamped:
-    """A time stamp of the SHA-256 of a compact JWS. Never raises: a claim stands without it.
-
-    Parameters
-    ----------
-    url : str
-        http(s) address of a time-stamping service.
-    """
+    """A time stamp of the SHA-256 of a compact JWS, from the service at an http(s) address. Never raises: a claim
+    stands without it."""
     try:
         request = TimestampRequestBuilder().data(jws.encode()).hash_algorithm(HashAlgorithm.SHA256).build()
         reply = _ask(url, request.as_bytes())
@@ -56,25 +51,14 @@ def stamp(url: str, jws: str) -> Stamped:
 
 
 def stamped_at(token: bytes, jws: str) -> str:
-    """The time a stamp of this JWS names, UTC, ISO 8601; who gave it is left open.
-
-    Raises
-    ------
-    TimestampFault
-        If it is no time stamp, or one of something else.
-    """
+    """The time a stamp of this JWS names, UTC, ISO 8601; who gave it is left open. TimestampFault if it is none."""
     response = _read(token)
     _check_digest(response, jws)
     return response.tst_info.gen_time.replace(tzinfo=UTC).isoformat(timespec="seconds")
 
 
 def check_stamp(token: bytes, jws: str, roots: Sequence[x509.Certificate]) -> str:
-    """As `stamped_at`, for a stamp whose signer one of these certificates vouches for.
-
-    Raises
-    ------
-    TimestampFault
-    """
+    """As `stamped_at`, for a stamp whose signer one of these certificates vouches for."""
     at = stamped_at(token, jws)
     response = _read(token)
     try:

@@ -1,7 +1,6 @@
 """/v1/uploads: slots, and their bytes."""
 
 import asyncio
-import json
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Request, Response
@@ -9,11 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.access import Core, Uploader
 from service.http.failures import responses
-from service.http.forms import WHOLE
+from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.inspection import inspect
 from service.uploads.receiving import receive
+from service.uploads.taking import inspect
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -34,13 +33,14 @@ class NewUpload(BaseModel):
 class Upload(BaseModel):
     """An upload as it stands."""
 
+    model_config = ConfigDict(from_attributes=True)
     id: str
     name: str
     size: int | None
-    offset: int = Field(description="Bytes received: the next request continues here.")
+    offset: int = Field(validation_alias="received", description="Bytes received: the next request continues here.")
     state: Literal["open", "complete"]
     sha256: str | None
-    info: dict[str, Any] | None = Field(description="What the file is, once it was inspected.")
+    info: Annotated[dict[str, Any] | None, FROM_JSON] = Field(description="What the file is, once it was inspected.")
     created_at: str
 
 
@@ -54,13 +54,13 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
     """Open a slot; send the bytes with PUT."""
     row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
     response.headers["Location"] = f"/v1/uploads/{row.id}"
-    return shape(row)
+    return Upload.model_validate(row)
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=responses("unauthorized", "forbidden", "not-found"))
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
     """How far an upload is: `offset` says where to continue."""
-    return shape(store.get(core, caller.tenant, upload_id))
+    return Upload.model_validate(store.get(core, caller.tenant, upload_id))
 
 
 @router.put(
@@ -99,9 +99,9 @@ async def put_upload(
         if missing or not got.whole:
             if got.length:
                 await asyncio.to_thread(store.add_part, core, row, path, got.length)
-            return shape(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
+            return Upload.model_validate(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
         row = await asyncio.to_thread(store.complete, core, row, path, got.length, got.sha256)
-    return shape(await asyncio.to_thread(inspect, core, row))
+    return Upload.model_validate(await asyncio.to_thread(inspect, core, row))
 
 
 @router.delete(
@@ -113,17 +113,3 @@ async def put_upload(
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
     """Forget an upload; what was made of it stays."""
     store.drop(core, store.get(core, caller.tenant, upload_id))
-
-
-def shape(row: Any) -> Upload:
-    """The row for the client."""
-    return Upload(
-        id=row.id,
-        name=row.name,
-        size=row.size,
-        offset=row.received,
-        state=row.state,
-        sha256=row.sha256,
-        info=json.loads(row.info) if row.info else None,
-        created_at=row.created_at,
-    )

@@ -24,20 +24,12 @@ class Received:
 
 
 async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Received:
-    """Write a request's body to a file; a client that breaks off leaves what came so far.
-
-    Parameters
-    ----------
-    stream : async iterator of bytes
-    path : Path
-        A new file.
-    room : int
-        Bytes that may come.
+    """Write a request's body to a new file; a client that breaks off leaves what came so far.
 
     Raises
     ------
     Problem
-        too-large when more come.
+        too-large when more than `room` bytes come.
     """
     digest, length, whole = hashlib.sha256(), 0, True
     with path.open("wb") as file:

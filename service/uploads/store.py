@@ -8,13 +8,14 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from engine.formats.pictures import starts_like_picture
 from service.clock import now
 from service.core import Service
+from service.db.pages import own
 from service.db.schema import uploads
 from service.problems import Problem
 
 _CHUNK = 4 << 20
-_PICTURE_MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
 
 def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
@@ -32,14 +33,8 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
 
 
 def get(service: Service, tenant: str, upload_id: str) -> Any:
-    """The row of a slot; not-found for other tenants' too."""
-    with service.db.read() as connection:
-        row = connection.execute(
-            sa.select(uploads).where((uploads.c.id == upload_id) & (uploads.c.tenant == tenant))
-        ).first()
-    if row is None:
-        raise Problem("not-found", f"there is no upload {upload_id!r}")
-    return row
+    """The row of a slot."""
+    return own(service.db, uploads, tenant, upload_id)
 
 
 def add_part(service: Service, row: Any, path: Path, length: int) -> None:
@@ -86,7 +81,7 @@ def drop(service: Service, row: Any) -> None:
 
 def kind_of(head: bytes) -> str:
     """model, picture or cameras, by the first bytes."""
-    if head.startswith(_PICTURE_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP"):
+    if starts_like_picture(head):
         return "picture"
     return "cameras" if head.lstrip()[:1] in (b"{", b"[") else "model"
 

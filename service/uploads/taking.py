@@ -1,6 +1,7 @@
-"""Files of a multipart form become uploads like any other: complete, inspected, owned by the caller."""
+"""Complete uploads: looked at, so that what cannot be read is refused at once, and gathered for a job."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import PurePosixPath
 from typing import Any
@@ -9,35 +10,77 @@ from starlette.datastructures import UploadFile
 
 from service.blobs import digest_of
 from service.core import Service
+from service.jobs.once import run_once, task_folder
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.inspection import inspect
 
 WRONG_KIND = {"model": "unreadable-model", "picture": "unreadable-image", "cameras": "unreadable-cameras"}
+INSPECTED_BYTES = 256 << 20
+"""Larger files are read by their job only."""
 _CHUNK = 1 << 20
 
 
-def take(service: Service, tenant: str, file: UploadFile) -> Any:
+def inspect(service: Service, row: Any) -> Any:
+    """The row with what the file is. What takes too long to say is left to the job.
+
+    Raises
+    ------
+    Problem
+        unreadable-model and the like: the upload is dropped.
+    """
+    with task_folder(service.settings) as folder:
+        path = service.blobs.local(row.sha256, folder)
+        with path.open("rb") as file:
+            kind = store.kind_of(file.read(16))
+        if row.size > INSPECTED_BYTES:
+            return store.note(service, row, {"kind": kind})
+        request = {kind: str(path), "spz_frame": "auto"}
+        task = "inspect" if kind == "model" else kind
+        try:
+            found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds)
+        except Problem as problem:
+            if problem.status < 500:
+                store.drop(service, row)
+            raise
+        if found is None:
+            return store.note(service, row, {"kind": kind})
+    names = ("format", "gaussians", "sh_degree", "repairs", "width", "height", "cameras")
+    info = {"kind": kind, **{name: found[name] for name in names if name in found}}
+    return store.note(service, row, info)
+
+
+def gather(
+    service: Service, tenant: str, upload_ids: Sequence[str], files: Sequence[UploadFile], kind: str
+) -> list[Any]:
+    """Rows of the complete uploads that a request names, and of those that its files become.
+
+    Raises
+    ------
+    Problem
+        not-found, conflict where an upload is not complete, or unreadable-... where it is no model, picture or cameras
+        as `kind` says.
+    """
+    rows = [_whole(service, tenant, upload_id) for upload_id in upload_ids]
+    rows += [_take(service, tenant, file) for file in files]
+    for row in rows:
+        found = json.loads(row.info)["kind"] if row.info else kind
+        if found != kind:
+            raise Problem(WRONG_KIND[kind], f"upload {row.id!r} is no {kind}: its bytes are those of a {found} file")
+    return rows
+
+
+def _take(service: Service, tenant: str, file: UploadFile) -> Any:
     """The row of the upload that a form's file became."""
     name = PurePosixPath((file.filename or "").replace("\\", "/")).name[:200]
     with service.blobs.new_file() as path:
         with path.open("wb") as target:
-            while chunk := file.file.read(_CHUNK):
-                target.write(chunk)
+            shutil.copyfileobj(file.file, target, _CHUNK)
         size = path.stat().st_size
         row = store.create(service, tenant, name, size or None, None)
         return inspect(service, store.complete(service, row, path, size, digest_of(path)))
 
 
-def expect(rows: Sequence[Any], kind: str) -> None:
-    """Refuse uploads that are something else than a model, a picture or cameras, as the request needs them."""
-    for row in rows:
-        found = json.loads(row.info)["kind"] if row.info else kind
-        if found != kind:
-            raise Problem(WRONG_KIND[kind], f"upload {row.id!r} is no {kind}: its bytes are those of a {found} file")
-
-
-def whole(service: Service, tenant: str, upload_id: str) -> Any:
+def _whole(service: Service, tenant: str, upload_id: str) -> Any:
     """The row of a complete upload."""
     row = store.get(service, tenant, upload_id)
     if row.state != "complete":

@@ -1,23 +1,23 @@
 """POST /v1/verify: does this suspect carry a mark of ours?"""
 
 import asyncio
-import secrets
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.core import Service
+from service.db.pages import own
+from service.db.schema import assets
 from service.http.access import Core, Verifier
-from service.http.answers import JobView, respond, submit
+from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
-from service.http.failures import responses
-from service.http.forms import form_schema, read_form
-from service.jobs.port import Job, State
+from service.http.forms import Files, form_schema, read_form
+from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
-from service.uploads.taking import expect, take, whole
-from service.verifications.candidates import asset_exists, spend_subject
+from service.uploads.taking import gather
+from service.verifications.flow import spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])
 Id = Annotated[str, Field(min_length=1, max_length=64)]
@@ -72,27 +72,10 @@ BODY = form_schema(VerifyRequest, FILES, ("upload_id", "image_upload_ids", "came
     operation_id="verify",
     openapi_extra=BODY,
     response_model=JobView,
-    responses={
-        200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
-        **responses(
-            "malformed-request",
-            "unauthorized",
-            "forbidden",
-            "not-found",
-            "conflict",
-            "too-large",
-            "unsupported-media-type",
-            "invalid-request",
-            "budget-exceeded",
-        ),
-    },
+    responses=JOB_RESPONSES,
 )
 async def verify(
-    request: Request,
-    core: Core,
-    caller: Verifier,
-    prefer: Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")] = None,
-    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=128)] = None,
+    request: Request, core: Core, caller: Verifier, prefer: Prefer = None, idempotency_key: RetryKey = None
 ) -> Response:
     """Check a suspect model, or pictures of one. The job's result names the claim; a negative answer is a claim too."""
     body, files = await read_form(request, VerifyRequest, tuple(FILES))
@@ -100,44 +83,34 @@ async def verify(
     return await respond(core, job, prefer)
 
 
-def _submit(core: Service, caller: Caller, body: VerifyRequest, files: dict[str, Any], retry_key: str | None) -> Job:
+def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, retry_key: str | None) -> Job:
     tenant = caller.tenant
     model_files, image_files, camera_files = (files.get(name, []) for name in FILES)
-    if bool(body.upload_id or model_files) == bool(body.image_upload_ids or image_files):
+    models = [body.upload_id] if body.upload_id else []
+    cameras = [body.cameras_upload_id] if body.cameras_upload_id else []
+    if bool(models or model_files) == bool(body.image_upload_ids or image_files):
         raise Problem("invalid-request", "give one suspect: a model, or pictures of one")
-    if len(model_files) + bool(body.upload_id) > 1 or len(camera_files) + bool(body.cameras_upload_id) > 1:
+    if len(models) + len(model_files) > 1 or len(cameras) + len(camera_files) > 1:
         raise Problem("invalid-request", "give one model, and cameras once")
     if len(body.image_upload_ids) + len(image_files) > 64:
         raise Problem("invalid-request", "at most 64 pictures are read together")
-    if (body.cameras_upload_id or camera_files) and (body.upload_id or model_files):
+    if (cameras or camera_files) and (models or model_files):
         raise Problem("invalid-request", "cameras belong to pictures; a model needs none")
-
-    model = [whole(core, tenant, body.upload_id)] if body.upload_id else [take(core, tenant, f) for f in model_files]
-    images = [whole(core, tenant, name) for name in body.image_upload_ids]
-    images += [take(core, tenant, file) for file in image_files]
-    cameras = (
-        [whole(core, tenant, body.cameras_upload_id)]
-        if body.cameras_upload_id
-        else [take(core, tenant, file) for file in camera_files]
-    )
-    for rows, kind in ((model, "model"), (images, "picture"), (cameras, "cameras")):
-        expect(rows, kind)
+    model = gather(core, tenant, models, model_files, "model")
+    images = gather(core, tenant, body.image_upload_ids, image_files, "picture")
+    views = gather(core, tenant, cameras, camera_files, "cameras")
     asked: dict[str, Any] = {
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],
-        "cameras": cameras[0].sha256 if cameras else None,
-        "asset_id": body.asset_id,
-        "false_claim_rate": body.false_claim_rate,
-        "route": body.route,
-        "spz_frame": body.spz_frame,
+        "cameras": views[0].sha256 if views else None,
+        **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame"}),
     }
 
-    def make() -> Job:
+    def make() -> dict[str, Any]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
-            if not asset_exists(core, tenant, body.asset_id):
-                raise Problem("not-found", f"there is no asset {body.asset_id!r}")
+            own(core.db, assets, tenant, body.asset_id)
             spend_subject(core, body.asset_id)
-        return Job(f"job_{secrets.token_hex(12)}", tenant, caller.key_id, "verify", State.QUEUED, asked)
+        return asked
 
-    return submit(core, tenant, retry_key, {"verify": asked}, make)
+    return submit(core, caller, "verify", retry_key, {"verify": asked}, make)

@@ -2,12 +2,14 @@
 
 from typing import Any
 
+import sqlalchemy as sa
+
 from service.claims.issuing import issue
 from service.core import Service
+from service.db.schema import assets
+from service.http.budgets import spend
 from service.jobs.port import Flow, Run, State, Step
 from service.problems import Problem
-from service.registry import candidates
-from service.verifications.candidates import rows_to_try, spend_subject
 
 
 def verify_flow(service: Service) -> Flow:
@@ -15,27 +17,37 @@ def verify_flow(service: Service) -> Flow:
     return (Step("verify", lambda run: _verify(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
+def spend_subject(service: Service, asset_id: str) -> None:
+    """Count one verification of a suspect that derives from an asset: all such suspects are near duplicates, and a
+    detector asked often enough about slight changes of one model tells how to remove its mark."""
+    limit = service.settings.subject_verifies_per_day
+    spend(service.db, f"subject:{asset_id}", limit, 24, "verifications of suspects that derive from one asset")
+
+
 def _verify(service: Service, run: Run) -> dict[str, Any]:
-    asked, folder = run.job.request, run.folder
-    rows = rows_to_try(service, run.job.tenant, asked["asset_id"])
+    asked = run.job.request
+    query = sa.select(assets).where(assets.c.tenant == run.job.tenant).order_by(assets.c.registered_at.desc())
+    if asked["asset_id"] is not None:
+        query = query.where(assets.c.id == asked["asset_id"])
+    with service.db.read() as connection:
+        rows = connection.execute(query).all()
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
-    known = candidates(service, rows, folder)
+    known = service.candidates(rows, run)
     if not known:
         raise Problem("conflict", "the owner key of every asset in question was erased: import it again")
-    found = run.work(
+    return service.do_task(
+        run,
         "verify",
         {
-            "model": str(service.blobs.local(asked["model"], folder)) if asked["model"] else None,
-            "images": [str(service.blobs.local(digest, folder)) for digest in asked["images"]],
-            "cameras": str(service.blobs.local(asked["cameras"], folder)) if asked["cameras"] else None,
+            "model": service.local(asked["model"], run),
+            "images": [service.local(digest, run) for digest in asked["images"]],
+            "cameras": service.local(asked["cameras"], run),
             "candidates": known,
             "stop_at_first": True,
             **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
         },
     )
-    kept = {name: service.blobs.put(folder / file) for name, file in found["files"].items()}
-    return {**{name: value for name, value in found.items() if name != "files"}, "kept": kept}
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:

@@ -2,11 +2,12 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from engine.cli.models import loss_note, repair_entries
 from engine.formats import encode_model
+from engine.formats.writing import loss_note
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import compose
 from engine.registration.sketch import make_sketch
@@ -72,7 +73,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "bytes_out": len(model),
         "record_bytes": len(record),
         "profile": request["profile"],
-        "repairs": repair_entries(loaded.repairs),
+        "repairs": [asdict(repair) for repair in loaded.repairs],
         "notes": loss_note(made.model, kind),
         "seconds": ended - began,
         "seconds_by_stage": {

@@ -8,9 +8,9 @@ from typing import Any
 
 from PIL import Image
 
-from engine.cli.files import MAX_PICTURE_PIXELS, is_picture, read_picture
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import LoadedModel, read_cameras, read_model
+from engine.formats.pictures import MAX_PICTURE_PIXELS, is_picture, read_picture
 from engine.model import Camera, Float32
 from service.problems import Problem
 

@@ -31,19 +31,14 @@ PROMPT = "--prompt"
 SECONDS_BETWEEN_LINES = 0.1
 """Progress of one stage is said no more often than this."""
 
+PATIENCE_SECONDS = 0.05
+"""A request that is there when the process starts is read within this time; else the process is one in waiting."""
+
 _log = logging.getLogger(__name__)
 
 
-def serve(load: Callable[[], Mapping[str, Task]], warm_up: Callable[[], None]) -> None:
-    """Do one task, and end the process.
-
-    Parameters
-    ----------
-    load : callable
-        Imports and returns the tasks.
-    warm_up : callable
-        What can be made ready before there is a request; left out where the request is there first.
-    """
+def serve(tasks: Mapping[str, Task], warm_up: Callable[[], None]) -> None:
+    """Do one task, and end the process. Where no request is there yet, `warm_up` makes ready what can be."""
     out = _take_standard_output()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
@@ -52,13 +47,15 @@ def serve(load: Callable[[], Mapping[str, Task]], warm_up: Callable[[], None]) -
         os.nice(NICENESS)
     requests: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
-    tasks = load()
-    if requests.empty():
+    try:
+        line = requests.get(timeout=PATIENCE_SECONDS)
+    except queue.Empty:
         try:
             warm_up()
         except Exception:
             _log.exception("the warm-up failed; the task starts cold")
-    answer = _do(json.loads(requests.get()), tasks, _Lines(out))
+        line = requests.get()
+    answer = _do(json.loads(line), tasks, _Lines(out))
     out.write(json.dumps(answer) + "\n")
     out.flush()
     os._exit(0)  # nothing is left to tidy up, and tearing down the libraries takes half a second

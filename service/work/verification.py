@@ -11,10 +11,10 @@ from typing import Any
 
 from engine.pipeline.searching import Outcome, Search, Suspect, resembling, search
 from engine.pipeline.verification import VerifyConfig
+from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex
 from service.problems import Problem
 from service.work.candidates import Candidate, load_candidates
-from service.work.checks import NO_RECORD, checks_of
 from service.work.evidence_pictures import draw_evidence
 from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.process import Progress
@@ -89,11 +89,12 @@ def _report(found: Search[Candidate], pictures: int) -> dict[str, Any]:
     best = found.best
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}
-    claim, opened = best.claim, best.opened
+    opened = best.opened
+    claim = best.claim.to_json() if best.claim is not None else None
     return nothing | {
         "asset": best.candidate.asset,
         "tries": found.tries,
-        "claim": claim.to_json() if claim is not None else None,
+        "claim": claim,
         "checks": checks_of(claim, best.error, pictures),
         "record": opened.header.to_json() if opened is not None else None,
         "registered_message": message_hex(opened.message) if opened is not None else None,

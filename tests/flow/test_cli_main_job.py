@@ -94,9 +94,9 @@ def test_the_claim_in_words(marked: Marked, capsys: Capsys) -> None:
     args = ["verify", str(marked.model), "--record", str(marked.record), "--key", str(marked.key)]
     assert run(args) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "MARKED:" in text
+    assert "Mark found." in text
     assert "1 in 10^" in text
-    assert "It does not mean" in text
+    assert "It does not say" in text
 
 
 def test_a_wrong_key_is_told_as_such(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:

@@ -2,81 +2,44 @@
 import { download, getBlob } from "./api.js";
 import { fact, h } from "./dom.js";
 import { problemBox } from "./problem.js";
-import { VERDICTS, chance, raised, when } from "./words.js";
+import { TONES, when } from "./words.js";
 import { bits, scale } from "./charts.js";
 
-const DISHONEST = Math.log10(2) * -128;
+const DRAWN = new Set(["false claim", "message read"]);
 
 /** View of a signed claim: {element, heading}. */
-export function claimView({ document: claim }, { again } = {}) {
-  const [words, tone] = VERDICTS[claim.verdict];
-  const heading = h("h1", { tabindex: "-1" }, words);
+export function claimView({ document: claim, summary }, { again } = {}) {
+  const heading = h("h1", { tabindex: "-1" }, summary.headline);
   const element = h("div", { class: "result" },
-    h("div", { class: `verdict ${tone}` },
+    h("div", { class: `verdict ${TONES[claim.verdict]}` },
       h("div", { class: "result-head" }, heading,
         again ? h("button", { type: "button", class: "quiet", onclick: again }, "Check another") : null),
-      h("p", {}, sentence(claim)),
-      h("p", {}, raised(claim.meaning.says))),
-    claim.threshold ? sureness(claim) : null,
-    claim.message ? message(claim.message) : null,
-    facts(claim),
+      h("p", {}, summary.finding),
+      h("p", {}, claim.meaning.says)),
+    claim.threshold ? section("sure", "How sure", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
+    h("p", { class: "help" }, claim.meaning.record_time),
+    claim.message ? section("message", "Message", summary, "message read", (said) => bits(claim.message, said)) : null,
+    h("dl", { class: "facts texts" },
+      claim.asset ? fact("marked model", h("a", { href: `#asset/${claim.asset}` }, "Open it")) : null,
+      summary.facts.filter(({ label }) => !DRAWN.has(label)).map(({ label, text }) => fact(label, text)),
+      fact("checked", when(claim.created_at))),
     h("h2", {}, "What was checked"),
-    h("ul", { class: "checks" }, claim.checks.map(check)),
+    h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
     files(claim));
   return { element, heading };
 }
 
-function sentence(claim) {
-  const subject = claim.subject.kind === "pictures" ? "These pictures show" : "This model is";
-  const copy = claim.copy ? `the copy made for ${claim.copy}` : "your registered model";
-  if (claim.verdict === "marked") return `${subject} ${copy}, or something made from it.`;
-  if (claim.verdict === "inconclusive") return claim.missing ? `Missing: ${claim.missing}.` : "The evidence is too weak for a yes or a no.";
-  if (claim.derived_but_unmarked) {
-    return `${claim.derived_fraction > 0.95 ? "Your model is" : "Parts of your model are"} in it, but not this copy’s mark.`;
-  }
-  return "Nothing of the mark that was looked for is there.";
+/** A fact with its drawing. */
+function section(kind, title, { facts }, label, draw) {
+  const { text } = facts.find((found) => found.label === label);
+  return h("section", { class: kind }, h("h2", {}, title), h("p", {}, `${label[0].toUpperCase()}${label.slice(1)}: ${text}`), draw(text));
 }
 
-function sureness(claim) {
-  const threshold = Math.log10(claim.threshold.false_claim_rate);
-  return h("section", { class: "sure" },
-    h("h2", {}, "How sure"),
-    claim.verdict === "marked"
-      ? h("p", {}, "Chance of a false claim: at most ", h("strong", { class: "figure" }, chance(claim.log10_false_claim)),
-        `, with ${claim.tries} ${claim.tries === 1 ? "try" : "tries"} counted.`)
-      : h("p", {}, `A claim would need a chance of error of ${chance(threshold)} or less. `,
-        claim.log10_false_claim < -1 ? `This evidence reaches ${chance(claim.log10_false_claim)}.` : "This evidence reaches none of it."),
-    scale(claim.log10_false_claim, [
-      [threshold, `needed: ${chance(threshold)}`],
-      ...(DISHONEST < threshold - 1 ? [[DISHONEST, "against forgers: 1 in 2¹²⁸"]] : []),
-    ]),
-    h("p", { class: "help" }, raised(claim.meaning.record_time)));
-}
-
-function message(found) {
-  return h("section", { class: "message" },
-    h("h2", {}, "Message"),
-    h("p", {}, h("strong", { class: "figure" }, `${found.matching} of ${found.bits}`), " bits match: ",
-      h("code", {}, found.hex), found.hex === found.registered ? null : [", registered ", h("code", {}, found.registered)]),
-    bits(found));
-}
-
-function facts(claim) {
-  const share = claim.derived_fraction;
-  return h("dl", { class: "facts" },
-    claim.asset ? fact("Marked model", h("a", { href: `#asset/${claim.asset}` }, "Open it")) : null,
-    claim.copy ? fact("Copy for", claim.copy) : null,
-    claim.registered_at ? fact("Registered", when(claim.registered_at)) : null,
-    share !== null ? fact("Of your model in it", `${(100 * share).toFixed(share < 0.1 ? 1 : 0)} %`) : null,
-    claim.transform?.scale ? fact("Scaled by", claim.transform.scale.toFixed(3), h("small", {}, "suspect to yours")) : null,
-    fact("Checked", when(claim.created_at)));
-}
-
-function check({ ok, text, code }) {
-  const [sign, words] = ok === null ? ["?", "could not check"] : ok ? ["✓", "yes"] : ["✕", "no"];
-  return h("li", { class: ok === null ? "open" : ok ? "yes" : "no", "data-code": code },
-    h("span", { class: "sign", role: "img", "aria-label": words }, sign), h("span", {}, raised(text)));
+function check({ ok, text, code, outcome }) {
+  const [sign, kind] = ok === null ? ["?", "open"] : ok ? ["✓", "yes"] : ["✕", "no"];
+  return h("li", { class: kind, "data-code": code },
+    h("span", { class: "sign", role: "img", "aria-label": outcome }, sign), h("span", {}, text));
 }
 
 function files(claim) {

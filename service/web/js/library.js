@@ -2,7 +2,7 @@
 import { getJson } from "./api.js";
 import { $, fill, h } from "./dom.js";
 import { showProblem } from "./problem.js";
-import { VERDICTS, chance, count, when } from "./words.js";
+import { TONES, count, when } from "./words.js";
 
 /** Fill both lists anew. */
 export function showLibrary() {
@@ -35,10 +35,7 @@ const assetLine = (asset) =>
     h("span", {}, [asset.copy_name && `copy for ${asset.copy_name}`, `${count(asset.gaussians)} Gaussians`, when(asset.registered_at)]
       .filter(Boolean).join(" · "))));
 
-function claimLine(claim) {
-  const [words, tone] = VERDICTS[claim.verdict] ?? [claim.verdict, "plain"];
-  return h("li", {}, h("a", { href: `#claim/${claim.id}` },
-    h("strong", {}, h("span", { class: `dot ${tone}`, "aria-hidden": "true" }), words),
-    h("span", {}, claim.verdict === "marked" ? `false claim: at most ${chance(claim.log10_false_claim)} · ` : "",
-      when(claim.created_at))));
-}
+const claimLine = (claim) =>
+  h("li", {}, h("a", { href: `#claim/${claim.id}` },
+    h("strong", {}, h("span", { class: `dot ${TONES[claim.verdict] ?? "plain"}`, "aria-hidden": "true" }), claim.headline),
+    h("span", {}, `${claim.finding} · ${when(claim.created_at)}`)));

@@ -1,5 +1,4 @@
 // Numbers and codes in plain words.
-import { h } from "./dom.js";
 
 const STAGES = {
   "": "Waiting for its turn",
@@ -37,25 +36,8 @@ export function stageWords(stage) {
   return [STAGES[stage] ?? stage.charAt(0).toUpperCase() + stage.slice(1), ""];
 }
 
-export const VERDICTS = {
-  marked: ["Your mark is in it", "good"],
-  not_marked: ["No mark of yours in it", "plain"],
-  inconclusive: ["Too little to tell", "open"],
-};
-
-/** "1 in 10^76" of log10 of a probability, as words for the ear and the eye. */
-export function chance(log10) {
-  if (log10 === null || log10 === undefined) return "not bounded";
-  if (log10 > -1) return `${(100 * 10 ** log10).toFixed(0)} %`;
-  return `1 in 10${superscript(Math.floor(-log10))}`;
-}
-
-const superscript = (number) => String(number).replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
-
-/** Text with powers such as 10^-9 raised, as children of an element. */
-export function raised(text) {
-  return text.split(/\^(-?\d+(?:\.\d+)?)/).map((part, k) => (k % 2 ? h("sup", {}, part.replace("-", "−")) : part));
-}
+/** Colour of a verdict. */
+export const TONES = { marked: "good", not_marked: "plain", inconclusive: "open" };
 
 export const count = (number) => number.toLocaleString("en");
 

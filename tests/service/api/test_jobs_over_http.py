@@ -65,7 +65,7 @@ def test_waiting_and_etags(api: Api) -> None:
     path = answer.headers["location"]
     etag = api.client.get(path).headers["etag"]
     assert api.client.get(path, headers={"If-None-Match": etag}).status_code == 304
-    api.service.jobs.rows.begin(answer.json()["id"], "a worker")
+    api.service.jobs.begin(answer.json()["id"], "a worker")
     api.service.jobs.progress(answer.json()["id"], "look", 0.5)
     moved = api.client.get(path, headers={"If-None-Match": etag})
     assert moved.status_code == 200
@@ -107,7 +107,7 @@ def test_cancelling(api: Api) -> None:
 
 def test_what_has_ended_is_beyond_cancelling(api: Api) -> None:
     job = api.client.post("/v1/embed", json=embed_body(api)).json()["id"]
-    api.service.jobs.rows.begin(job, "a worker")
+    api.service.jobs.begin(job, "a worker")
     api.service.jobs.result(job, State.SUCCEEDED, {})
     answer = api.client.delete(f"/v1/jobs/{job}")
     assert (answer.status_code, answer.json()["type"]) == (409, "urn:mark3dgs:problem:conflict")

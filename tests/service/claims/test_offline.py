@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import InputError
+from service.claims.document import summary_of
 from service.claims.offline import Findings, Status, verify_report
 from service.claims.report import report_html
 from service.cli import verify_report as command
@@ -110,6 +111,16 @@ def test_a_page_with_other_words_or_pictures_fails(registry: Registry) -> None:
         found = verify_report(page.replace(old, new), registry.jwks)
         assert failed(found) == codes
         assert found.document is not None  # what is signed can still be read
+
+
+def test_a_summary_that_says_something_else_fails(registry: Registry) -> None:
+    claim = registry.issue()
+    whole = {"document": claim.document, "jws": claim.jws, "timestamp": None, "summary": summary_of(claim.document)}
+    found = verify_report(json.dumps(whole).encode(), registry.jwks)
+    assert found.valid
+    assert [check.code for check in found.checks][-2:] == ["document", "summary"]
+    forged = json.dumps(whole | {"summary": whole["summary"] | {"headline": "Mark faked"}}).encode()
+    assert failed(verify_report(forged, registry.jwks)) == ["summary"]
 
 
 def test_a_document_beside_another_signature_fails(registry: Registry) -> None:

@@ -14,6 +14,8 @@ from service.db import Database, metadata
 from service.db.schema import usage, workers
 from service.problems import Problem
 
+VERSIONS = Path(__file__).parents[3] / "service" / "db" / "migrations" / "versions"
+
 
 @pytest.fixture
 def db(tmp_path: Path) -> Database:
@@ -25,7 +27,9 @@ def db(tmp_path: Path) -> Database:
 def test_migrations_make_what_the_schema_says(db: Database) -> None:
     db.migrate()  # a second time changes nothing
     with db.engine.connect() as connection:
-        assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+        context = MigrationContext.configure(connection)
+        assert compare_metadata(context, metadata) == []
+        assert context.get_current_revision() == max(path.stem[:4] for path in VERSIONS.glob("0*.py"))
 
 
 def test_durable_and_one_writer(db: Database) -> None:

@@ -12,7 +12,7 @@ from service.jobs.port import FINAL, Job, State
 
 
 class FakeJobs:
-    """Implements `port.Jobs`; `begin`, `beat` and `leave` are what a worker does behind it."""
+    """As much of `DurableJobs` as handlers see; `begin`, `beat` and `leave` are what a worker does behind it."""
 
     def __init__(self) -> None:
         self._jobs: dict[str, Job] = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from service.jobs.port import FINAL, Job, Jobs, State
+from service.jobs.port import FINAL, Job, State
 from service.problems import Problem
 from tests.service.jobs.conftest import new_settings, opened
 from tests.service.jobs.fake import FakeJobs
@@ -26,9 +26,9 @@ class Engine:
     """The port, and the worker's side of each implementation."""
 
     def __init__(self, jobs: Any) -> None:
-        self.jobs: Jobs = jobs
+        self.jobs = jobs
         worker = jobs if isinstance(jobs, FakeJobs) else None
-        self.begin = worker.begin if worker else jobs.rows.begin
+        self.begin = worker.begin if worker else jobs.begin
         self.beat = worker.beat if worker else jobs.presence.beat
         self.leave = worker.leave if worker else jobs.presence.leave
 

@@ -85,4 +85,4 @@ def fail(request: Request, folder: Path, progress: Progress) -> dict[str, Any]:
 TASKS = {f.__name__: f for f in (allocate, chat, die, die_once, echo, environment, fail, leave, nap, spin, write)}
 
 if __name__ == "__main__":
-    serve(lambda: TASKS, lambda: None)
+    serve(TASKS, lambda: None)

@@ -65,12 +65,12 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     turned, stolen = tmp_path / "turned.ply", tmp_path / "stolen.spz"
     assert run(["attack", "similarity", str(marked), str(turned), "--seed", "3"]) == 0
     assert run(["attack", "crop", str(turned), str(stolen), "--strength", "0.25", "--seed", "3"]) == 0
-    assert check(page, stolen) == "Your mark is in it"
+    assert check(page, stolen) == "Mark found"
     result = page.locator("#check-result")
-    assert "copy made for Acme" in result.inner_text()
+    assert "copy made for “Acme”" in result.inner_text()
     assert "32 of 32 bits" in result.inner_text().replace("\n", " ")
     assert result.locator(".scale.met").count() == 1
-    assert page.evaluate("document.activeElement.textContent") == "Your mark is in it"
+    assert page.evaluate("document.activeElement.textContent") == "Mark found"
     shoot(page, "claim")
 
     # 5. the claim leaves the house
@@ -93,15 +93,15 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert "all kept" in page.locator("#view-item").inner_text()
     page.go_back()
     page.locator("#claims a").first.click()
-    page.get_by_role("heading", name="Your mark is in it").wait_for()
+    page.get_by_role("heading", name="Mark found").wait_for()
 
     # 7. an original that was never marked
-    assert check(page, PLANT) == "No mark of yours in it"
-    assert "Your model is in it, but not this copy’s mark" in page.locator("#check-result").inner_text()
+    assert check(page, PLANT) == "No mark"
+    assert "is in the model, but not this copy's hidden mark" in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")
 
     # 8. a picture of it
     page.get_by_role("link", name="Library").click()
     shot = tmp_path / "shot.png"
     assert run(["render", str(marked), str(shot)]) == 0
-    assert check(page, shot) == "Your mark is in it", json.dumps(page.locator("#check-result").inner_text())
+    assert check(page, shot) == "Mark found", json.dumps(page.locator("#check-result").inner_text())

@@ -44,7 +44,7 @@ EMBED: dict[str, Any] = {
 def test_importing_the_tasks_is_cheap_and_preloading_needs_no_torch() -> None:
     code = (
         "import sys, service.work.tasks as t; assert 'numpy' not in sys.modules;"
-        "import service.work.verification, service.work.embedding, service.work.inspection;"
+        "import service.work.verification, service.work.embedding, service.work.files;"
         "assert 'torch' not in sys.modules and 'matplotlib' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,12 +1,21 @@
-"""Lists by cursor: newest first, `limit` at a time, `next` names the last id."""
+"""A tenant's rows: one by its id, or a page at a time, newest first."""
 
-from typing import Annotated, Any
+from typing import Any
 
 import sqlalchemy as sa
-from fastapi import Query
 
-Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
-After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]
+from service.db.database import Database
+from service.problems import Problem
+
+
+def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
+    """The row with this id; not-found for other tenants' too."""
+    mine = (table.c.id == row_id) & (table.c.tenant == tenant)
+    with db.read() as connection:
+        row = connection.execute(sa.select(table).where(mine)).first()
+    if row is None:
+        raise Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
+    return row
 
 
 def page(
@@ -18,7 +27,7 @@ def page(
     time: str = "created_at",
     where: sa.ColumnElement[bool] | None = None,
 ) -> tuple[list[Any], str | None]:
-    """One page of a tenant's rows, and the cursor of the next page."""
+    """At most `limit` rows after the one with the id `after`, and the cursor of the next page: its last id."""
     moment, key = table.c[time], table.c.id
     query = sa.select(table).where(table.c.tenant == tenant).order_by(moment.desc(), key.desc()).limit(limit + 1)
     if where is not None:

@@ -1,0 +1,62 @@
+"""Picture files: known by their first bytes, read as floats."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from engine.errors import FormatError, InputError
+from engine.model import Float32
+
+MAX_PICTURE_PIXELS = 64_000_000
+"""Larger pictures are refused before they are decoded: no screen or phone makes them."""
+
+_MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
+
+
+def starts_like_picture(head: bytes) -> bool:
+    """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF or WebP."""
+    return head.startswith(_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file starts like a picture, whatever its name says."""
+    if path.is_dir():
+        return False
+    try:
+        with path.open("rb") as file:
+            return starts_like_picture(file.read(12))
+    except OSError as error:
+        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
+
+
+def read_picture(path: Path) -> Float32:
+    """(H, W, 3) float32 in 0..1, upright, transparent parts over black.
+
+    Raises
+    ------
+    InputError
+        If it is no picture, is damaged, or has more than MAX_PICTURE_PIXELS pixels.
+    """
+    name = str(path)
+    try:
+        with Image.open(path) as picture:
+            if picture.width * picture.height > MAX_PICTURE_PIXELS:
+                raise FormatError(f"picture of {picture.width}x{picture.height} pixels is too large", file=name)
+            picture.load()
+            upright = ImageOps.exif_transpose(picture)
+    except FormatError:
+        raise
+    except Image.DecompressionBombError as error:
+        raise FormatError("picture has too many pixels", file=name) from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise FormatError(f"no readable picture ({error})", file=name) from error
+    if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
+        grey = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
+        return np.ascontiguousarray(np.repeat(np.clip(grey, 0.0, 1.0)[:, :, None], 3, axis=2))
+    if "A" in upright.getbands() or "transparency" in upright.info:
+        layered = upright.convert("RGBA")
+        upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))
+        upright.alpha_composite(layered)
+    levels = np.asarray(upright.convert("RGB"), dtype=np.float32)
+    return np.ascontiguousarray(levels / np.float32(255.0))

@@ -1,0 +1,79 @@
+"""Around every request: its id, the headers of its response, and how long its body may be."""
+
+import secrets
+
+from fastapi import HTTPException
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.settings import Settings
+
+REQUEST_ID = "x-request-id"
+POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' blob: data:; worker-src 'self' blob:;"
+    " style-src 'self' 'unsafe-inline'; script-src 'self' 'wasm-unsafe-eval'; frame-ancestors 'self';"
+    " base-uri 'none'; form-action 'self'; object-src 'none'"
+)
+REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
+UPLOADS = "/v1/uploads/"
+
+
+class SafeHeaders:
+    """Middleware: what a browser may load, run and reveal (a report: less), and the request's id.
+
+    The id is said in the response, in problems and in the log.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        scope["request_id"] = secrets.token_hex(8)
+
+        async def tell(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                report = scope["path"].endswith("/report")
+                headers.setdefault("Content-Security-Policy", REPORT_POLICY if report else POLICY)
+                headers.setdefault("X-Content-Type-Options", "nosniff")
+                headers.setdefault("Referrer-Policy", "no-referrer")
+                headers[REQUEST_ID] = scope["request_id"]
+            await send(message)
+
+        await self.app(scope, receive, tell)
+
+
+class BodyLimit:
+    """Middleware: 413 for a body over the limit of its kind (upload, form, other), counted as it comes in."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self.app, self.settings = app, settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        limit, count = self._limit(scope), 0
+        announced = Headers(scope=scope).get("content-length", "")
+
+        async def counted() -> Message:
+            nonlocal count
+            if announced.isdigit() and int(announced) > limit:
+                raise HTTPException(413, f"a body of {announced} bytes exceeds the limit of {limit}")
+            message = await receive()
+            count += len(message.get("body", b""))
+            if count > limit:
+                raise HTTPException(413, f"the body exceeds the limit of {limit} bytes")
+            return message
+
+        await self.app(scope, counted, send)
+
+    def _limit(self, scope: Scope) -> int:
+        if scope["method"] == "PUT" and scope["path"].startswith(UPLOADS):
+            return self.settings.max_upload_bytes
+        if Headers(scope=scope).get("content-type", "").startswith("multipart/form-data"):
+            return self.settings.max_form_bytes
+        return self.settings.max_body_bytes

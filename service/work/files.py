@@ -1,0 +1,49 @@
+"""The short tasks: what an upload is, and a model in another format. Contracts: docs/SERVICE.md."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from engine.formats import encode_model
+from engine.formats.writing import loss_note
+from service.work.inputs import load_cameras, load_model, load_pictures
+from service.work.process import Progress
+
+
+def inspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """What a model file holds."""
+    progress("read", 0.0)
+    loaded = load_model(request)
+    return {
+        "sha256": loaded.sha256,
+        "format": loaded.format,
+        "bytes": loaded.source_bytes,
+        "gaussians": len(loaded.model),
+        "sh_degree": loaded.model.sh_degree,
+        "repairs": [asdict(repair) for repair in loaded.repairs],
+    }
+
+
+def look_at_picture(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Size of a picture."""
+    progress("read", 0.0)
+    height, width = load_pictures([request["picture"]])[0].shape[:2]
+    return {"width": width, "height": height}
+
+
+def look_at_cameras(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Number of cameras."""
+    progress("read", 0.0)
+    return {"cameras": len(load_cameras(request["cameras"]) or [])}
+
+
+def convert(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """A model in another format."""
+    kind = request["format"]
+    progress("read", 0.0)
+    model = load_model(request).model
+    progress("write", 0.5)
+    name = f"model.{kind}"
+    (folder / name).write_bytes(encode_model(model, kind))
+    return {"format": kind, "notes": loss_note(model, kind), "files": {"model": name}}

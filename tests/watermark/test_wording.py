@@ -1,0 +1,156 @@
+"""The words of a claim: nothing overstated, every verdict explained, one wording for terminal and page."""
+
+import pytest
+
+from engine.errors import MalformedRecordError, WrongKeyError
+from engine.watermark.checks import CHECKS, checks_of, named
+from engine.watermark.wording import PLAIN, TYPOGRAPHIC, Words, percent, surely, when, words_of
+
+
+def report(verdict: str, **changes: object) -> dict[str, object]:
+    base: dict[str, object] = {
+        "verdict": verdict,
+        "message": "c0ffee42",
+        "matching_bits": 32,
+        "bits": 32,
+        "bit_reliability": [1.0] * 32,
+        "tries": 2,
+        "expected_z": 53.0,
+        "log10_false_claim": -612.4,
+        "false_claim_rate": 1e-9,
+        "power": 1.0,
+        "missing": "",
+        "derived_fraction": 0.248,
+        "derived_but_unmarked": False,
+        "transform": None,
+        "route": "model",
+        "copy": "acme",
+        "notes": [],
+        "meets_dishonest_claimant_rate": True,
+        "record_id": "ab" * 16,
+        "owner": "cd" * 8,
+        "registered_at": "",
+    }
+    return base | changes
+
+
+def text_of(words: Words) -> str:
+    return " ".join([words.headline, words.finding, *(fact.text for fact in words.facts), *words.meaning.values()])
+
+
+@pytest.mark.parametrize(
+    ("log10", "plain", "raised"),
+    [
+        (-3772.66, "at most 1 in 10^3772", "at most 1 in 10³⁷⁷²"),
+        (-9.99, "at most 1 in 10^9", "at most 1 in 10⁹"),
+        (-9.0, "at most 1 in 10^9", "at most 1 in 10⁹"),
+        (-1.99, "at most 1 in 10^1", "at most 1 in 10¹"),
+        (-0.5, "at most 32 in 100", "at most 32 in 100"),
+        (-0.001, "no better than chance", "no better than chance"),
+        (0.0, "no better than chance", "no better than chance"),
+    ],
+)
+def test_odds_are_rounded_against_the_claim(log10: float, plain: str, raised: str) -> None:
+    assert (PLAIN.odds(log10), TYPOGRAPHIC.odds(log10)) == (plain, raised)
+
+
+def test_rates_in_words() -> None:
+    assert [PLAIN.rate(p) for p in (1e-9, 2.5e-7, 0.05)] == ["1 in 10^9", "2.5 in 10^7", "5 in 10^2"]
+    assert TYPOGRAPHIC.rate(1e-300) == "1 in 10³⁰⁰"
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(1.0, "100 %"), (0.99999, "more than 99.9 %"), (0.248, "24.8 %"), (0.5, "50 %"), (0.0, "0 %")]
+)
+def test_only_the_whole_is_a_hundred_percent(share: float, text: str) -> None:
+    assert percent(share) == text
+
+
+def test_nothing_measured_is_certain() -> None:
+    assert surely(1.0) == "more than 99.9 %"
+    assert surely(0.502) == "50.2 %"
+
+
+def test_times_as_a_person_writes_them() -> None:
+    assert when("2026-11-03T09:14:07.123456+00:00") == "3 November 2026, 09:14:07 UTC"
+    assert when("in spring") == "in spring"
+
+
+def test_a_marked_claim_says_all_of_it() -> None:
+    text = text_of(words_of(report("marked"), PLAIN, suspect="suspect.ply"))
+    for part in (
+        "Mark found suspect.ply contains the copy made for 'acme'",
+        "c0ffee42",
+        "32 of 32",
+        "1 in 10^612, 2 tries counted",
+        "asked for: 1 in 10^9",
+        "24.8 %",
+        "ab" * 16,
+        "proven bound",
+        "does not say",
+        "2^-128",
+    ):
+        assert part in text, part
+
+
+@pytest.mark.parametrize("verdict", ["marked", "not_marked", "inconclusive"])
+def test_form_is_all_that_terminal_and_page_differ_in(verdict: str) -> None:
+    plain, page = (text_of(words_of(report(verdict), form)) for form in (PLAIN, TYPOGRAPHIC))
+    for ours, theirs in (("10⁶¹²", "10^612"), ("10⁹", "10^9"), ("2⁻¹²⁸", "2^-128"), ("“acme”", "'acme'")):
+        page = page.replace(ours, theirs)
+    assert page == plain
+
+
+@pytest.mark.parametrize(
+    ("pictures", "text"), [(0, "This model contains"), (1, "This picture shows"), (3, "These pictures show")]
+)
+def test_the_suspect_is_called_what_it_is(pictures: int, text: str) -> None:
+    assert words_of(report("marked"), PLAIN, pictures=pictures).finding.startswith(text)
+
+
+def test_a_weak_claim_says_that_the_date_matters() -> None:
+    weak = report("marked", meets_dishonest_claimant_rate=False)
+    assert "known to be older" in words_of(weak, PLAIN).meaning["record_time"]
+
+
+def test_a_log_vouches_for_more_than_a_record() -> None:
+    dated = report("marked", registered_at="2026-11-03T09:14:07+00:00")
+    assert "The record is dated 3 November 2026" in words_of(dated, PLAIN).meaning["record_time"]
+    assert "This service logged" in words_of(dated, PLAIN, logged=True).meaning["record_time"]
+
+
+def test_derived_but_unmarked_is_its_own_finding() -> None:
+    text = text_of(words_of(report("not_marked", derived_but_unmarked=True, log10_false_claim=0.0), PLAIN, suspect="s"))
+    assert "is in s, but not this copy's hidden mark" in text
+    assert "no better than chance" in text
+
+
+def test_what_nothing_was_found_of_was_not_measured() -> None:
+    says = words_of(report("not_marked", expected_z=0.0), PLAIN).meaning["says"]
+    assert "a piece of the registered model" in says
+
+
+def test_an_inconclusive_answer_says_what_is_missing() -> None:
+    missing = "about 3.0x as much evidence of this kind is needed"
+    text = text_of(words_of(report("inconclusive", missing=missing), PLAIN))
+    assert missing in text
+    assert "Neither yes nor no" in text
+
+
+def test_leading_facts_come_first() -> None:
+    leading = [fact.leading for fact in words_of(report("not_marked"), PLAIN).facts]
+    assert leading == sorted(leading, reverse=True)
+
+
+def test_a_record_that_does_not_open_leaves_the_rest_unchecked() -> None:
+    wrong, broken = checks_of(None, WrongKeyError("x"), 0), checks_of(None, MalformedRecordError("cut short"), 0)
+    assert [check["ok"] for check in wrong] == [True, False, None, None, None]
+    assert [check["ok"] for check in broken] == [False, None, None, None, None]
+    assert [check["code"] for check in wrong] == list(CHECKS)
+    assert (named(wrong)[1]["name"], named(wrong)[1]["outcome"]) == ("Owner's key", "does not hold")
+
+
+def test_pictures_without_the_asset_decide_nothing() -> None:
+    seen = report("inconclusive", notes=["picture 1: not recognised"], missing="more")
+    assert [check["ok"] for check in checks_of(seen, None, 1)] == [True, True, None, None, False]
+    assert "1 of 2 pictures" in checks_of(seen, None, 2)[2]["text"]
