@@ -28,6 +28,7 @@ def landmarks(model: GaussianModel) -> Landmarks:
     return make_landmarks(model, make_rig(model, 12, 640, 480))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("move", ["small"])
 def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: Landmarks, move: str) -> None:
     scale, R, t = MOVES[move]
@@ -40,6 +41,7 @@ def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: La
     assert np.median(np.linalg.norm(back - model.means, axis=1)) < 2e-3 * np.ptp(model.means)
 
 
+@pytest.mark.slow
 def test_another_scene_is_not_recognised(model: GaussianModel, landmarks: Landmarks) -> None:
     assert place_by_looking(made_up(1, degree=0), model, landmarks) is None
 

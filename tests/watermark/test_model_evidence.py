@@ -150,3 +150,10 @@ def test_no_chip_outweighs_the_others() -> None:
     shown = np.abs(evidence.weights * evidence.y).reshape(-1, 3)
     for carrier in shown.T:
         assert carrier.max() <= 1.1 * SATURATION * np.median(carrier)
+
+
+def test_a_tie_of_the_paper_rule_reads_as_a_set_bit() -> None:
+    y, chips = np.array([0.02, 0.02, -0.02]), np.array([1, -1, 1], np.int8)
+    bits, lead = decode_paper(y, np.full(3, 0.02), chips, np.array([0, 0, 1], np.int32), 3)
+    assert bits.tolist() == [1, -1, 1], "even, against, nothing to vote"
+    assert lead.tolist() == [0.0, 1.0, 0.0]
