@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-WORKERS ?= logical
+WORKERS ?= $(or $(shell nproc 2>/dev/null),logical)
 UNITS := architecture cli compress formats numerics pictures pipeline raster records registration theory watermark
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal
 

@@ -21,6 +21,8 @@ from engine.pictures.pose_refinement import Acceleration, refine_level
 from engine.raster import render, render_depth
 from tests.threads import with_one_and_two_threads
 
+pytestmark = pytest.mark.slow
+
 UP = np.array([0.0, -1.0, 0.0])
 
 

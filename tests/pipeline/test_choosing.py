@@ -21,6 +21,8 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.variant import Variant
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
+pytestmark = pytest.mark.slow
+
 PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
 
 

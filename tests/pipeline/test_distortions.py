@@ -64,3 +64,35 @@ def test_a_drawn_layer_treats_both_pictures_alike() -> None:
     for _ in range(20):
         layer = distortions.draw(rng)
         assert torch.equal(layer(picture()), layer(picture()))
+
+
+@pytest.mark.parametrize("name", ["blur", "rescale", "rotate", "jpeg"])
+def test_a_plain_surface_stays_as_it_is(name: str) -> None:
+    out = LAYERS[name](torch.full((1, 3, 64, 64), 0.5))
+    assert torch.allclose(out[:, :, 24:40, 24:40], torch.tensor(0.5), atol=5e-3)
+
+
+def test_a_crop_keeps_its_share_of_the_area() -> None:
+    kept = (distortions.crop(torch.ones(1, 3, 100, 80), 0.5, np.random.default_rng(1)) > 0).float().mean()
+    assert float(kept) == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_is_rotated_is_rotated_back() -> None:
+    image = picture()
+    centre = (slice(None), slice(None), slice(32, 64), slice(32, 64))
+    gap = (distortions.rotate(image, 25.0) - image)[centre].abs().mean()
+    assert float(gap) < 0.2 * float((image[centre] - image[centre].mean()).abs().mean())
+
+
+def test_noise_is_stored_as_pictures_are() -> None:
+    out = distortions.noise(torch.full((1, 3, 64, 64), 0.98), 0.1, np.random.default_rng(0))
+    assert 0.0 <= float(out.min()) < 0.9
+    assert float(out.max()) == 1.0
+
+
+def test_the_softer_the_jpeg_the_less_it_changes() -> None:
+    gray = picture().mean(dim=1, keepdim=True).repeat(1, 3, 1, 1)
+    gray = gray + 0.05 * torch.randn(1, 1, 96, 96, generator=torch.Generator().manual_seed(0))
+    damage = [float((distortions.jpeg(gray, quality) - gray).abs().mean()) for quality in (10, 50, 80, 95)]
+    assert damage == sorted(damage, reverse=True)
+    assert damage[3] < 0.25 * damage[1]

@@ -18,6 +18,8 @@ from engine.watermark.masses import find_masses
 from engine.watermark.messages import message_hex, message_signs
 from engine.watermark.planning import PlanConfig
 
+pytestmark = pytest.mark.slow
+
 DIGEST = "11" * 32
 
 

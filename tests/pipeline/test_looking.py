@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from engine.model import GaussianModel
+from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.similarity import transform_model
+from engine.numerics.umeyama import Similarity
 from engine.pictures.landmarks import Landmarks, make_landmarks
-from engine.pipeline.looking import place_by_looking
+from engine.pipeline import looking
+from engine.pipeline.looking import Sighting, place_by_looking
 from engine.pipeline.rigs import make_rig
 from tests.registration.registration_cases import MOVES
 from tests.registration.registration_cases import scene as made_up
@@ -25,6 +28,7 @@ def landmarks(model: GaussianModel) -> Landmarks:
     return make_landmarks(model, make_rig(model, 12, 640, 480))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("move", ["small"])
 def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: Landmarks, move: str) -> None:
     scale, R, t = MOVES[move]
@@ -37,5 +41,42 @@ def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: La
     assert np.median(np.linalg.norm(back - model.means, axis=1)) < 2e-3 * np.ptp(model.means)
 
 
+@pytest.mark.slow
 def test_another_scene_is_not_recognised(model: GaussianModel, landmarks: Landmarks) -> None:
     assert place_by_looking(made_up(1, degree=0), model, landmarks) is None
+
+
+def sightings(wrong: int) -> list[Sighting]:
+    """Three views of one place, and some that were taken for another one, each elsewhere."""
+    rng = np.random.default_rng(0)
+    true = Similarity(2.0, Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix(), np.array([1.0, -2.0, 0.5]))
+    made = []
+    for k in range(3 + wrong):
+        own = look_at(rng.standard_normal(3) * 4, (0, 0, 0), (0, -1, 0), 300.0, 64, 48)
+        turn = Rotation.from_euler("y", 0.0 if k < 3 else 0.4 * (k - 1)).as_matrix()
+        R = turn @ true.R
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = own.viewmat[:3, :3] @ R.T
+        position = true.scale * R @ own.position + true.t
+        viewmat[:3, 3] = -viewmat[:3, :3] @ position
+        made.append(Sighting(np.zeros((48, 64, 3), np.float32), own, Camera(viewmat, own.K, 64, 48), 1.5, 3.0))
+    return made
+
+
+def test_a_sighting_is_a_whole_similarity() -> None:
+    found = sightings(0)[0].similarity
+    assert found.scale == pytest.approx(2.0)
+    np.testing.assert_allclose(found.apply(np.zeros((1, 3)))[0], [1.0, -2.0, 0.5], atol=1e-9)
+
+
+def test_sightings_that_were_mistaken_are_outvoted() -> None:
+    mixed = sightings(2)[::-1]  # the wrong ones first
+    agreeing = looking._most_agreeing(mixed)
+    assert [id(s) for s in agreeing] == [id(s) for s in mixed[2:]]
+
+
+def test_one_sighting_is_not_enough(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    once = iter(sightings(0)[:1])
+    monkeypatch.setattr(looking, "_look", lambda *_: next(once, None))
+    small = plant.take(np.arange(0, len(plant), 100))
+    assert place_by_looking(small, small, None) is None  # type: ignore[arg-type]

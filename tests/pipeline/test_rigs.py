@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from engine.model import GaussianModel
+from engine.pipeline import rigs
 from engine.pipeline.rigs import make_rig, measure_extent
 
 
@@ -66,3 +67,38 @@ def test_one_gaussian_and_identical_gaussians_give_finite_cameras() -> None:
     for count in (1, 50):
         for camera in make_rig(blank(np.ones((count, 3))), 3, 32, 32):
             assert np.isfinite(camera.viewmat).all()
+
+
+def test_quantiles_are_weighted() -> None:
+    values, weights = np.array([3.0, 1.0, 2.0, 4.0]), np.array([1.0, 6.0, 1.0, 2.0])
+    assert [rigs._weighted_quantile(values, weights, q) for q in (0.5, 0.65, 0.75, 0.95)] == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_what_nobody_sees_and_the_sky_do_not_move_the_model() -> None:
+    """Faint Gaussians and a handful of huge ones far away count for little, however many or large."""
+    ball = blank(np.random.default_rng(1).standard_normal((3000, 3)))
+    clean = measure_extent(ball)
+    means = np.concatenate([ball.means, [[300.0, 0, 0]] * 3, np.full((3000, 3), -40.0)])
+    around = blank(means).with_(
+        log_scales=np.concatenate([np.full((3000, 3), -3.0), np.full((3, 3), 4.0), np.full((3000, 3), -3.0)]),
+        opacity_logits=np.concatenate([np.zeros(3003), np.full(3000, -9.0)]),
+    )
+    extent = measure_extent(around)
+    assert np.linalg.norm(extent.center - clean.center) < 0.2
+    assert extent.radius == pytest.approx(clean.radius, rel=0.1)
+
+
+@pytest.mark.parametrize("jittered", [False, True])
+def test_views_go_all_around_and_from_low_to_high(jittered: bool) -> None:
+    ball = blank(np.random.default_rng(1).standard_normal((3000, 3)))
+    jitter = np.random.default_rng(2).random((12, 4)) if jittered else None
+    extent = measure_extent(ball)
+    eyes = np.array([camera.position - extent.center for camera in make_rig(ball, 12, 64, 64, jitter=jitter)])
+    for count in (4, 8, 12):  # any prefix of the rig
+        azimuth = np.sort(np.arctan2(eyes[:count, 2], eyes[:count, 0]))
+        gaps = np.diff(np.concatenate([azimuth, azimuth[:1] + 2 * np.pi]))
+        assert gaps.max() < 2.5 * 2 * np.pi / count
+    elevation = np.degrees(np.arcsin(-eyes[:, 1] / np.linalg.norm(eyes, axis=1)))
+    assert (np.diff(elevation) > 0).all()
+    assert elevation[0] < 14
+    assert elevation[-1] > 49

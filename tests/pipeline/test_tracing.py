@@ -23,6 +23,8 @@ from engine.watermark.copies import CopyMark, copies_z
 from engine.watermark.messages import derive_message
 from engine.watermark.statistics import z_threshold
 
+pytestmark = pytest.mark.slow
+
 CONFIG = profile("fast", landmark_views=0, views=3, view_size=160)
 INNOCENT = 2000
 MODEL = VerifyConfig(route="model")

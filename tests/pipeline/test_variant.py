@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.compress.impact import Impact
 from engine.errors import InputError
 from engine.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
@@ -89,3 +90,22 @@ def test_a_code_that_half_the_scene_shares_is_displaced_less(small_plant: Gaussi
     result = embed(small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG, variant=Variant(labels=labels))
     size = np.linalg.norm(result.model.sh[:, 0] - small_plant.sh[:, 0], axis=1)
     assert size[labels == 0].mean() < 0.2 * size[labels > 0].mean()
+
+
+def test_amplitudes_fall_with_the_root_of_what_a_code_covers() -> None:
+    """Then its energy, coverage times the amplitude's square, is everybody's."""
+    labels = np.array([0, 1, 2, 3, 3, 3, 3], np.int32)
+    coverage = np.ones(7)
+    impact = Impact(coverage, coverage[None].astype(np.float32), coverage, coverage, coverage)
+    even = Variant(labels=labels).emphasis_on(impact)
+    assert even is not None
+    np.testing.assert_allclose(even, [1, 1, 1, 0.5, 0.5, 0.5, 0.5])
+    both = Variant(labels=labels, emphasis=np.full(7, 0.5)).emphasis_on(impact)
+    np.testing.assert_allclose(both, 0.5 * even)
+    assert Variant().emphasis_on(impact) is None
+
+
+def test_emphasis_of_nothing_is_refused(small_plant: GaussianModel) -> None:
+    partly = np.linspace(0.0, 1.0, len(small_plant))
+    with pytest.raises(InputError, match="emphasis must lie"):
+        Variant(emphasis=partly).check(small_plant, keeps_rows=True, refines=False)

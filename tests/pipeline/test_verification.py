@@ -18,6 +18,8 @@ from engine.raster import render
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.fine_tuning import fine_tune
 
+pytestmark = pytest.mark.slow
+
 MODEL_ATTACKS = [
     ("similarity", 10.0),
     ("shuffle", 1.0),

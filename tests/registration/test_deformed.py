@@ -15,6 +15,8 @@ from engine.registration.warp import apply, blend, fit_affine, warped
 from tests.registration.deformation_cases import CASES, bend, squash, twist
 from tests.registration.registration_cases import TRAIN, marked, merged, moved, near, noised, scene, shuffled
 
+pytestmark = pytest.mark.slow
+
 PLANT = TRAIN.parent / "plant.splat"
 RIGID = RegistrationConfig(deformed=False)
 

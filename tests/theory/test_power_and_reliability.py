@@ -37,6 +37,20 @@ def test_power_against_simulation(noise: str, shift: float) -> None:
         assert normal == pytest.approx(measured, abs=0.05)
 
 
+def test_power_is_the_bound_of_its_text() -> None:
+    """1 - exp(-x^2 / 2), x = (S - t sqrt(Q)) / |a|, a = w y (1 - t w s / sqrt(Q)), term by term."""
+    rng = np.random.default_rng(11)
+    y, w, signal = rng.normal(size=40), rng.uniform(0.2, 2, 40), rng.uniform(0.5, 2.0, 40)
+    threshold = 2.0
+    S = sum(wi * si for wi, si in zip(w, signal, strict=True))
+    Q = sum(wi**2 * (yi**2 + si**2) for yi, wi, si in zip(y, w, signal, strict=True))
+    a = [wi * yi * (1 - threshold * wi * si / math.sqrt(Q)) for yi, wi, si in zip(y, w, signal, strict=True)]
+    x = (S - threshold * math.sqrt(Q)) / math.sqrt(sum(ai**2 for ai in a))
+    assert 0.5 < x < 5
+    assert power(y, w, signal, threshold) == pytest.approx(1 - math.exp(-(x**2) / 2), rel=1e-9)
+    assert expected_z(y, w, signal) == pytest.approx(S / math.sqrt(Q), rel=1e-9)
+
+
 def test_expected_z_against_simulation() -> None:
     rng = np.random.default_rng(7)
     y, w, signal = rng.normal(size=1500), rng.uniform(size=1500), rng.uniform(0, 0.5, 1500)

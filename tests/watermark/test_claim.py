@@ -140,3 +140,13 @@ def test_json_is_plain_and_complete() -> None:
 def test_config_is_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         ClaimConfig(**wrong)
+
+
+def test_a_bit_of_which_little_was_to_be_seen_is_not_trusted() -> None:
+    """A crop: half of the bits had hardly a signal to expect, and the noise there reads as a bit all the same."""
+    weak = BIT_OF >= BITS // 2
+    signal = np.where(weak, 1e-4, 0.5)
+    y = np.random.default_rng(4).normal(size=CHIPS) + np.where(weak, 0.0, 0.5) * CHIP * MESSAGE[BIT_OF]
+    found = decide(y, WEIGHTS, signal, BIT_OF, CHIP, MESSAGE)
+    assert min(found.bit_reliability[: BITS // 2]) > 0.99
+    assert max(found.bit_reliability[BITS // 2 :]) < 0.55

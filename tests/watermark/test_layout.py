@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from engine.errors import CapacityError, InputError
-from engine.watermark.carriers import LUMA, make_carriers
+from engine.model import SH_C0
+from engine.watermark.carriers import CHROMA_FLOOR, LUMA, make_carriers
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import derive_message, message_hex, message_signs
@@ -100,3 +101,53 @@ def test_capacity_refusal_names_both_numbers() -> None:
     with pytest.raises(CapacityError, match=r"carries 23 bits.*32 were asked") as caught:
         check_capacity(32, 23)
     assert (caught.value.wanted, caught.value.capacity) == (32, 23)
+
+
+def test_carriers_follow_what_the_pictures_show() -> None:
+    """Code vectors that no view shows have no say; the others by how much of the views they cover."""
+    rng = np.random.default_rng(5)
+    book = rng.standard_normal((64, 3)).astype(np.float32)
+    usage = np.where(np.arange(64) < 40, rng.gamma(1.0, 1.0, 64), 0.0)
+    carriers = make_carriers(book, usage)
+    np.testing.assert_allclose(carriers.directions, make_carriers(book[:40], usage[:40]).directions, atol=1e-9)
+    repeated = np.repeat(book[:2], [3, 1], axis=0)
+    np.testing.assert_allclose(
+        make_carriers(repeated, np.ones(4)).directions,
+        make_carriers(book[:2], np.array([3.0, 1.0])).directions,
+        atol=1e-9,
+    )
+    # Singular values fall: what is shown is largest along the first carrier.
+    shown = (0.5 + SH_C0 * book[:40].astype(np.float64)) @ carriers.directions.T
+    energy = usage[:40] @ shown**2
+    assert energy[0] > energy[1] > energy[2]
+
+
+def test_carriers_have_one_sign_and_chroma_keeps_its_floor() -> None:
+    gray = np.repeat(np.random.default_rng(6).uniform(0.5, 2.0, (64, 1)), 3, axis=1).astype(np.float32)
+    carriers = make_carriers(gray, np.ones(64))
+    np.testing.assert_allclose(carriers.directions[0], np.full(3, np.sqrt(1 / 3)), atol=1e-6)
+    for direction in carriers.directions:
+        assert direction[np.abs(direction).argmax()] > 0
+    assert carriers.amplitudes[0] == carriers.amplitudes.max()
+    relative = carriers.amplitudes / carriers.amplitudes[0] * abs(carriers.directions[0] @ LUMA)
+    assert relative.min() >= CHROMA_FLOOR - 1e-9
+
+
+def test_bits_are_dealt_anew_in_every_hand() -> None:
+    """By the key: no two runs, stages or keys have one order."""
+    bits = spread(KEY, b"asset", (128, 64), 1, 32).bit_of.reshape(-1, 32)
+    other = spread(OwnerKey(bytes(range(1, 33))), b"asset", (128, 64), 1, 32).bit_of.reshape(-1, 32)
+    orders = [tuple(hand) for hand in (*bits, *other)]
+    assert len(set(orders)) == len(orders) == 12
+    assert all(sorted(hand) == list(range(32)) for hand in orders)
+
+
+def test_a_message_comes_in_whole_bytes_and_what_was_not_read_is_zero() -> None:
+    for bits in (20, 8, 264):
+        with pytest.raises(InputError, match="16 to 256 bits in whole bytes"):
+            derive_message(KEY, bits, b"asset")
+    assert message_hex(np.array([1, 1, 1, 1, 0, 0, 0, 0, -1, 0, 1, 0, -1, -1, -1, -1], np.int8)) == "f020"
+
+
+def test_a_message_that_just_fits_is_taken() -> None:
+    check_capacity(32, 32)

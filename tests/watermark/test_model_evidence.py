@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.watermark.layout import Layout
-from engine.watermark.model_evidence import gather_model_evidence, remove_affine_color
+from engine.watermark.model_evidence import SATURATION, gather_model_evidence, remove_affine_color
 from engine.watermark.paper_decoder import decode_paper, paper_steps
 
 
@@ -102,3 +104,56 @@ def test_paper_rule_counts_steps_and_drops_what_moved_too_far() -> None:
     bits, lead = decode_paper(y, amplitudes, chips, np.array([0, 0, 1, 1, 1], np.int32), 2)
     assert bits.tolist() == [1, -1]
     assert lead == pytest.approx([1.0, 1.0])
+
+
+def noisy_unmarked(amplitudes: np.ndarray | None = None) -> tuple[Layout, np.ndarray, np.ndarray]:
+    layout, reference, _, _ = marked()
+    if amplitudes is not None:
+        layout = replace(layout, amplitudes=amplitudes)
+    noise = 0.1 * np.random.default_rng(3).standard_normal(reference.shape)
+    return layout, reference, (reference + noise).astype(np.float32)
+
+
+def test_what_was_moved_far_weighs_more() -> None:
+    """The matched filter: of two chips in the same noise the one of four times the amplitude counts for more."""
+    amplitudes = np.where(np.arange(3 * 1024) % 2 == 0, 0.04, 0.01)
+    layout, reference, suspect = noisy_unmarked(amplitudes)
+    weights = gather_model_evidence(layout, reference, suspect, *identity(len(reference))).weights
+    assert np.median(weights[::2]) > 2.5 * np.median(weights[1::2])
+
+
+def test_trust_is_relative() -> None:
+    """A suspect matched throughout at a quarter of the quality says the same about each chip."""
+    layout, reference, suspect = noisy_unmarked()
+    matches, quality = identity(len(reference))
+    sure = gather_model_evidence(layout, reference, suspect, matches, quality)
+    unsure = gather_model_evidence(layout, reference, suspect, matches, 0.25 * quality)
+    np.testing.assert_allclose(unsure.y, sure.y, atol=1e-6)
+    assert np.median(unsure.weights / sure.weights) == pytest.approx(1.0, abs=0.1)
+
+
+def test_no_mean_is_trusted_beyond_a_tenth_of_the_mark() -> None:
+    """Members share errors that their spread does not show: an exact half outweighs a nearly exact one by little."""
+    layout, reference, suspect, _ = marked()
+    exact = layout.labels[0] < 512
+    noise = np.where(exact[:, None], 1e-7, 1e-3) * np.random.default_rng(4).standard_normal(reference.shape)
+    evidence = gather_model_evidence(layout, reference, (suspect + noise).astype(np.float32), *identity(len(reference)))
+    assert evidence.weights[:1536].mean() < 1.5 * evidence.weights[1536:].mean()
+    assert evidence.weights.max() <= 0.02 / (0.1 * 0.02) ** 2
+
+
+def test_no_chip_outweighs_the_others() -> None:
+    """A second mark, ten times as strong, on a few code vectors: each saturates at SATURATION medians."""
+    layout, reference, suspect, _ = marked()
+    louder = suspect + np.where(layout.labels[0] < 20, 0.1, 0.0)[:, None].astype(np.float32)
+    evidence = gather_model_evidence(layout, reference, louder, *identity(len(reference)))
+    shown = np.abs(evidence.weights * evidence.y).reshape(-1, 3)
+    for carrier in shown.T:
+        assert carrier.max() <= 1.1 * SATURATION * np.median(carrier)
+
+
+def test_a_tie_of_the_paper_rule_reads_as_a_set_bit() -> None:
+    y, chips = np.array([0.02, 0.02, -0.02]), np.array([1, -1, 1], np.int8)
+    bits, lead = decode_paper(y, np.full(3, 0.02), chips, np.array([0, 0, 1], np.int32), 3)
+    assert bits.tolist() == [1, -1, 1], "even, against, nothing to vote"
+    assert lead.tolist() == [0.0, 1.0, 0.0]

@@ -5,8 +5,9 @@ import pytest
 
 from engine.compress.hvq import Stage
 from engine.compress.impact import Impact
+from engine.model import SH_C0
 from engine.watermark.layout import MARK_SCALE
-from engine.watermark.planning import BIT_Z, capacity_bits, make_plan, predict_z
+from engine.watermark.planning import BIT_Z, CHIPS_PER_BIT, PlanConfig, capacity_bits, make_plan, predict_z
 
 
 def scene(views: int = 3, n: int = 6000, codes: int = 256, seed: int = 0) -> tuple[tuple[Stage, ...], Impact]:
@@ -74,3 +75,56 @@ def test_capacity_is_where_bits_get_their_least_z() -> None:
         z = np.median(predict_z(plan.energies, strength, bit_of, capacity).mean(axis=1))
         assert z == pytest.approx(BIT_Z, rel=0.15)
     assert capacity_bits(plan.energies, 1e-6, plan.layout.chips) == 0
+
+
+def test_energies_are_those_of_the_amplitudes() -> None:
+    """What a chip adds to a view, squared: its cell's pixels times the square of its colour there."""
+    stages, impact = scene()
+    plan = make_plan(stages, impact)
+    coverage = np.stack([np.bincount(stages[0].labels, view) for view in impact.per_view])  # (V, M)
+    expected = coverage[:, :, None] * (SH_C0 * plan.layout.amplitudes.reshape(-1, 3)) ** 2
+    np.testing.assert_allclose(plan.energies, expected.reshape(3, -1), rtol=1e-4)
+
+
+def test_residual_stages_get_their_share_of_the_energy() -> None:
+    """Members of a residual code are strangers, so their energies add up and not their displacements."""
+    (first,), impact = scene()
+    rng = np.random.default_rng(5)
+    second = Stage(rng.standard_normal((64, 3)).astype(np.float32), rng.integers(0, 64, 6000).astype(np.int32))
+    plan = make_plan((first, second), impact, PlanConfig(stages=2, residual_share=0.1))
+    base, rest = plan.energies[:, : 3 * 256], plan.energies[:, 3 * 256 :]
+    assert rest.sum() / plan.energies.sum() == pytest.approx(0.1, rel=1e-6)
+    assert base.sum() / plan.energies.sum() == pytest.approx(0.9, rel=1e-6)
+    coverage = np.stack([np.bincount(second.labels, view) for view in impact.per_view])
+    alone = np.bincount(second.labels, impact.squared) / np.bincount(second.labels, impact.coverage)
+    amplitudes = plan.layout.amplitudes[3 * 256 :].reshape(-1, 3)
+    expected = (coverage * alone)[:, :, None] * (SH_C0 * amplitudes) ** 2
+    np.testing.assert_allclose(rest, expected.reshape(3, -1), rtol=1e-4)
+
+
+def test_emphasis_scales_the_amplitudes_of_its_code_vectors() -> None:
+    stages, impact = scene()
+    unbalanced = PlanConfig(balance_rounds=0)
+    quiet = stages[0].labels % 2 == 0
+    plain = make_plan(stages, impact, unbalanced).layout.amplitudes
+    ratio = make_plan(stages, impact, unbalanced, np.where(quiet, 0.5, 1.0)).layout.amplitudes / plain
+    ratio = ratio.reshape(-1, 3)
+    np.testing.assert_allclose(ratio[::2] / ratio[1::2], 0.5, rtol=1e-5)
+
+
+def test_the_rarely_seen_carry_more() -> None:
+    """The views are uncertain about them, and so is whoever looks."""
+    stages, _ = scene()
+    rare = stages[0].labels % 2 == 0
+    factor = np.where(rare, 0.2, 1.0)
+    coverage = np.full(6000, 5.0) * factor
+    seen = Impact(
+        coverage, (coverage / 3)[None].repeat(3, axis=0).astype(np.float32), 0.05 * coverage, coverage, coverage
+    )
+    luma = make_plan(stages, seen, PlanConfig(balance_rounds=0)).layout.amplitudes.reshape(-1, 3)
+    assert luma[::2].mean() > 1.1 * luma[1::2].mean()
+
+
+def test_a_bit_rests_on_enough_chips_whatever_the_strength() -> None:
+    plan = make_plan(*scene())
+    assert capacity_bits(plan.energies, 1e6, 320) == 320 // CHIPS_PER_BIT

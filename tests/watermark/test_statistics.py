@@ -177,3 +177,14 @@ def test_needed_evidence_is_enough() -> None:
     enough, short = math.ceil(times), math.floor(0.9 * times)
     assert power(np.tile(y, enough), np.tile(w, enough), 0.15, threshold) >= 0.999
     assert power(np.tile(y, short), np.tile(w, short), 0.15, threshold) < 0.999
+
+
+def test_a_bit_that_was_not_seen_does_not_speak_for_the_others() -> None:
+    """However strong it was expected to be: reliabilities are those of the bits that were seen, by themselves."""
+    z = np.array([2.0, -1.5, 3.0, 2.5])
+    alone = decode_bits(z, np.ones(4))[1]
+    T, norm = np.concatenate([z, np.zeros(4)]), np.repeat([1.0, 0.0], 4)
+    bits, reliability = decode_bits(T, norm, strength=np.ones(8))
+    np.testing.assert_allclose(reliability[:4], alone)
+    assert (reliability[4:] == 0.5).all()
+    assert bits.tolist() == [1, -1, 1, 1, 0, 0, 0, 0]

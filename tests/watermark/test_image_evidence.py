@@ -1,0 +1,102 @@
+"""One picture of a small marked ball, read chip by chip."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.pictures.jpeg_score import jpeg_cotangent
+from engine.pipeline.strength import add_dc
+from engine.watermark import image_evidence
+from engine.watermark.image_evidence import CLIP, add_evidence, gather_image_evidence
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.power import expected_z
+from engine.watermark.statistics import claim_z
+from tests.watermark.ball import Ball, marked_ball
+
+
+@pytest.fixture(scope="module")
+def ball() -> Ball:
+    return marked_ball(count=3000, size=128)
+
+
+def marked_picture(ball: Ball, view: int) -> np.ndarray:
+    return ball.original.render(view, add_dc(ball.model.sh, ball.displacement))
+
+
+def read(ball: Ball, picture: np.ndarray, view: int = 0) -> Evidence:
+    reference = ball.original.images[view]
+    mark = marked_picture(ball, view) - reference
+    mask = np.ones(picture.shape[:2], dtype=bool)
+    layout = ball.plan.layout
+    return gather_image_evidence(
+        layout, ball.original.views[view], reference, picture, mask, mark, np.sign(ball.signed)
+    )
+
+
+def z(ball: Ball, evidence: Evidence) -> float:
+    return claim_z(evidence.y, evidence.weights, ball.spreading.bit_of, ball.spreading.chips, ball.message)
+
+
+def jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
+    buffer = io.BytesIO()
+    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
+    return np.asarray(Image.open(buffer), dtype=np.float32) / 255
+
+
+def test_a_marked_picture_shows_what_was_expected_of_it(ball: Ball) -> None:
+    found = read(ball, marked_picture(ball, 0))
+    expected = expected_z(found.y, found.weights, found.signal)
+    assert z(ball, found) > 6
+    assert 0.5 * z(ball, found) < expected < 1.5 * z(ball, found)
+
+
+def test_an_unmarked_picture_shows_nothing_where_a_mark_would_have_shown(ball: Ball) -> None:
+    noisy = ball.original.images[0] + 0.01 * np.random.default_rng(0).standard_normal((128, 128, 3)).astype(np.float32)
+    found = read(ball, noisy)
+    assert abs(z(ball, found)) < 4
+    assert expected_z(found.y, found.weights, found.signal) > 5
+
+
+def test_a_patch_painted_over_saturates(ball: Ball) -> None:
+    """It may not outweigh the rest: no chip counts for more than CLIP medians of its carrier."""
+    painted = marked_picture(ball, 0).copy()
+    painted[50:80, 50:80] = [1.0, 0.0, 1.0]
+    found = read(ball, painted)
+    shown = np.abs(found.weights * found.y).reshape(-1, 3)
+    for carrier in shown.T:
+        assert carrier.max() <= 1.02 * CLIP * np.median(carrier[carrier > 0])
+
+
+def test_the_quantiser_of_a_jpeg_is_made_use_of(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only where there was one; the quality is the one that the picture was saved with."""
+    qualities: list[int] = []
+
+    def spy(*arguments: object) -> np.ndarray:
+        qualities.append(arguments[-1])  # type: ignore[arg-type]
+        return jpeg_cotangent(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(image_evidence, "jpeg_cotangent", spy)
+    assert z(ball, read(ball, jpeg(marked_picture(ball, 0), 60))) > 4
+    assert qualities
+    assert max(abs(quality - 60) for quality in qualities) <= 2
+    qualities.clear()
+    read(ball, marked_picture(ball, 0))
+    assert not qualities
+
+
+def test_exposure_of_a_jpeg_is_taken_out(ball: Ball) -> None:
+    """A picture a fifth darker reads nearly as well: the difference is no mark."""
+    plain, darker = (z(ball, read(ball, jpeg(gain * marked_picture(ball, 0), 80))) for gain in (1.0, 0.8))
+    assert darker > 0.6 * plain > 2.5
+
+
+def test_pictures_of_several_views_add_up(ball: Ball) -> None:
+    parts = [read(ball, marked_picture(ball, view), view) for view in range(3)]
+    total = add_evidence(parts)
+    np.testing.assert_allclose(total.y, parts[0].y + parts[1].y + parts[2].y)
+    np.testing.assert_allclose(total.signal, parts[0].signal + parts[1].signal + parts[2].signal)
+    assert z(ball, total) > 1.2 * max(z(ball, part) for part in parts)
