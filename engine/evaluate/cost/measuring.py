@@ -4,7 +4,7 @@ import statistics
 import time
 from typing import Any
 
-from engine.evaluate.bench_embed import in_own_process, stage_medians
+from engine.evaluate.bench.timing import in_own_process, stage_medians
 from engine.evaluate.study import Row
 
 __all__ = ["measure_formats", "measure_roofline", "measure_size"]
@@ -72,8 +72,8 @@ def _size(
     picture_size: int,
     seed: int,
 ) -> Row:
-    from engine.evaluate.bars_images import to_8_bit
-    from engine.evaluate.bench_raster import bench_raster
+    from engine.evaluate.bench.attacks import to_8_bit
+    from engine.evaluate.bench.raster import bench_raster
     from engine.evaluate.cost.scenes import sized
     from engine.evaluate.marked_scene import bench_key
     from engine.formats import read_model
@@ -158,7 +158,7 @@ def measure_formats(scene: str, formats: list[str]) -> list[Row]:
 
 def measure_roofline(scene: str, quick: bool) -> list[Row]:
     """The forward kernel against what the machine can do."""
-    from engine.evaluate.bench_raster import bench_raster
+    from engine.evaluate.bench.raster import bench_raster
     from engine.evaluate.cost.peaks import peak_bandwidth, peak_flops
     from engine.formats import read_model
 

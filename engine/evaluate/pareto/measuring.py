@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.evaluate.bars_images import bench_screenshots, to_8_bit
-from engine.evaluate.bench_embed import stage_medians
-from engine.evaluate.bench_raster import bench_camera, median_ms
+from engine.evaluate.bench.attacks import bench_screenshots, to_8_bit
+from engine.evaluate.bench.raster import bench_camera
+from engine.evaluate.bench.timing import median_ms, stage_medians
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.evaluate.pareto.points import BASE, Point, config_of
 from engine.evaluate.study import Row

@@ -4,7 +4,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from engine.evaluate.bench_raster import bench_camera
+from engine.evaluate.bench.raster import bench_camera
 from engine.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.evaluate.study import Row
 from engine.formats import encode_model

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from engine.evaluate.bars_fine_tuning import bench_fine_tuning
+from engine.evaluate.bench.training import bench_fine_tuning
 from engine.evaluate.study import Row
 from engine.evaluate.tables.cells.settings import mark
 from engine.evaluate.tables.setting import DEFAULT

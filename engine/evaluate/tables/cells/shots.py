@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
 from engine.pipeline.judging import VerifyConfig, judge

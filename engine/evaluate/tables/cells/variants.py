@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from engine.evaluate.bars_variants import bench_variant
+from engine.evaluate.bench.marking import bench_variant
 from engine.evaluate.study import Row
 
 __all__ = ["measure_variants"]
