@@ -108,6 +108,11 @@ def measure_attacks(scene: str, seed: int, profile: str) -> list[Row]:
     return rows
 
 
+def other_views(model: GaussianModel, count: int, size: int, seed: Sequence[int]) -> list[Camera]:
+    """Square views of the kind the key views are, drawn without the key."""
+    return make_rig(model, count, size, size, jitter=np.random.default_rng(seed).random((count, 4)))
+
+
 def random_view(model: GaussianModel, rng: np.random.Generator, width: int, height: int) -> Camera:
     """A view a person might take: around the object or in the room, any focal length of 0.7 to 1.5 widths."""
     extent = measure_extent(model)

@@ -91,22 +91,9 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     """The image by the plain loop, black background."""
     geometry, camera = view.geometry, view.camera
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-    log2_skip, clamp, stop, _ = geometry.limits
+    shown = (geometry.records, geometry.discs, colors, geometry.ids, geometry.starts)
     with parallel_section():
-        _naive(
-            geometry.records,
-            geometry.discs,
-            colors,
-            geometry.ids,
-            geometry.starts,
-            camera.width,
-            camera.height,
-            geometry.tiles_x,
-            log2_skip,
-            clamp,
-            stop,
-            image,
-        )
+        _naive(*shown, camera.width, camera.height, geometry.tiles_x, *geometry.limits[:3], image)
     return image
 
 
@@ -116,25 +103,13 @@ def measure_raster(scene: str, seed: int, repeats: int, size: tuple[int, int]) -
 
 
 def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9) -> dict[str, Any]:
-    """Time the rasterizer on one model and the view of `bench_camera`.
+    """Time the rasterizer on one model and the view of `bench_camera`, in pixels.
 
-    Parameters
-    ----------
-    width, height : int
-        Size of the image, pixels.
-    repeats : int
-        Timed runs of each stage.
-
-    Returns
-    -------
-    dict
-        JSON-ready. `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept),
-        `blend_ms` (the raster stage alone), `backward_color_ms` (image cotangent to SH gradient, geometry
-        cached), `backward_ms` (every parameter and the camera; not for discs), `cached_iteration_ms` (SH, image, SH
-        gradient, geometry cached), `naive_forward_ms` (raster stage of the plain loop) and
-        `speedup_over_naive` (that over blend_ms); `gaussians`, `visible`, `pairs`, `width`, `height`,
-        `fragments_per_second` (pixel and Gaussian, evaluated, blend_ms), `threads`, `repeats`,
-        `peak_memory_mb`, `machine`, `versions`.
+    JSON-ready: `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept), `blend_ms` (the raster
+    stage alone), `backward_color_ms` (image cotangent to SH gradient, geometry cached), `backward_ms` (every parameter
+    and the camera; not for discs), `cached_iteration_ms` (SH, image, SH gradient, geometry cached), `naive_forward_ms`
+    (raster stage of the plain loop) and `speedup_over_naive` (that over blend_ms); `fragments_per_second` (pixel and
+    Gaussian, evaluated, blend_ms), counts, machine.
     """
     warm_up()
     camera = bench_camera(model, width, height)

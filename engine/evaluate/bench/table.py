@@ -15,32 +15,20 @@ TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000}
 
 @dataclass(frozen=True)
 class Bench:
-    """One bench: rows of one function, called once for each scene.
-
-    Parameters
-    ----------
-    work : str
-        ``"module:function"`` of this package.
-    told : tuple of str
-        Options that it takes and that its report repeats; those in TRIALS take their number from `--trials`.
-    untold : tuple of str
-        Options that it takes and that its rows tell.
-    settings : str
-        ``"package.module:NAME"`` of what `--setting` chooses from: a cell for each.
-    table : str
-        Of the paper, that these settings stand in.
-    scenes : {"each", "together", "beside the next", "beside another"}
-        A cell for each, or one for all; with `other`, the scene after it (None where it is alone), or with the
-        spare one in place of None.
-    """
+    """One bench: rows of a ``"module:function"`` of this package."""
 
     summary: str
     work: str
     told: tuple[str, ...] = ("profile",)
+    """Options that it takes and that its report repeats; those in TRIALS take their number from `--trials`."""
     untold: tuple[str, ...] = ()
+    """Options that it takes and its report leaves to the rows."""
     settings: str = ""
+    """``"package.module:NAME"`` of what `--setting` chooses from, a cell for each; and the paper's table of them."""
     table: str = ""
     scenes: Literal["each", "together", "beside the next", "beside another"] = "each"
+    """A cell for each, or one for all; with `other`, the scene after it (None where it is alone), or with the spare one
+    in place of None."""
 
 
 BENCHES = {
@@ -104,21 +92,9 @@ def bench_cells(
 ) -> tuple[list[Cell], dict[str, Any]]:
     """The cells of a bench, and what its report says of how it was run.
 
-    Parameters
-    ----------
-    scenes : sequence of str
-        Paths of models.
-    asked : dict
-        Values of all options, by name; `trials` is None for the bench's own number.
-    settings : sequence of str
-        Those to run of a bench that has settings; all where empty.
-    spare : str
-        Model for a bench that needs another one beside the only one given.
-
-    Raises
-    ------
-    InputError
-        If there is no such setting.
+    `asked` has the values of all options by name; `trials` is None for the bench's own number. Of a bench that has
+    settings the named ones are run, all where none is named (InputError for one that there is not). The spare model is
+    for a bench that needs another one beside the only one given.
     """
     bench = BENCHES[name]
     counts = {option: asked["trials"] or number for option, number in TRIALS.items()}

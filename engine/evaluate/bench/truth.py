@@ -107,14 +107,7 @@ def forge(scene: MarkedScene, config: EmbedConfig) -> Row:
 
 
 def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
-    """Copies of one scene for several buyers, put together by every rule, and traced among innocent buyers.
-
-    Returns
-    -------
-    list of dict
-        One for each number of colluders and rule (see `collude`): `named` of `colluders`, their smallest z, the
-        largest z of an innocent, `innocents_named`, the bar.
-    """
+    """Copies of one scene for several buyers, put together by every rule of `collude`, traced among innocent buyers."""
     names = [f"{BUYER} {number}" for number in range(max(COLLUDERS))]
     copies = mark_copies(scene, named_profile("fast", landmark_views=0), names, bits=BITS, seed=seed)
     bystanders = list(innocent_copies(copies[0].opened, bench_key(seed), innocents))
@@ -147,12 +140,7 @@ def measure_collusion(scene: str, seed: int, innocents: int) -> list[Row]:
 def innocent_copies(record: OpenedRecord, key: OwnerKey, count: int) -> Iterator[OpenedRecord]:
     """Records of copies of the same asset that no suspect was made of, drawn as an embedding draws them.
 
-    Parameters
-    ----------
-    record : OpenedRecord
-        Of a copy without landmarks, with a message derived from its name.
-    key : OwnerKey
-        Its key.
+    The record is of a copy without landmarks, with a message derived from its name; the key is its own.
     """
     reference = bytes.fromhex(record.header.reference_digest)
     for number in range(count):
