@@ -77,7 +77,7 @@ def bench(
 
     asked = {"profile": profile, "repeats": repeats, "trials": trials, "size": list(size), "colors_only": colors_only}
     spare = shipped_scene()
-    scenes = [str(path.resolve()) for path in scene or [spare]]
+    scenes = [str(path.absolute()) for path in scene or [spare]]
     work, told = bench_cells(what, scenes, asked, seed=seed, settings=setting or [], spare=str(spare))
     with console.progress() as progress, tempfile.TemporaryDirectory() as folder:
         prepare_kernels(console, progress, "everything")
