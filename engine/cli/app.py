@@ -112,4 +112,5 @@ def run(arguments: list[str]) -> int:
 
 def main() -> None:
     """Entry point of the command."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded; see engine.numerics.blas
     sys.exit(run(sys.argv[1:]))

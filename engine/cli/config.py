@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from engine.cli.console import Console
-from engine.cli.options import Json
+from engine.cli.options import Json, Knobs
 
 app = typer.Typer(no_args_is_help=True, help="Show settings.", rich_markup_mode="rich")
 
@@ -18,22 +18,24 @@ def _group() -> None:
 @app.command("show")
 def show(
     profile: Annotated[
-        str | None, typer.Option("--profile", metavar="P", help="fast, balanced or strong; all if left out.")
+        str | None,
+        typer.Option("--profile", metavar="P", help="fast, balanced, strong or auto (its start); all if left out."),
     ] = None,
+    knobs: Knobs = None,
     json: Json = False,
 ) -> int:
     """Print the composed settings of one profile, or of all side by side.
 
     Example:
 
-      mark3dgs config show --profile fast
+      mark3dgs config show --profile fast --set quantize.cells=1024
     """
     console = Console(json)
-    from engine.pipeline.profiles import PROFILES, config_dict
-    from engine.pipeline.profiles import profile as named_profile
+    from engine.pipeline.profiles import PROFILES, Auto, compose, config_dict
 
     names = [profile] if profile is not None else list(PROFILES)
-    settings = {name: config_dict(named_profile(name)) for name in names}
+    composed = {name: compose(name, knobs=knobs or ()) for name in names}
+    settings = {name: config_dict(c.start if isinstance(c, Auto) else c) for name, c in composed.items()}
     flat = {name: _flatten(values) for name, values in settings.items()}
     knobs = list(flat[names[0]])
     width = max(len(knob) for knob in knobs)

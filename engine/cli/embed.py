@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,11 +13,8 @@ from engine.cli.console import Console
 from engine.cli.files import check_target, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import format_for, loss_note, repair_entries, say_repairs
-from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.options import Json, Key, Knobs, SpzFrame
 from engine.errors import InputError
-
-if TYPE_CHECKING:
-    from engine.pipeline.profiles import EmbedConfig
 
 
 def embed(
@@ -56,6 +52,7 @@ def embed(
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Time of registration to record, or 'now'.")
     ] = "",
+    knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",
     force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
     json: Json = False,
@@ -86,13 +83,12 @@ def embed(
     kind = format_for(out)
 
     from engine.formats import read_cameras, read_model, write_model
-    from engine.pipeline.choosing import AUTO, START, choose
     from engine.pipeline.embedding import embed as embed_mark
-    from engine.pipeline.progress import Clock
+    from engine.pipeline.profiles import compose
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
-    config = compose(START if profile == AUTO else profile, psnr=psnr, budget=budget, output=output)
+    config = compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ())
     signs = message_signs(message) if message is not None else None
     check_bits(bits or 32)
     owner = OwnerKey.read(key)
@@ -105,20 +101,6 @@ def embed(
         progress("read", 0.0)
         loaded = read_model(model, spz_frame=spz_frame)
         read_seconds = time.perf_counter() - started
-        choosing = Clock(progress)
-        choice, ground = None, None
-        if profile == AUTO:
-            choice = choose(
-                loaded.model,
-                owner,
-                len(signs) if signs is not None else bits or 32,
-                config,
-                original_sha256=loaded.sha256,
-                cameras=views,
-                keep_psnr=psnr is not None,
-                clock=choosing,
-            )
-            config, ground = choice.config, choice.ground
         made = embed_mark(
             loaded.model,
             owner,
@@ -130,7 +112,6 @@ def embed(
             copy=copy,
             registered_at=when,
             progress=progress,
-            ground=ground,
         )
         started = time.perf_counter()
         progress("write", 0.0)
@@ -145,7 +126,6 @@ def embed(
     stages = {
         "compile": compile_seconds,
         "read": read_seconds,
-        **choosing.seconds,
         **made.report["seconds_by_stage"],
         "write": write_seconds,
     }
@@ -157,7 +137,6 @@ def embed(
         "format_in": loaded.format,
         "format_out": kind,
         "profile": profile,
-        "choice": None if choice is None else choice.report(),
         "repairs": repair_entries(loaded.repairs),
         "notes": loss_note(made.model, kind),
         "seconds": time.perf_counter() - began,
@@ -168,23 +147,12 @@ def embed(
     return 0
 
 
-def compose(profile: str, *, psnr: float | None, budget: str | None, output: str | None) -> EmbedConfig:
-    """Settings of a profile with the options of the command line put in."""
-    from engine.pipeline.profiles import profile as named_profile
-
-    changes: dict[str, Any] = {}
-    if psnr is not None:
-        changes["psnr_db"] = psnr
-    if output is not None:
-        changes["output"] = output
-    config = named_profile(profile, **changes)
-    if budget is None:
-        return config
+def _decibels(budget: str) -> float | None:
+    """A pruning budget as it is typed: a number of dB, or `none`."""
     try:
-        limit = None if budget.lower() == "none" else float(budget)
+        return None if budget.lower() == "none" else float(budget)
     except ValueError:
         raise InputError(f"budget must be a number of dB or 'none', got {budget!r}") from None
-    return replace(config, prune=replace(config.prune, budget_db=limit))
 
 
 def _say(console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path) -> None:

@@ -38,7 +38,7 @@ def describe(error: BaseException) -> dict[str, Any]:
     if isinstance(error, KeyboardInterrupt):
         return {"type": "Interrupted", "message": "interrupted; nothing was written"}
     if _is_usage_error(error):
-        return {"type": "UsageError", "message": _one_line(error.format_message())}  # type: ignore[attr-defined]
+        return {"type": "UsageError", "message": _one_line(error.format_message())}  # type: ignore[attr-defined]  # click's, found by name
     found: dict[str, Any] = {"type": type(error).__name__, "message": _message(error)}
     if isinstance(error, FormatError):
         place = {"file": error.file or None, "element": error.element, "row": error.row, "property": error.prop}

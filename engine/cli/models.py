@@ -6,12 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from engine.cli.console import Console
+from engine.cli.console import Console, Progress
+from engine.cli.files import is_picture, read_picture
 from engine.errors import InputError
 
 if TYPE_CHECKING:
     from engine.formats import Repair
     from engine.model import GaussianModel
+    from engine.pipeline.searching import Suspect
 
 DEMO_SCENE = "plant.splat"
 
@@ -53,6 +55,22 @@ def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
     """Tell what was mended on loading."""
     for repair in repairs:
         console.note(f"repaired: {repair.text}")
+
+
+def load_suspect(
+    console: Console, paths: list[Path], cameras: Path | None, progress: Progress, spz_frame: str = "auto"
+) -> tuple[Suspect, tuple[Repair, ...]]:
+    """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
+    from engine.formats import read_cameras, read_model
+    from engine.pipeline.searching import Suspect
+
+    progress("read", 0.0)
+    if is_picture(paths[0]):
+        known = read_cameras(cameras) if cameras is not None else None
+        return Suspect(None, [read_picture(path) for path in paths], known), ()
+    loaded = read_model(paths[0], spz_frame=spz_frame)
+    say_repairs(console, loaded.repairs)
+    return Suspect(loaded.model), loaded.repairs
 
 
 def shipped_scene() -> Path:

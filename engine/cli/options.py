@@ -15,3 +15,8 @@ SpzFrame = Annotated[
 ]
 
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random choice.")]
+
+Knobs = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KNOB=VALUE", help="Turn a knob that `mark3dgs config show` lists; repeatable."),
+]

@@ -11,9 +11,9 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import are_pictures, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import say_repairs
+from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key
 from engine.errors import InputError
 
@@ -60,9 +60,8 @@ def trace(
     pictures = are_pictures(suspects, cameras)
     files = _files(records)
 
-    from engine.formats import read_cameras, read_model
     from engine.pipeline.sealing import open_record
-    from engine.pipeline.tracing import trace_images, trace_model
+    from engine.pipeline.tracing import trace as search_for_copies
     from engine.pipeline.verification import VerifyConfig
     from engine.watermark.keys import OwnerKey
 
@@ -74,13 +73,8 @@ def trace(
 
     with console.progress() as progress:
         prepare_kernels(console, progress, "pictures" if pictures else "model")
-        if pictures:
-            known = read_cameras(cameras) if cameras is not None else None
-            found = trace_images([read_picture(path) for path in suspects], opened(), config, known, progress)
-        else:
-            loaded = read_model(suspects[0])
-            say_repairs(console, loaded.repairs)
-            found = trace_model(loaded.model, opened(), config, progress)
+        suspect, _ = load_suspect(console, suspects, cameras, progress)
+        found = search_for_copies(suspect, opened(), config, progress)
     report: dict[str, Any] = found.to_json() | {
         "suspects": [str(path) for path in suspects],
         "seconds": time.perf_counter() - began,

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.cli.claim_text import claim_lines
-from engine.cli.console import Console, Progress
+from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, read_bytes, read_picture
+from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import repair_entries, say_repairs
+from engine.cli.models import load_suspect, repair_entries
 from engine.cli.options import Json, Key, SpzFrame
 
 if TYPE_CHECKING:
     from engine.pipeline.sealing import OpenedRecord
-    from engine.pipeline.verification import Verification, VerifyConfig
+    from engine.pipeline.verification import Verification
 
 
 def verify(
@@ -65,12 +65,12 @@ def verify(
     pictures = are_pictures(suspects, cameras)
 
     from engine.pipeline.sealing import open_record
+    from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
     from engine.watermark.keys import OwnerKey
 
     config = VerifyConfig(false_claim_rate=false_claim_rate, route=route, decoder=decoder)
     owner = OwnerKey.read(key)
-    repairs: list[dict[str, Any]] = []
     with console.progress() as progress:
         started = time.perf_counter()
         progress("open record", 0.0)
@@ -78,21 +78,12 @@ def verify(
         open_seconds = time.perf_counter() - started
         compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
         started = time.perf_counter()
-        if pictures:
-            read_seconds, found = _look_at_pictures(suspects, opened, config, cameras, progress)
-        else:
-            from engine.formats import read_model
-            from engine.pipeline.verification import verify_model
-
-            progress("read", 0.0)
-            loaded = read_model(suspects[0], spz_frame=spz_frame)
-            say_repairs(console, loaded.repairs)
-            repairs = repair_entries(loaded.repairs)
-            read_seconds = time.perf_counter() - started
-            found = verify_model(loaded.model, opened, config, progress)
+        suspect, repairs = load_suspect(console, suspects, cameras, progress, spz_frame)
+        read_seconds = time.perf_counter() - started
+        found = search_for(suspect, opened, config, progress)
     report = claim_report(found, opened) | {
         "suspects": [str(path) for path in suspects],
-        "repairs": repairs,
+        "repairs": repair_entries(repairs),
         "seconds": time.perf_counter() - began,
     }
     report["seconds_by_stage"] = {
@@ -116,17 +107,3 @@ def claim_report(found: Verification, opened: OpenedRecord) -> dict[str, Any]:
         "registered_at": header.registered_at,
         "original_sha256": header.original_digest,
     }
-
-
-def _look_at_pictures(
-    paths: list[Path], opened: OpenedRecord, config: VerifyConfig, cameras: Path | None, progress: Progress
-) -> tuple[float, Verification]:
-    from engine.formats import read_cameras
-    from engine.pipeline.verification import verify_images
-
-    started = time.perf_counter()
-    progress("read", 0.0)
-    images = [read_picture(path) for path in paths]
-    known = read_cameras(cameras) if cameras is not None else None
-    seconds = time.perf_counter() - started
-    return seconds, verify_images(images, opened, config, known, progress)

@@ -1,8 +1,8 @@
 """Stage 0 of the vector quantiser: cells compact in position and colour (DESIGN 4.4).
 
 A balanced k-d tree over the joint features (position, DC colour), split at the *weighted* median of the widest
-feature, with the blending weight that a Gaussian has over the key views as its weight: every cell then covers
-about the same area of the images, so every chip and every bit gets about the same evidence. No k-means is needed.
+feature. A Gaussian weighs as much as an error in its colour would show in the key views (sum of w^2): every cell then
+shows about as much, so every chip and every bit gets about the same evidence. No k-means is needed.
 """
 
 import numba as nb
@@ -70,7 +70,7 @@ def split_cells(features: Float32, weights: Float64, count: int) -> Int32:
     features : (N, D) float32
         Joint features of position and colour.
     weights : (N,) float64
-        How much of the images each Gaussian covers; a floor keeps unseen ones from sharing one cell.
+        How much each Gaussian shows in the images; a floor keeps unseen ones from sharing one cell.
     count : int
         Number of cells wanted; rounded down to a power of two, and at most N.
 

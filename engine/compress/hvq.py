@@ -70,7 +70,7 @@ def quantize(
     Parameters
     ----------
     weights : (N,) float64
-        How much an error in each Gaussian's colour is seen (W^freq, divided by its uncertainty).
+        How much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty).
     radius : float
         Radius of the scene, scene units.
 
@@ -85,7 +85,7 @@ def quantize(
     labels = split_cells(cell_features(model, radius), weights, cells)
     stage = Stage(group_means(colors, labels, weights), labels)
     stages = [stage]
-    residual = colors - stage.decode()
+    residual = colors - stage.decode() if config.residual_codes else colors  # (N, 3K)
     for number, codes in enumerate(config.residual_codes):
         stage = learn_residual_stage(residual, weights, codes, config, seed=config.seed + number)
         stages.append(stage)

@@ -31,8 +31,6 @@ class Impact:
         The same, view by view.
     busy : (N,) float64
         Sum of w times the high-frequency DWT energy of the pixel (first two factors of Eq 4).
-    impact : (N,) float64
-        Eq 4: busy times spatial coherence.
     squared : (N,) float64
         Sum over views and pixels of w^2.
     """
@@ -40,12 +38,11 @@ class Impact:
     coverage: Float64
     per_view: Float32
     busy: Float64
-    impact: Float64
     squared: Float64
 
 
 def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence[Float32]) -> Impact:
-    """Impact of every Gaussian (Eq 4).
+    """What every Gaussian contributes to some views.
 
     Parameters
     ----------
@@ -63,7 +60,12 @@ def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence
         sum_w, sum_w2, _ = view.weights()
         per_view[v], squared = sum_w, squared + sum_w2
     coverage = per_view.sum(axis=0, dtype=np.float64)
-    return Impact(coverage, per_view, busy, busy * spatial_coherence(model), squared)
+    return Impact(coverage, per_view, busy, squared)
+
+
+def paper_impact(model: GaussianModel, impact: Impact) -> Float64:
+    """(N,) Eq 4 as printed: what a Gaussian adds to busy pixels, times its spatial coherence."""
+    return impact.busy * spatial_coherence(model)
 
 
 def spatial_coherence(model: GaussianModel) -> Float64:

@@ -64,7 +64,7 @@ def umeyama(
     Notes
     -----
     Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991,
-    Eq 40 to 42.
+    equations 40 to 42.
     """
     a, b = source.astype(np.float64), target.astype(np.float64)
     w = np.ones(len(a)) if weights is None else weights.astype(np.float64)

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
-from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Clock
+from engine.pipeline.profiles import Auto, EmbedConfig
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.scenes import look, psnr
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
@@ -30,10 +30,8 @@ from engine.watermark.masses import spare_masses
 from engine.watermark.planning import BIT_Z, make_plan
 from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
 
-__all__ = ["AUTO", "START", "Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
+__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
 
-AUTO, START = "auto", "fast"
-"""The name under which a profile is left to this module, and the profile it starts from."""
 PICTURE = 800
 """Side of the bad picture, pixels."""
 QUALITY = 10
@@ -125,16 +123,14 @@ def wanted_z(bits: int) -> float:
     return MARGIN * max(z_threshold(CHANCE_RATE), (BIT_Z + 0.2) * math.sqrt(bits))
 
 
+@one_blas_thread
 def choose(
     model: GaussianModel,
     key: OwnerKey,
     bits: int,
-    asked: EmbedConfig,
-    *,
+    asked: Auto,
     original_sha256: str,
     cameras: Sequence[Camera] | None = None,
-    keep_psnr: bool = False,
-    clock: Clock | None = None,
 ) -> Choice:
     """The cheapest settings that are predicted to do.
 
@@ -142,15 +138,12 @@ def choose(
     ----------
     key : OwnerKey
         Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
-    asked : EmbedConfig
-        Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew. The number of
-        cells is not: fewer save no time, more show no better.
+    asked : Auto
+        The number of cells is not chosen: fewer save no time, more show no better.
     original_sha256 : str
         Hex digest of the owner's file.
     cameras : sequence of Camera, optional
         The owner's own.
-    keep_psnr : bool
-        The owner named this fidelity: evidence may not be bought with it.
 
     Returns
     -------
@@ -162,24 +155,21 @@ def choose(
     InputError
         If no copy of the model could be registered.
     """
-    clock = clock or Clock()
-    wanted = wanted_z(bits)
-    with clock.stage("choose"):
-        tried = 0
-        for views in VIEWS:
-            tried += 1
-            config = replace(asked, views=views, view_size=VIEW_SIZE)
-            scene = _Rehearsing(lay_groundwork(model, key, original_sha256, config, cameras), cameras)
-            found = scene.at(config)
-            if found.held_out_db >= config.psnr_db - SLACK_DB:
+    wanted, tried = wanted_z(bits), 0
+    for views in VIEWS:
+        tried += 1
+        config = replace(asked.start, views=views, view_size=VIEW_SIZE)
+        scene = _Rehearsing(lay_groundwork(model, key, original_sha256, config, cameras), cameras)
+        found = scene.at(config)
+        if found.held_out_db >= config.psnr_db - SLACK_DB:
+            break
+    if found.predicted_z < wanted and not asked.keep_psnr:
+        faithful = config
+        for lower in LOWER_DB:
+            config = _lowered(faithful, lower)
+            found, tried = scene.at(config), tried + 1
+            if found.predicted_z >= wanted:
                 break
-        if found.predicted_z < wanted and not keep_psnr:
-            faithful = config
-            for lower in LOWER_DB:
-                config = _lowered(faithful, lower)
-                found, tried = scene.at(config), tried + 1
-                if found.predicted_z >= wanted:
-                    break
     return Choice(config, found, wanted, found.predicted_z >= wanted, tried, scene.ground)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
-from engine.compress.impact import Impact, sh_curvature, uncertainty
+from engine.compress.impact import Impact, paper_impact, sh_curvature, uncertainty
 from engine.compress.pruning import drop_unseen_bands, prune
 from engine.model import Float64, GaussianModel
 from engine.pipeline.profiles import EmbedConfig
@@ -36,7 +36,7 @@ def slim_down(
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
-    rank = impact.impact if config.prune.rank == "paper" else impact.squared
+    rank = paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
     pruned = prune(thin, rank, measure, extent.radius, config.prune)
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
         dropped = 0

@@ -1,5 +1,6 @@
 """The embedding flow: model -> prune -> quantise -> displace code vectors -> refine -> marked model and record.
 
+0. Choose the settings, where that is left open.
 1. Look at the model from the key views.            5. Plan carriers and amplitudes; commit to them.
 2. Prune to the budget, if one was given.           6. Draw bits and chips from the owner's key.
 3. Fix the canonical reference.                     7. Solve the strength; refine; solve it again.
@@ -13,11 +14,14 @@ from typing import Any
 import numpy as np
 
 from engine.compress.impact import uncertainty
+from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
-from engine.pipeline.groundwork import Groundwork, lay_groundwork
-from engine.pipeline.profiles import EmbedConfig, config_dict
+from engine.pipeline.groundwork import lay_groundwork
+from engine.pipeline.profiles import Auto, EmbedConfig, Settings, config_dict
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
@@ -46,15 +50,19 @@ class Embedding:
         The marked model to deliver.
     record : Record
         What the owner keeps.
+    config : EmbedConfig
+        The settings used: the chosen ones, where that was left open.
     report : dict
         Measurements for people and machines (`embed --json`).
     """
 
     model: GaussianModel
     record: Record
+    config: EmbedConfig
     report: dict[str, Any]
 
 
+@one_blas_thread
 def embed(
     model: GaussianModel,
     key: OwnerKey,
@@ -62,13 +70,12 @@ def embed(
     original_sha256: str,
     message: Signs | None = None,
     bits: int = 32,
-    config: EmbedConfig | None = None,
+    config: Settings | None = None,
     cameras: Sequence[Camera] | None = None,
     copy: str = "",
     registered_at: str = "",
     progress: Progress | None = None,
     variant: Variant = PLAIN,
-    ground: Groundwork | None = None,
 ) -> Embedding:
     """Mark a model.
 
@@ -80,6 +87,8 @@ def embed(
         Derived from the key where not given.
     bits : int
         Length of a derived message.
+    config : EmbedConfig or Auto, optional
+        See `profiles.compose`.
     cameras : sequence of Camera, optional
         The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
     copy : str
@@ -88,8 +97,6 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
-    ground : Groundwork, optional
-        Already laid for this model, key, configuration and these cameras (`Choice.ground`): nothing is looked at twice.
 
     Raises
     ------
@@ -98,46 +105,57 @@ def embed(
     InputError
         If the model or the options are unusable.
     """
-    config = config or EmbedConfig()
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
     check_bits(bits)
-    keeps_rows = config.prune.budget_db is None and config.output == "fidelity"
-    variant.check(model, keeps_rows=keeps_rows, refines=config.refine.steps > 0)
+    choice: Choice | None = None
+    if isinstance(config, Auto):
+        if variant is not PLAIN:
+            raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
+        with clock.stage("choose"):  # 0
+            choice = choose(model, key, bits, config, original_sha256, cameras)
+        settings = choice.config
+    else:
+        settings = config or EmbedConfig()
+    keeps_rows = settings.prune.budget_db is None and settings.output == "fidelity"
+    variant.check(model, keeps_rows=keeps_rows, refines=settings.refine.steps > 0)
 
     with clock.stage("look"):  # 1
-        ground = ground or lay_groundwork(model, key, original_sha256, config, cameras, variant, clock)
+        # What was rehearsed on is gone on from: nothing is looked at twice.
+        ground = (
+            choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
+        )
         original, extent, key_cameras = ground.views, ground.extent, ground.cameras
     with clock.stage("prune"):  # 2
-        slim, pruned = slim_down(model, original, ground.impact, extent, config)
+        slim, pruned = slim_down(model, original, ground.impact, extent, settings)
     with clock.stage("quantize"):  # 3, 4
         ground = ground.of(slim, clock)
         impact = ground.impact
-        delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, config)
+        delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, settings)
         emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
         # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
-        if variant.labels is None and config.output == "fidelity":
-            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, config.plan.mass_share, emphasis)
+        if variant.labels is None and settings.output == "fidelity":
+            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
         reference_arrays = encode_reference(delivered)
         digest = reference_digest(reference_arrays)
     with clock.stage("landmarks"):
-        landmarks = _landmarks(delivered, extent, config, clock)
+        landmarks = _landmarks(delivered, extent, settings, clock)
     with clock.stage("plan"):  # 5, 6
         views = ground.views_of(delivered, clock)
-        plan = make_plan(stages, impact, config.plan, emphasis)
+        plan = make_plan(stages, impact, settings.plan, emphasis)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
         committed = plan_of(layout, sign, key_cameras, landmarks, variant.commitments)
         spreading = draw_spreading(key, digest, copy, layout, committed)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
-        guess = first_guess(plan.energies, key_cameras, config.psnr_db)
-        strength = solve_strength(views, displacement, config.psnr_db, config.ssim, guess)
+        guess = first_guess(plan.energies, key_cameras, settings.psnr_db)
+        strength = solve_strength(views, displacement, settings.psnr_db, settings.ssim, guess)
         pictured = plan.energies * ground.picture_scale
         capacity = capacity_bits(pictured, strength.factor, layout.chips)
         check_capacity(bits, capacity)
     displacement = np.float32(strength.factor) * displacement
-    if config.refine.steps > 0:
+    if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
             from engine.pipeline.refinement import refine  # torch is only needed here
 
@@ -151,10 +169,10 @@ def embed(
                 spreading.bit_of,
                 bits,
                 doubt,
-                config.refine,
+                settings.refine,
                 clock.advance,
             )
-            again = solve_strength(views, displacement, config.psnr_db, config.ssim, 1.0)
+            again = solve_strength(views, displacement, settings.psnr_db, settings.ssim, 1.0)
             displacement = np.float32(again.factor) * displacement
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
@@ -167,7 +185,7 @@ def embed(
             original_sha256=original_sha256,
             copy=copy,
             registered_at=registered_at,
-            settings=config_dict(config),
+            settings=config_dict(settings),
         )
         total = strength.psnr_db
         if delivered is not model:
@@ -186,11 +204,12 @@ def embed(
         "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
         "capacity_bits": capacity,
         "chips": layout.chips,
+        "choice": None if choice is None else choice.report(),
         **pruned,
         "seconds": clock.total,
         "seconds_by_stage": clock.seconds,
     }
-    return Embedding(marked, record, report)
+    return Embedding(marked, record, settings, report)
 
 
 def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

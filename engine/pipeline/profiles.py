@@ -1,6 +1,7 @@
 """Settings of an embedding, and the three named points on one curve of speed against accuracy (DESIGN 10)."""
 
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from engine.compress.hvq import HvqConfig
@@ -87,11 +88,84 @@ PROFILES: dict[str, EmbedConfig] = {
 """fast and balanced differ in how many views shape the mark; strong spends 2 dB of fidelity on evidence."""
 
 
+AUTO = "auto"
+"""The name under which a profile is left to the scene."""
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Settings that a rehearsal on the scene chooses (`engine.pipeline.choosing`).
+
+    Parameters
+    ----------
+    start : EmbedConfig
+        Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew.
+    keep_psnr : bool
+        The owner named this fidelity: evidence may not be bought with it.
+    """
+
+    start: EmbedConfig = PROFILES["fast"]
+    keep_psnr: bool = False
+
+
+Settings = EmbedConfig | Auto
+"""What an embedding is told: everything, or to choose."""
+
+
 def profile(name: str, **changes: Any) -> EmbedConfig:
     """A named profile with some knobs changed; an unknown name is an InputError."""
     if name not in PROFILES:
         raise InputError(f"unknown profile {name!r}, choose one of {', '.join(sorted(PROFILES))}")
     return replace(PROFILES[name], **changes)
+
+
+def compose(
+    name: str,
+    *,
+    psnr_db: float | None = None,
+    output: str | None = None,
+    budget_db: float | None = None,
+    knobs: Sequence[str] = (),
+) -> Settings:
+    """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
+
+    Parameters
+    ----------
+    knobs : sequence of str
+        ``"quantize.cells=1024"``: any knob of `config_dict`.
+    """
+    asked = {"psnr_db": psnr_db, "output": output}
+    changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
+    config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
+    if budget_db is not None:
+        config = replace(config, prune=replace(config.prune, budget_db=budget_db))
+    for knob in knobs:
+        config = _turned(config, *knob.partition("=")[::2])
+    keep_psnr = psnr_db is not None or any(knob.startswith("psnr_db=") for knob in knobs)
+    return Auto(config, keep_psnr) if name == AUTO else config
+
+
+def _turned(config: Any, knob: str, text: str, depth: int = 0) -> Any:
+    """A configuration with one knob, ``name`` or ``stage.name``, at the value that a text says."""
+    parts = knob.split(".")
+    name, last = parts[depth], depth == len(parts) - 1
+    if name not in (field.name for field in fields(config)) or is_dataclass(now := getattr(config, name)) == last:
+        raise InputError(f"there is no knob {knob!r}; `mark3dgs config show` lists them")
+    return replace(config, **{name: _parsed(knob, text, now) if last else _turned(now, knob, text, depth + 1)})
+
+
+def _parsed(knob: str, text: str, now: Any) -> Any:
+    """A text as a value of the kind that the knob has; `budget_db`, which may be none, is a number."""
+    try:
+        if isinstance(now, str):
+            return text
+        if isinstance(now, tuple):
+            return tuple(int(part) for part in text.split(",") if part not in ("", "-"))
+        if knob == "prune.budget_db" and text == "none":
+            return None
+        return int(text) if isinstance(now, int) else float(text)
+    except ValueError:
+        raise InputError(f"{knob} is {now!r} and cannot be {text!r}") from None
 
 
 def config_dict(config: EmbedConfig) -> dict[str, Any]:

@@ -7,6 +7,7 @@ before the chips are drawn (DESIGN 4.9), so the refinement may move the model bu
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,27 +29,27 @@ class _Blend(torch.autograd.Function):
     """Image of colours under frozen geometry: linear, with the rasterizer's exact VJP."""
 
     @staticmethod
-    def forward(ctx: object, colors: Tensor, view: View) -> Tensor:
-        ctx.view = view  # type: ignore[attr-defined]
+    def forward(ctx: Any, colors: Tensor, view: View) -> Tensor:
+        ctx.view = view
         return torch.from_numpy(view.render(colors.detach().numpy())[0])
 
     @staticmethod
-    def backward(ctx: object, *cotangents: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor, None]:
         cotangent = np.ascontiguousarray(cotangents[0].numpy())
-        return torch.from_numpy(ctx.view.backward_colors(cotangent)), None  # type: ignore[attr-defined]
+        return torch.from_numpy(ctx.view.backward_colors(cotangent)), None
 
 
 class _Pull(torch.autograd.Function):
     """The adjoint: per-Gaussian sums of a residual image; its own derivative is a render."""
 
     @staticmethod
-    def forward(ctx: object, residual: Tensor, view: View) -> Tensor:
-        ctx.view = view  # type: ignore[attr-defined]
+    def forward(ctx: Any, residual: Tensor, view: View) -> Tensor:
+        ctx.view = view
         return torch.from_numpy(view.backward_colors(np.ascontiguousarray(residual.detach().numpy())))
 
     @staticmethod
-    def backward(ctx: object, *cotangents: Tensor) -> tuple[Tensor, None]:
-        return torch.from_numpy(ctx.view.render(np.ascontiguousarray(cotangents[0].numpy()))[0]), None  # type: ignore[attr-defined]
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor, None]:
+        return torch.from_numpy(ctx.view.render(np.ascontiguousarray(cotangents[0].numpy()))[0]), None
 
 
 _blend: Callable[[Tensor, View], Tensor] = _Blend.apply

@@ -16,16 +16,15 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.progress import Clock, Progress
-from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
 from engine.pipeline.sealing import OpenedRecord
-from engine.registration.registering import register
+from engine.pipeline.searching import Reading, Suspect, count_tries, readings
 from engine.watermark.copies import CopyMark, copies_z, copy_mark
-from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
-__all__ = ["CopyFinding", "Tracing", "trace_images", "trace_model"]
+__all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
 
 @dataclass(frozen=True)
@@ -107,48 +106,8 @@ def trace_model(
     config: VerifyConfig | None = None,
     progress: Progress | None = None,
 ) -> Tracing:
-    """Which of these copies took part in making this model?
-
-    Parameters
-    ----------
-    records : iterable of OpenedRecord
-        Any number; only one of each asset and layout is kept in memory.
-    config : VerifyConfig, optional
-        Route "auto" reads the Gaussians, and looks at renders of the pose key only where they name nobody.
-
-    Raises
-    ------
-    InputError
-        If there is no record, one is given twice, the suspect is empty, or the route takes pictures.
-    """
-    config = config or VerifyConfig()
-    if config.route == "image":
-        raise InputError("route 'image' takes pictures; a model goes by 'model', 'render' or 'auto'")
-    if len(suspect) == 0:
-        raise InputError("the suspect model is empty")
-    clock = Clock(progress)
-    with clock.stage("open records"):
-        groups = _group(records)  # 1
-    routes = ("model", "render") if config.route == "auto" else (config.route,)
-    tries = _tries(groups, len(routes), config)  # 2
-    findings: list[CopyFinding] = []
-    for group in groups:
-        with clock.stage("register"):
-            registration = register(group.opened.reference, suspect, seed=config.seed)
-        best: list[CopyFinding] = []
-        for route in routes:
-            with clock.stage(route):  # 3
-                if route == "model":
-                    evidence = read_gaussians(suspect, group.opened, registration)
-                else:
-                    evidence = read_renders(suspect, group.opened, registration, clock).evidence
-                found = _judge(evidence, group, route, tries, config, registration.derived_fraction)  # 4
-            if not best or any(finding.named for finding in found):
-                best = found
-            if any(finding.named for finding in best):
-                break
-        findings += best
-    return _answer(findings, tries, config, (), clock)
+    """Which of these copies took part in making this model? See `trace`."""
+    return trace(Suspect(suspect), records, config, progress)
 
 
 def trace_images(
@@ -158,40 +117,53 @@ def trace_images(
     cameras: Sequence[Camera] | None = None,
     progress: Progress | None = None,
 ) -> Tracing:
-    """Which of these copies took part in making the model that these pictures show?
+    """Which of these copies took part in making the model that these pictures, all together, show? See `trace`."""
+    return trace(Suspect(None, images, cameras), records, config, progress)
+
+
+@one_blas_thread
+def trace(
+    suspect: Suspect,
+    records: Iterable[OpenedRecord],
+    config: VerifyConfig | None = None,
+    progress: Progress | None = None,
+) -> Tracing:
+    """Which of these copies took part in making this suspect?
 
     Parameters
     ----------
-    images : sequence of (h, w, 3) float32
-        Range 0 to 1; any size, possibly rotated, scaled or cropped.
     records : iterable of OpenedRecord
-    cameras : sequence of Camera, optional
-        One for each picture, where known; found from the landmarks of the records otherwise.
-
-    Returns
-    -------
-    Tracing
-        From all pictures together.
+        Any number; only one of each asset and layout is kept in memory.
+    config : VerifyConfig, optional
+        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only where they name nobody.
 
     Raises
     ------
     InputError
-        As `trace_model`; also if there is no picture or the cameras are not as many.
+        If there is no record, one is given twice, the suspect is empty, or the route takes another kind of suspect.
     """
     config = config or VerifyConfig()
-    if config.route not in ("auto", "image"):
-        raise InputError(f"route {config.route!r} takes a model; pictures go by 'image' or 'auto'")
     clock = Clock(progress)
+    routes = suspect.routes(config.route)
     with clock.stage("open records"):
-        groups = _group(records)
-    tries = _tries(groups, 1, config)
+        groups = _group(records)  # 1
+    tries = count_tries(sum(len(group.marks) for group in groups), routes, config)  # 2
     findings: list[CopyFinding] = []
     notes: tuple[str, ...] = ()
     for group in groups:
-        evidence, unread = read_pictures(images, group.opened, cameras, clock)
-        findings += _judge(evidence, group, "image", tries, config, None)
-        notes += unread
-    return _answer(findings, tries, config, notes, clock)
+        best: list[CopyFinding] = []
+        for reading in readings(suspect, group.opened, routes, config.seed, clock):  # 3
+            found = _judge(reading, group, tries, config)  # 4
+            notes += reading.notes
+            named = any(finding.named for finding in found)
+            if not best or named:
+                best = found
+            if named:
+                break
+        findings += best
+    strongest_first = tuple(sorted(findings, key=lambda finding: -finding.z))
+    threshold = z_threshold(config.false_claim_rate, tries)
+    return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
 
 
 def _group(records: Iterable[OpenedRecord]) -> list[_Group]:
@@ -219,14 +191,9 @@ def _layout_digest(opened: OpenedRecord) -> bytes:
     return digest.digest()
 
 
-def _tries(groups: Sequence[_Group], routes: int, config: VerifyConfig) -> int:
-    return max(routes * sum(len(group.marks) for group in groups), config.tries or 1)
-
-
-def _judge(
-    evidence: Evidence, group: _Group, route: str, tries: int, config: VerifyConfig, derived: float | None
-) -> list[CopyFinding]:
+def _judge(reading: Reading, group: _Group, tries: int, config: VerifyConfig) -> list[CopyFinding]:
     threshold = z_threshold(config.false_claim_rate, tries)
+    z_of_each = copies_z(reading.evidence.y, reading.evidence.weights, group.marks)
     return [
         CopyFinding(
             mark.copy,
@@ -234,16 +201,8 @@ def _judge(
             bool(z >= threshold),
             float(z),
             log10_false_claim_bound(float(z), tries),
-            route,
-            derived,
+            reading.route,
+            reading.derived_fraction,
         )
-        for mark, z in zip(group.marks, copies_z(evidence.y, evidence.weights, group.marks), strict=True)
+        for mark, z in zip(group.marks, z_of_each, strict=True)
     ]
-
-
-def _answer(
-    findings: Sequence[CopyFinding], tries: int, config: VerifyConfig, notes: tuple[str, ...], clock: Clock
-) -> Tracing:
-    strongest_first = tuple(sorted(findings, key=lambda finding: -finding.z))
-    threshold = z_threshold(config.false_claim_rate, tries)
-    return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))

@@ -6,8 +6,8 @@ homography solves in closed form: a pixel at d = (dx, dy) from the projected cen
 
     s = P^-1 d / g,  g = 1 - k . P^-1 d,  at depth z / g
 
-(their Eq 9 and 10; Sherman-Morrison instead of two homogeneous planes). g <= 0 lies behind the camera. The
-larger of exp(-|s|^2 / 2) and the screen-space low pass exp(-|d|^2) counts (their Eq 11, sigma sqrt(2) / 2 px).
+(their equations 9 and 10; Sherman-Morrison instead of two homogeneous planes). g <= 0 lies behind the camera. The
+larger of exp(-|s|^2 / 2) and the screen-space low pass exp(-|d|^2) counts (their equation 11, sigma sqrt(2) / 2 px).
 
 |s| does not change when the disc's axes are turned within its plane, so P is taken as a lower triangle. A disc
 is `RECORD` floats:

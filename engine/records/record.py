@@ -1,6 +1,6 @@
 """The record: what the owner keeps of one embedding, and all that verification needs.
 
-`record_header` says how it binds the chips to the asset, `record_file` how it lies in a file.
+`header` says how it binds the chips to the asset, `file` how it lies in a file.
 """
 
 from __future__ import annotations
@@ -34,15 +34,13 @@ class Record:
     copy : str
         Name of the copy.
     plan : mapping
-        JSON values settled before the chips were drawn (message, sizes, profile, configuration).
+        JSON values settled before the chips were drawn (message, number of codes, commitments).
     plan_arrays : mapping of str to ndarray
-        Arrays settled before the chips were drawn (labels, carriers, amplitudes).
+        Arrays settled before the chips were drawn (labels, carriers, amplitudes, cameras, landmarks).
     extra : mapping
-        JSON values that may follow from the mark (strength, fidelity reached, camera sizes).
-    extra_arrays : mapping of str to ndarray
-        Arrays that play no part in decoding, or do not depend on the mark (cameras, landmarks).
+        JSON values that may follow from the mark (strength, settings).
     reference_arrays : mapping of str to ndarray
-        The canonical reference, see `reference_codec`.
+        The canonical reference, see `engine.records.reference`.
     """
 
     header: RecordHeader
@@ -50,14 +48,13 @@ class Record:
     plan: Mapping[str, Any]
     plan_arrays: Arrays
     extra: Mapping[str, Any]
-    extra_arrays: Arrays
     reference_arrays: Arrays
 
     def __post_init__(self) -> None:
         for name in ("plan", "extra"):  # as it will read back: tuples become lists
             value = MappingProxyType(json.loads(canonical_json(dict(getattr(self, name)))))
             object.__setattr__(self, name, value)
-        for name in ("plan_arrays", "extra_arrays", "reference_arrays"):
+        for name in ("plan_arrays", "reference_arrays"):
             arrays = {key: array.view() for key, array in getattr(self, name).items()}
             for array in arrays.values():
                 array.flags.writeable = False
@@ -73,7 +70,6 @@ class Record:
         plan: Mapping[str, Any],
         plan_arrays: Arrays,
         extra: Mapping[str, Any] | None = None,
-        extra_arrays: Arrays | None = None,
         copy: str = "",
         registered_at: str = "",
         tool_version: str | None = None,
@@ -99,7 +95,7 @@ class Record:
             tool_version=_tool_version() if tool_version is None else tool_version,
             key_check=key_check(key, record_id),
         )
-        return cls(header, copy, plan, plan_arrays, extra or {}, extra_arrays or {}, reference_arrays)
+        return cls(header, copy, plan, plan_arrays, extra or {}, reference_arrays)
 
     def reference(self) -> GaussianModel:
         """The unmarked reference, decoded."""
@@ -115,7 +111,7 @@ class Record:
         InputError
             If the record exceeds 2 GiB.
         """
-        groups = {"plan": self.plan_arrays, "extra": self.extra_arrays, "reference": self.reference_arrays}
+        groups = {"plan": self.plan_arrays, "reference": self.reference_arrays}
         arrays = {f"{group}/{name}": a for group, members in groups.items() for name, a in members.items()}
         body = pack({"copy": self.copy, "plan": dict(self.plan), "extra": dict(self.extra)}, arrays)
         return seal(self.header, body, key)
@@ -144,7 +140,8 @@ class Record:
             raise MalformedRecordError("the record's body is malformed")
         if not (isinstance(meta["plan"], dict) and isinstance(meta["extra"], dict)):
             raise MalformedRecordError("the record's plan is malformed")
-        groups: dict[str, dict[str, npt.NDArray[Any]]] = {"plan": {}, "extra": {}, "reference": {}}
+        # Early records could hold arrays beside the plan ("extra/"), which nothing has ever read: they are let go.
+        groups: dict[str, dict[str, npt.NDArray[Any]]] = {"plan": {}, "reference": {}, "extra": {}}
         for name, array in arrays.items():
             group, _, rest = name.partition("/")
             if group not in groups:
@@ -158,9 +155,7 @@ class Record:
             raise MalformedRecordError("the record's plan is not the one its id names")
         if copy_digest(key, meta["copy"]) != header.copy_digest:
             raise MalformedRecordError("the record's copy is not the one its header names")
-        return cls(
-            header, meta["copy"], meta["plan"], groups["plan"], meta["extra"], groups["extra"], groups["reference"]
-        )
+        return cls(header, meta["copy"], meta["plan"], groups["plan"], meta["extra"], groups["reference"])
 
 
 def _tool_version() -> str:

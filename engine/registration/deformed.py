@@ -1,7 +1,7 @@
 """Registration of a suspect that no single similarity explains: bent, twisted, squashed, or posed.
 
 It runs only where the similarity leaves whole regions unexplained, or errs by a smooth amount. Patches are found
-where nothing is explained yet, and grown (`registration_patches`, `registration_growth`).
+where nothing is explained yet, and grown (`patches`, `growth`).
 """
 
 from dataclasses import dataclass

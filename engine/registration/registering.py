@@ -1,14 +1,14 @@
 """Finding the reference in a suspect model, whatever similarity, shuffle, cut, copy or noise it went through.
 
-The steps, cheapest first; each hands its proposal to the same judge (`registration_judge`):
+The steps, cheapest first; each hands its proposal to the same judge (`judge`):
 
 1. same order: as many Gaussians as the reference has, each looking like its namesake;
 2. same frame: the reference's coordinates, or turned by a multiple of 90 degrees about the axes;
-3. search: candidates that look alike, agreement among them, triples (`registration_hypotheses`);
+3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
    without colours, for a recoloured model;
 4. deformation: where no similarity is the whole story, small patches and what grows from them
-   (`registration_deformed`).
+   (`deformed`).
 
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter. So one
 registration is one hypothesis of the claim, however many alignments were weighed; their number is reported

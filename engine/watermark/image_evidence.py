@@ -46,8 +46,8 @@ def gather_image_evidence(
         Pixels that carry evidence.
     mark_image : (H, W, 3) float32
         What the mark under test would add to `reference`. With `mark_signs` it serves only to say how much
-        evidence this picture could have held (the power of a "not marked" answer); y and weights do not depend
-        on it.
+        evidence this picture could have held (the power of a "not marked" answer); of y and weights only its rms is a
+        part, which scales the spread of a JPEG's score.
     mark_signs : (C,) float64
         Sign of each chip's displacement in that mark.
 

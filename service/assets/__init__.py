@@ -1,1 +1,1 @@
-"""The registry: what was marked, for whom, and its files."""
+"""The registry over HTTP: what was marked, for whom, and its files in any format. Start at `endpoints`."""

@@ -1,4 +1,4 @@
-"""Our tables: SQLite by default, PostgreSQL by URL, the same code."""
+"""Our tables: SQLite by default, PostgreSQL by URL, the same code. Start at `schema`; all writes go by `Database`."""
 
 from service.db.database import Database
 from service.db.schema import metadata

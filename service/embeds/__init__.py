@@ -1,1 +1,1 @@
-"""Marking a model: the request, and the flow that a worker runs."""
+"""Marking a model: the request (`endpoints`), and the steps that a worker runs (`flow`, where to start)."""

@@ -1,1 +1,1 @@
-"""Is it alive, is it ready, what does it do: for probes and dashboards."""
+"""Is it alive, is it ready, what does it do: for probes and dashboards. All in `endpoints`."""

@@ -1,1 +1,1 @@
-"""Owner keys held for their tenants, sealed under the master key."""
+"""Owner keys over HTTP, held for their tenants; how they are sealed is in `service.trust.owner_keys`."""

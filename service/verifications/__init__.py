@@ -1,1 +1,1 @@
-"""Checking a suspect: the request, and the flow that a worker runs."""
+"""Checking a suspect: the request (`endpoints`), whom it is held against (`candidates`), the steps (`flow`)."""

@@ -1,5 +1,6 @@
 """`python -m service.work`: the process of one task; what it says is in `process`."""
 
+import os
 from collections.abc import Mapping
 
 from service.work.process import Task, serve
@@ -18,4 +19,5 @@ def _warm_up() -> None:
 
 
 if __name__ == "__main__":
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded; see engine.numerics.blas
     serve(_tasks, _warm_up)

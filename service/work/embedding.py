@@ -2,30 +2,32 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from engine.cli.models import loss_note, repair_entries
 from engine.formats import encode_model
-from engine.pipeline.choosing import AUTO, START, choose
 from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import EmbedConfig, profile
-from engine.pipeline.progress import Clock
+from engine.pipeline.profiles import compose
 from engine.registration.sketch import make_sketch
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
-from service.work.inputs import load_cameras, load_candidates, load_model
+from service.work.candidates import find_marks, load_candidates
+from service.work.inputs import load_cameras, load_model
 from service.work.pictures import draw_preview
 from service.work.process import Progress
-from service.work.screening import find_marks
 
 
 def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
     """Contract: docs/SERVICE.md."""
     began = time.perf_counter()
     # What is cheap to refuse is refused before the model is read.
-    config = _config(request)
+    config = compose(
+        request["profile"],
+        psnr_db=request.get("psnr"),
+        output=request.get("output"),
+        budget_db=None if request.get("budget") is None else float(request["budget"]),
+    )
     key = OwnerKey(bytes.fromhex(request["key"]))
     message = message_signs(request["message"]) if request.get("message") is not None else None
     bits = request.get("bits") or 32
@@ -39,30 +41,17 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     screen_seconds = time.perf_counter() - began - read_seconds
     if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
         return {"screening": found}
-    clock, choice = Clock(progress), None
-    if request["profile"] == AUTO:
-        choice = choose(
-            loaded.model,
-            key,
-            bits if message is None else len(message),
-            config,
-            original_sha256=loaded.sha256,
-            cameras=cameras,
-            keep_psnr=request.get("psnr") is not None,
-            clock=clock,
-        )
     made = embed(
         loaded.model,
         key,
         original_sha256=loaded.sha256,
         message=message,
         bits=bits,
-        config=config if choice is None else choice.config,
+        config=config,
         cameras=cameras,
         copy=request.get("copy") or "",
         registered_at=request.get("registered_at") or "",
         progress=progress,
-        ground=None if choice is None else choice.ground,
     )
     started = time.perf_counter()
     progress("write", 0.0)
@@ -83,14 +72,12 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "bytes_out": len(model),
         "record_bytes": len(record),
         "profile": request["profile"],
-        "choice": None if choice is None else choice.report(),
         "repairs": repair_entries(loaded.repairs),
         "notes": loss_note(made.model, kind),
         "seconds": ended - began,
         "seconds_by_stage": {
             "read": read_seconds,
             "screen": screen_seconds,
-            **clock.seconds,
             **made.report["seconds_by_stage"],
             "write": drawing - started,
             "picture": ended - drawing,
@@ -106,13 +93,3 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "original_sha256": loaded.sha256,
         "files": files,
     }
-
-
-def _config(request: Mapping[str, Any]) -> EmbedConfig:
-    """Settings of the profile with what the request changes."""
-    changes = {"psnr_db": request.get("psnr"), "output": request.get("output")}
-    named = START if request["profile"] == AUTO else request["profile"]
-    config = profile(named, **{name: v for name, v in changes.items() if v is not None})
-    if request.get("budget") is None:
-        return config
-    return replace(config, prune=replace(config.prune, budget_db=float(request["budget"])))

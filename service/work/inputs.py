@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +12,11 @@ from engine.cli.files import MAX_PICTURE_PIXELS, is_picture, read_picture
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import LoadedModel, read_cameras, read_model
 from engine.model import Camera, Float32
-from engine.watermark.keys import OwnerKey
 from service.problems import Problem
 
 MOST_PICTURES = 64
 MOST_PIXELS = 200_000_000
 """Of all pictures together: 2.4 GB in memory."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A registered asset that a suspect may derive from.
-
-    Parameters
-    ----------
-    asset : str
-        Its id, handed back as it came.
-    sketch : Path or None
-        None where the suspect is to be registered to it in any case.
-    """
-
-    asset: str
-    record: Path
-    key: OwnerKey
-    sketch: Path | None
 
 
 def load_model(request: Mapping[str, Any]) -> LoadedModel:
@@ -45,19 +25,6 @@ def load_model(request: Mapping[str, Any]) -> LoadedModel:
     if len(loaded.model) == 0:
         raise Problem("unreadable-model", "the model holds no Gaussians")
     return loaded
-
-
-def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
-    """The candidates of a request, in its order."""
-    return [
-        Candidate(
-            str(plain["asset"]),
-            Path(plain["record"]),
-            OwnerKey(bytes.fromhex(plain["key"])),
-            Path(plain["sketch"]) if plain.get("sketch") else None,
-        )
-        for plain in request.get("candidates") or ()
-    ]
 
 
 def load_pictures(paths: Sequence[str]) -> list[Float32]:

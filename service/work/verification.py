@@ -1,177 +1,100 @@
 """Task `verify`: whose mark does a suspect carry, of all the records that may explain it?
 
-1. Read the suspect.                                    4. Look for one record's mark after the other.
-2. Choose the records: geometry alone, no key.          5. Report the best, and say what was checked.
-3. Fix the number of tries that every bound counts.     6. Draw where the mark was found.
+1. Read the suspect.                                    3. Look for one record's mark after the other.
+2. Choose the records: geometry alone, no key.          4. Report the best, what was checked, and where the mark is.
 """
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from engine.errors import RecordError
-from engine.model import Float32, GaussianModel
-from engine.pipeline.sealing import OpenedRecord, open_record
-from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
-from engine.watermark.claim import Verdict
+from engine.pipeline.searching import Outcome, Search, Suspect, resembling, search
+from engine.pipeline.verification import VerifyConfig
 from engine.watermark.messages import message_hex
 from service.problems import Problem
+from service.work.candidates import Candidate, load_candidates
 from service.work.checks import NO_RECORD, checks_of
 from service.work.evidence_pictures import draw_evidence
-from service.work.inputs import Candidate, load_cameras, load_candidates, load_model, load_pictures
+from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.process import Progress
-from service.work.screening import Ranked, rank
 
 COULD_NOT_CHECK = "could_not_check"
 """Stands for a verdict where a record could not be opened."""
 
 
-@dataclass(frozen=True, eq=False)
-class Suspect:
-    """A model or pictures, and how to look for one record's mark in them."""
-
-    model: GaussianModel | None
-    pictures: list[Float32]
-    subject: dict[str, Any]
-    look: Callable[[OpenedRecord, VerifyConfig, Progress], Verification]
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one candidate came to: a verification, or why its record cannot be used."""
-
-    ranked: Ranked
-    opened: OpenedRecord | None
-    found: Verification | None
-    error: RecordError | None
-
-    @property
-    def worth(self) -> tuple[float, ...]:
-        """Greater is more telling: marked, then derived, then undecided, then foreign, then not to be opened."""
-        if self.found is None:
-            return (0.0,)
-        claim = self.found.claim
-        if claim.verdict is Verdict.MARKED:
-            return (4.0, -claim.log10_false_claim)
-        if claim.derived_fraction:
-            return (3.0, claim.derived_fraction)
-        return (2.0 if claim.verdict is Verdict.INCONCLUSIVE else 1.0, -claim.log10_false_claim)
-
-    @property
-    def brief(self) -> dict[str, Any]:
-        """For the list of all that was tried."""
-        claim = self.found.claim if self.found is not None else None
-        return {
-            "asset": self.ranked.candidate.asset,
-            "verdict": claim.verdict.value if claim is not None else COULD_NOT_CHECK,
-            "log10_false_claim": claim.log10_false_claim if claim is not None else None,
-            "derived_fraction": claim.derived_fraction if claim is not None else None,
-        }
-
-
 def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
     """Contract: docs/SERVICE.md."""
     began = time.perf_counter()
-    route = request.get("route") or "auto"
-    config = VerifyConfig(false_claim_rate=request["false_claim_rate"], route=route)
+    config = VerifyConfig(false_claim_rate=request["false_claim_rate"], route=request.get("route") or "auto")
     candidates = load_candidates(request)
     progress("read", 0.0)
-    suspect = _read(request)  # 1
+    suspect, subject = _read(request)  # 1
     read = time.perf_counter()
     chosen = _choose(suspect, candidates, progress)  # 2
-    # 3. Routes are counted whether or not they come to be tried: the bar is set before the evidence is seen.
-    tries = len(chosen) * (2 if suspect.model is not None and route == "auto" else 1)
-    config = VerifyConfig(false_claim_rate=config.false_claim_rate, route=route, tries=max(1, tries))
-    screened = time.perf_counter()
-    best: Outcome | None = None
-    tried = []
-    seconds = {"read": read - began, "screen": screened - read}
-    for number, ranked in enumerate(chosen):  # 4
-        outcome = _try(suspect, ranked, config, _part(progress, number, len(chosen)), seconds)
-        tried.append(outcome.brief)
-        if best is None or outcome.worth > best.worth:
-            best = outcome
-        if request.get("stop_at_first") and outcome.brief["verdict"] == Verdict.MARKED.value:
-            break
-    reply = _report(best, tries, suspect)  # 5
+    seconds = {"read": read - began, "screen": time.perf_counter() - read}
+    found = search(suspect, chosen, config, progress, stop_at_first=bool(request.get("stop_at_first")))  # 3
+    best = found.best
+    reply = _report(found, len(suspect.pictures))  # 4
     started = time.perf_counter()
     if best is not None and best.opened is not None and best.found is not None:
         progress("picture", 0.0)
         picture = suspect.pictures[0] if suspect.pictures else None
-        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect.model, picture)  # 6
-        seconds["picture"] = time.perf_counter() - started
+        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect.model, picture)
     return reply | {
-        "subject": suspect.subject,
+        "subject": subject,
         "screened": len(candidates) if suspect.model is not None and len(candidates) > 1 else 0,
-        "tried": tried,
+        "tried": [_brief(outcome) for outcome in found.outcomes],
         "seconds": time.perf_counter() - began,
-        "seconds_by_stage": seconds,
+        "seconds_by_stage": seconds | found.seconds_by_stage | {"picture": time.perf_counter() - started},
     }
 
 
-def _read(request: Mapping[str, Any]) -> Suspect:
+def _read(request: Mapping[str, Any]) -> tuple[Suspect, dict[str, Any]]:
+    """The suspect, and what is said of it."""
     paths = list(request.get("images") or ())
     if bool(paths) == (request.get("model") is not None):
         raise Problem("invalid-request", "a suspect is one model, or pictures, not both and not neither")
     if not paths:
         loaded = load_model(request)
-        model = loaded.model
-        subject: dict[str, Any] = {"format": loaded.format, "gaussians": len(model), "pictures": 0}
-        return Suspect(model, [], subject, lambda opened, c, p: verify_model(model, opened, c, p))
+        return Suspect(loaded.model), {"format": loaded.format, "gaussians": len(loaded.model), "pictures": 0}
     cameras = load_cameras(request.get("cameras"), count=len(paths))
-    pictures = load_pictures(paths)
-    subject = {"format": "pictures", "gaussians": None, "pictures": len(pictures)}
-    return Suspect(None, pictures, subject, lambda opened, c, p: verify_images(pictures, opened, c, cameras, p))
+    suspect = Suspect(None, load_pictures(paths), cameras)
+    return suspect, {"format": "pictures", "gaussians": None, "pictures": len(suspect.pictures)}
 
 
-def _choose(suspect: Suspect, candidates: list[Candidate], progress: Progress) -> list[Ranked]:
+def _choose(suspect: Suspect, candidates: list[Candidate], progress: Progress) -> list[Candidate]:
     """Records to try. Of a model: those it resembles, or the one it resembles most; of pictures: all."""
     if suspect.model is None or len(candidates) == 1:
-        return [Ranked.unscreened(candidate) for candidate in candidates]
-    ranked = rank(suspect.model, candidates, progress)
-    return [each for each in ranked if each.alike] or ranked[:1]
+        return candidates
+    ranked = resembling(suspect.model, candidates, progress)
+    return [candidate for candidate, alike in ranked if alike] or [candidate for candidate, _ in ranked[:1]]
 
 
-def _try(
-    suspect: Suspect, ranked: Ranked, config: VerifyConfig, progress: Progress, seconds: dict[str, float]
-) -> Outcome:
-    candidate = ranked.candidate
-    started = time.perf_counter()
-    progress("open record", 0.0)
-    try:
-        opened = open_record(candidate.record.read_bytes(), candidate.key)
-    except RecordError as error:
-        return Outcome(ranked, None, None, error)
-    finally:
-        seconds["open record"] = seconds.get("open record", 0.0) + time.perf_counter() - started
-    found = suspect.look(opened, config, progress)
-    for stage, spent in found.seconds_by_stage.items():
-        seconds[stage] = seconds.get(stage, 0.0) + spent
-    return Outcome(ranked, opened, found, None)
+def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:
+    """For the list of all that was tried."""
+    claim = outcome.claim
+    return {
+        "asset": outcome.candidate.asset,
+        "verdict": claim.verdict.value if claim is not None else COULD_NOT_CHECK,
+        "log10_false_claim": claim.log10_false_claim if claim is not None else None,
+        "derived_fraction": claim.derived_fraction if claim is not None else None,
+    }
 
 
-def _part(progress: Progress, number: int, count: int) -> Progress:
-    """Progress of one candidate; of several, the fraction is over all of them."""
-    if count == 1:
-        return progress
-    return lambda stage, fraction: progress(f"record {number + 1} of {count}", (number + fraction) / count)
-
-
-def _report(best: Outcome | None, tries: int, suspect: Suspect) -> dict[str, Any]:
+def _report(found: Search[Candidate], pictures: int) -> dict[str, Any]:
     """The part of the reply that speaks of the best candidate."""
-    nothing: dict[str, Any] = {"asset": None, "claim": None, "record": None, "registered_message": None, "files": {}}
+    names = ("asset", "claim", "record", "registered_message")
+    nothing: dict[str, Any] = dict.fromkeys(names) | {"files": {}}
+    best = found.best
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}
-    claim = best.found.claim if best.found is not None else None
-    reply = nothing | {
-        "asset": best.ranked.candidate.asset,
-        "tries": tries,
+    claim, opened = best.claim, best.opened
+    return nothing | {
+        "asset": best.candidate.asset,
+        "tries": found.tries,
         "claim": claim.to_json() if claim is not None else None,
-        "checks": checks_of(claim, best.error, len(suspect.pictures)),
+        "checks": checks_of(claim, best.error, pictures),
+        "record": opened.header.to_json() if opened is not None else None,
+        "registered_message": message_hex(opened.message) if opened is not None else None,
     }
-    if best.opened is not None:
-        reply["record"] = best.opened.header.to_json()
-        reply["registered_message"] = message_hex(best.opened.message)
-    return reply

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
-import pytest
+from tests.architecture.tree import dotted, parse, product_files
 
-from tests.architecture.tree import dotted, module_name, parse, product_files
-
-FILES = [pytest.param(path, id=module_name(path)) for path in product_files()]
-PACKAGES = [pytest.param(path, id=module_name(path)) for path in product_files() if path.name == "__init__.py"]
 COMPILERS = {"cfunc", "guvectorize", "jit", "jitclass", "njit", "stencil", "vectorize"}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+Rule = Callable[[ast.Module], Iterable[object]]
+"""What a file's syntax tree has against a rule."""
+
+
+def offenders(rule: Rule, files: Iterable[Path] = ()) -> dict[str, list[object]]:
+    """What each file that breaks a rule has against it; all that ships, if no files are named."""
+    found = {str(path): list(rule(parse(path))) for path in files or product_files()}
+    return {path: faults for path, faults in found.items() if faults}
 
 
 # --- exports -----------------------------------------------------------------------------------------------
@@ -32,7 +36,9 @@ def exports(tree: ast.Module) -> list[str] | None:
 def bound_names(tree: ast.Module) -> set[str]:
     """Names that a module binds at its top level, imports included."""
     names: set[str] = set()
-    for node in tree.body:
+    typed = [node.body for node in tree.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    # What a package gathers for type checkers alone it loads on demand.
+    for node in [*tree.body, *(node for body in typed if exports(tree) for node in body)]:
         if isinstance(node, Function | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Import | ast.ImportFrom):
@@ -49,20 +55,37 @@ def ruff_order(name: str) -> tuple[int, str]:
     return (0 if name.isupper() else 1 if name[:1].isupper() else 2, name)
 
 
-@pytest.mark.parametrize("path", FILES)
-def test_exports_exist_and_are_sorted(path: Path) -> None:
-    names = exports(parse(path))
-    if names is not None:
-        assert names == sorted(set(names), key=ruff_order)
-        assert not set(names) - bound_names(parse(path)), "exported, but not there"
+def false_exports(tree: ast.Module) -> Iterator[str]:
+    """Exported names that are not there, and a list out of order."""
+    names = exports(tree) or []
+    yield from (f"{name} is exported, but not there" for name in sorted(set(names) - bound_names(tree)))
+    if names != sorted(set(names), key=ruff_order):
+        yield f"not sorted, or twice: {names}"
 
 
-@pytest.mark.parametrize("path", PACKAGES)
-def test_a_package_exports_exactly_what_it_gathers(path: Path) -> None:
-    tree = parse(path)
-    # A version and the like may be read by attribute; everything else public is there to be exported.
-    public = {name for name in bound_names(tree) if not name.startswith("_")}
-    assert public == set(exports(tree) or [])
+def ungathered(tree: ast.Module) -> set[str]:
+    """Public names of a package that it does not export."""
+    return {name for name in bound_names(tree) if not name.startswith("_")} ^ set(exports(tree) or [])
+
+
+def test_exports_exist_and_are_sorted() -> None:
+    assert not offenders(false_exports)
+
+
+def test_a_package_exports_exactly_what_it_gathers() -> None:
+    packages = [path for path in product_files() if path.name == "__init__.py"]
+    assert len(packages) > 20
+    assert not offenders(ungathered, packages)
+
+
+def test_export_rules_see_what_they_look_for() -> None:
+    code = "from a import B, c\n__all__ = ['c', 'd', 'B']"
+    assert len(list(false_exports(ast.parse(code)))) == 2
+    assert ungathered(ast.parse(code)) == {"d"}
+    assert list(false_exports(ast.parse("__all__ = ['B', 'a', 'b']\nB = a = b = 0"))) == []
+    on_demand = ast.parse("if _typing.TYPE_CHECKING:\n    from a import b, c\n__all__ = ['b', 'd']")
+    assert list(false_exports(on_demand)) == ["d is exported, but not there"]
+    assert ungathered(on_demand) == {"c", "d"}
 
 
 # --- documentation -----------------------------------------------------------------------------------------
@@ -116,7 +139,9 @@ def false_names(tree: ast.Module) -> list[str]:
 
 
 def undocumented(tree: ast.Module) -> Iterator[str]:
-    """Public functions and classes, at the top level, without a word."""
+    """The module, and public functions and classes at the top level, without a word."""
+    if ast.get_docstring(tree) is None:
+        yield "the module itself"
     listed = exports(tree)
     for node in tree.body:
         if isinstance(node, Function | ast.ClassDef) and ast.get_docstring(node) is None:
@@ -125,15 +150,12 @@ def undocumented(tree: ast.Module) -> Iterator[str]:
                 yield node.name
 
 
-@pytest.mark.parametrize("path", FILES)
-def test_documented_parameters_are_the_real_ones(path: Path) -> None:
-    assert not false_names(parse(path))
+def test_documented_parameters_are_the_real_ones() -> None:
+    assert not offenders(false_names)
 
 
-@pytest.mark.parametrize("path", FILES)
-def test_what_is_public_is_documented(path: Path) -> None:
-    assert ast.get_docstring(parse(path)), "the module says nothing about itself"
-    assert not list(undocumented(parse(path)))
+def test_what_is_public_is_documented() -> None:
+    assert not offenders(undocumented)
 
 
 def test_documentation_rules_see_what_they_look_for() -> None:
@@ -170,16 +192,21 @@ class C:
     x: int
 '''
     assert false_names(ast.parse(code)) == ["f: c", "C: y"]
-    assert list(undocumented(ast.parse(code))) == ["g"]
+    assert list(undocumented(ast.parse(code))) == ["the module itself", "g"]
 
 
 # --- what code must not do ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", FILES)
-def test_library_code_does_not_print(path: Path) -> None:
-    calls = [node for node in ast.walk(parse(path)) if isinstance(node, ast.Call)]
-    assert not [node.lineno for node in calls if dotted(node.func) in ("print", "builtins.print", "pprint.pprint")]
+def printing(tree: ast.Module) -> list[int]:
+    """Lines that print."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return [node.lineno for node in calls if dotted(node.func) in ("print", "builtins.print", "pprint.pprint")]
+
+
+def test_library_code_does_not_print() -> None:
+    assert not offenders(printing)
+    assert printing(ast.parse("a.print()\nprint(a)")) == [2]
 
 
 def numba_names(tree: ast.Module) -> set[str]:
@@ -223,9 +250,8 @@ def uncached_kernels(tree: ast.Module) -> list[int]:
     return sorted(node.lineno for node in uses if dotted(node) in compilers and id(node) not in cached)
 
 
-@pytest.mark.parametrize("path", FILES)
-def test_kernels_are_kept_on_disk(path: Path) -> None:
-    assert not uncached_kernels(parse(path))
+def test_kernels_are_kept_on_disk() -> None:
+    assert not offenders(uncached_kernels)
 
 
 def test_kernel_rule_sees_what_it_looks_for() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from engine.compress import cells
+from engine.model import GaussianModel
 from tests.reference.cells import split_cells as slow_split
 
 
@@ -48,3 +49,21 @@ def test_more_cells_than_gaussians_asked_for() -> None:
 def test_identical_gaussians_do_not_hang() -> None:
     labels = cells.split_cells(np.zeros((300, 6), np.float32), np.zeros(300), 64)
     assert np.bincount(labels).min() >= 1
+
+
+def test_color_parts_what_lies_in_one_place() -> None:
+    """A red and a blue sheet, one behind the other: no cell holds both."""
+    rng = np.random.default_rng(3)
+    n = 2000
+    red = np.arange(n) % 2 == 0
+    sh = np.where(red[:, None, None], [2.0, -2.0, -2.0], [-2.0, -2.0, 2.0])
+    model = GaussianModel(
+        np.concatenate([rng.uniform(-0.1, 0.1, (n, 2)), np.zeros((n, 1))], axis=1),
+        np.full((n, 3), -4.0),
+        np.tile([1.0, 0, 0, 0], (n, 1)),
+        np.zeros(n),
+        sh,
+    )
+    labels = cells.split_cells(cells.cell_features(model, 1.0), np.ones(n), 16)
+    shares = np.bincount(labels, red) / np.bincount(labels)
+    assert set(shares) == {0.0, 1.0}

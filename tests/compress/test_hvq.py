@@ -3,7 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.hvq import HvqConfig, assign, decode_stages, detail_metric, group_means, quantize
+from engine.compress.hvq import (
+    HvqConfig,
+    assign,
+    decode_stages,
+    detail_metric,
+    group_means,
+    learn_residual_stage,
+    quantize,
+)
 from engine.model import GaussianModel
 
 
@@ -70,3 +78,60 @@ def test_group_means_of_unweighted_members_is_their_plain_mean() -> None:
     values = np.arange(12, dtype=np.float64).reshape(4, 3)
     means = group_means(values, np.array([0, 0, 1, 1], np.int32), np.array([1.0, 1.0, 0.0, 0.0]))
     np.testing.assert_allclose(means[1], values[2:].mean(axis=0), rtol=1e-6)
+
+
+def test_few_gaussians_get_few_codes() -> None:
+    model = patchy_model(160)
+    stages = quantize(model, np.ones(160), 1.0, HvqConfig(cells=4096, residual_codes=(1024,), min_members=8))
+    assert len(stages[0].codebook) <= 160 / 8
+    assert len(stages[1].codebook) == 160 // 4
+
+
+def cloud(n: int = 4000, seed: int = 7) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((n, 12)).astype(np.float32)
+
+
+def test_a_slow_average_keeps_its_codes_and_a_fast_one_follows() -> None:
+    """lambda_d: the share of its past that a code keeps in each round; of 1 nothing is learnt after the first."""
+    x, ones = cloud(), np.ones(4000)
+
+    def learnt(decay: float, rounds: int) -> tuple[list[int], float]:
+        stage = learn_residual_stage(x, ones, 64, HvqConfig(decay=decay, rounds=rounds), seed=1)
+        return stage.labels.tolist(), float(((x - stage.decode()) ** 2).mean())
+
+    first = learnt(1.0, 1)
+    assert learnt(1.0, 6) == first
+    slow, fast = learnt(0.8, 3), learnt(0.0, 3)
+    assert fast[1] < slow[1] < first[1]
+
+
+def test_lambda_freq_pays_for_detail_with_the_rest() -> None:
+    """Eq 7: with the weight up, the detail of the residuals is met better and the smooth part worse."""
+    x, ones = cloud(), np.ones(4000)
+    errors = []
+    for lambda_freq in (0.0, 3.0):
+        stage = learn_residual_stage(x, ones, 128, HvqConfig(lambda_freq=lambda_freq), seed=1)
+        gap = (x - stage.decode()).reshape(-1, 4, 3)
+        left, right = gap[:, 0::2], gap[:, 1::2]
+        errors.append((float(((left - right) ** 2).mean()), float(((left + right) ** 2).mean())))
+    assert errors[1][0] < 0.9 * errors[0][0]
+    assert errors[1][1] > 1.02 * errors[0][1]
+
+
+def test_codes_go_where_errors_are_seen() -> None:
+    """Half of the Gaussians are seen by no view (an uncertain colour weighs little): they get hardly a code."""
+    x = cloud()
+    x[2000:] += 20.0
+    weights = np.where(np.arange(4000) < 2000, 1.0, 0.0)
+    stage = learn_residual_stage(x, weights, 64, HvqConfig(), seed=1)
+    assert len(np.unique(stage.labels[2000:])) < 0.25 * len(np.unique(stage.labels[:2000]))
+
+
+def test_codes_that_nobody_uses_are_planted_anew() -> None:
+    """Nine in ten have one colour, and so do most first codes: all but one of them would stay idle."""
+    rng = np.random.default_rng(8)
+    colors = 0.5 * rng.standard_normal((40, 12))
+    x = np.concatenate([np.ones((3600, 12)), colors.repeat(10, axis=0)]).astype(np.float32)
+    stage = learn_residual_stage(x, np.ones(4000), 64, HvqConfig(), seed=1)
+    assert len(np.unique(stage.labels)) > 25
+    assert float(((x - stage.decode()) ** 2).mean()) < 0.01

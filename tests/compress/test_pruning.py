@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.impact import spatial_coherence, uncertainty
 from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, prune
 from engine.model import GaussianModel
 
@@ -70,10 +69,55 @@ def test_unneeded_bands_go_first_and_within_the_error() -> None:
     np.testing.assert_array_equal(untouched.sh, full.sh)
 
 
-def test_coherence_and_uncertainty() -> None:
-    means = np.concatenate([np.random.default_rng(2).uniform(-1, 1, (500, 3)), [[50.0, 0, 0]]])
-    one = model(501).with_(means=means)
-    coherence = spatial_coherence(one)
-    assert coherence[-1] < 1e-6 < 0.3 < np.median(coherence[:-1])
-    u = uncertainty(np.array([0.0, 1.0, 100.0]))
-    assert (np.diff(u) < 0).all()
+def test_bands_take_a_tenth_of_the_error_that_may_be_spent() -> None:
+    """To second order each band costs curvature times its squared coefficients; errors of neighbours add up."""
+    full = model(100, degree=1).with_(sh=np.ones((100, 4, 3), np.float32))
+    curvature = np.full((100, 4), 2.0, np.float32)  # a band: 3 coefficients of 3 channels, 2 each, so 18
+    _, dropped = drop_unseen_bands(full, curvature, pixels=1000, error_budget=10.5 * 18 / (0.1 * 1000 * 3))
+    assert dropped == 10 * 3
+
+
+def with_twins(pairs: int, singles: int) -> GaussianModel:
+    """Each of the first Gaussians is there twice; the second time at the end."""
+    once = model(pairs + singles)
+    return once.take(np.concatenate([np.arange(len(once)), np.arange(pairs)]))
+
+
+def test_what_is_there_twice_is_merged_first() -> None:
+    full = with_twins(pairs=50, singles=150)
+    found = prune(full, np.ones(250), lambda m: 60.0 if len(m) >= 200 else 0.0, 1.0, PruneConfig(budget_db=30.0))
+    assert found.merged == 50
+    assert found.kept.tolist() == list(range(200))
+    apart = prune(full, np.ones(250), lambda m: 60.0, 1.0, PruneConfig(budget_db=30.0, merge_distance=0.0))
+    assert apart.merged == 0
+
+
+def test_merging_that_eats_a_third_of_the_error_is_left() -> None:
+    full = with_twins(pairs=50, singles=150)
+    found = prune(full, np.ones(250), lambda m: 60.0 if len(m) == 250 else 33.0, 1.0, PruneConfig(budget_db=30.0))
+    assert found.merged == 0
+
+
+def test_a_merged_pair_counts_for_both() -> None:
+    """Each half weighs less than a single one, the two together more."""
+    full = with_twins(pairs=50, singles=100)
+    weight = np.concatenate([np.full(50, 0.6), np.ones(100), np.full(50, 0.6)])
+    found = prune(full, weight, lambda m: 40.0 if len(m) >= 75 else 0.0, 1.0, PruneConfig(budget_db=30.0))
+    assert found.merged == 50
+    assert 75 <= len(found.kept) < 150
+    assert set(range(50)) <= set(found.kept.tolist())
+
+
+def test_gamma_cuts_where_much_is_redundant() -> None:
+    """Two halves of a scene, one mostly of little impact: with gamma more of that half goes, less of the other."""
+    full = model()
+    poor = full.means[:, 0] < 0
+    impact = np.random.default_rng(4).uniform(0.0, 1.0, len(full)) * np.where(poor, 0.6, 1.0)
+    measure = quality_by_mass(impact, full)
+    kept = {}
+    for gamma in (0.0, 0.4):
+        config = PruneConfig(budget_db=8.0, gamma=gamma, clusters=2, merge_distance=0)
+        rows = prune(full, impact, measure, 1.0, config).kept
+        kept[gamma] = (poor[rows].sum() / poor.sum(), (~poor)[rows].sum() / (~poor).sum())
+    assert kept[0.4][0] < kept[0.0][0] - 0.02
+    assert kept[0.4][1] > kept[0.0][1] + 0.02

@@ -7,7 +7,6 @@ import json
 import zipfile
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -28,6 +27,7 @@ from tests.formats.sog_scenes import (
     with_meta,
     with_parts,
 )
+from tests.threads import with_one_and_two_threads
 
 TRAIN = Path(__file__).parents[1] / "data" / "train_1000.ply"
 
@@ -115,15 +115,8 @@ def test_tiny_scenes(n):
 
 def test_same_bytes_whatever_the_thread_count_and_no_date():
     model = random_model(3, n=3000)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = write_sog(model)
-        numba.set_num_threads(before)
-        many = write_sog(model)
-    finally:
-        numba.set_num_threads(before)
-    assert one == many
+    one, two = with_one_and_two_threads(lambda: write_sog(model))
+    assert one == two
     with zipfile.ZipFile(io.BytesIO(one)) as archive:
         for entry in archive.infolist():
             assert (entry.date_time, entry.compress_type) == ((1980, 1, 1, 0, 0, 0), zipfile.ZIP_STORED)

@@ -1,8 +1,7 @@
-"""Adam: against the paper's formulas in float64."""
+"""Adam: against Kingma and Ba's formulas in float64."""
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -10,6 +9,7 @@ from engine.errors import InputError
 from engine.numerics import adam
 from engine.numerics.adam import AdamMoments, adam_step
 from tests.reference import training as twin
+from tests.threads import with_one_and_two_threads
 
 
 def run(parameter: np.ndarray, gradients: list[np.ndarray], **rates: float) -> np.ndarray:
@@ -51,14 +51,8 @@ def test_same_bits_on_one_thread() -> None:
     rng = np.random.default_rng(2)
     parameter = rng.normal(size=(3000, 16, 3)).astype(np.float32)
     gradients = [rng.normal(size=parameter.shape).astype(np.float32)]
-    threads = numba.get_num_threads()
-    both = run(parameter, gradients, rate=0.01, rate_rest=0.001)
-    try:
-        numba.set_num_threads(1)
-        one = run(parameter, gradients, rate=0.01, rate_rest=0.001)
-    finally:
-        numba.set_num_threads(threads)
-    assert both.tobytes() == one.tobytes()
+    one, two = with_one_and_two_threads(lambda: run(parameter, gradients, rate=0.01, rate_rest=0.001))
+    assert one.tobytes() == two.tobytes()
 
 
 def test_a_zero_gradient_moves_nothing() -> None:

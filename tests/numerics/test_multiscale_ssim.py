@@ -11,7 +11,7 @@ from engine.numerics.multiscale_ssim import LEAST_SIDE, SCALE_WEIGHTS, ms_ssim_d
 
 
 def twin(a: np.ndarray, b: np.ndarray) -> float:
-    """Wang et al. 2003, Eq 7, one channel at a time in float64; a colour picture's maps are averaged together."""
+    """Wang et al. 2003, equation 7, one channel at a time in float64; a colour picture's maps are averaged together."""
     a, b = (np.clip(v.astype(np.float64), 0, 1) for v in (a, b))
     value = 1.0
     for scale, weight in enumerate(SCALE_WEIGHTS):

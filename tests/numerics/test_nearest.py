@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
 from engine.numerics.nearest import REACH, WhitenedGrid
 from tests.reference.nearest import distances2
+from tests.threads import with_one_and_two_threads
 
 
 def scene(n: int, d: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -67,13 +67,6 @@ def test_threads_do_not_matter():
     points, quats = scene(3000, 10, 4)
     grid = WhitenedGrid(points, quats, quat_weight=5.0, hard=10, soft_cap=0.0)
     queries = points + np.float32(0.7)
-    before = numba.get_num_threads()
-    answers = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            answers.append(grid.query(queries, quats, box=3.2, limit2=30.0))
-    finally:
-        numba.set_num_threads(before)
+    one, two = with_one_and_two_threads(lambda: grid.query(queries, quats, box=3.2, limit2=30.0))
     for name in ("index", "distance2", "probability"):
-        np.testing.assert_array_equal(getattr(answers[0], name), getattr(answers[1], name))
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))

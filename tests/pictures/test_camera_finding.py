@@ -18,6 +18,7 @@ from engine.pictures.camera_motion import moved, normalized, point_columns, proj
 from engine.pictures.landmarks import Landmarks, lift, make_landmarks
 from engine.pictures.pose_refinement import Acceleration, refine_level
 from engine.raster import render, render_depth
+from tests.threads import with_one_and_two_threads
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -135,16 +136,11 @@ def test_large_picture_is_found_too(plant: GaussianModel, bank: Landmarks) -> No
 
 def test_same_camera_on_any_number_of_threads(plant: GaussianModel, bank: Landmarks) -> None:
     picture = jpeg(render(plant, around(plant, 17.0, 30.0, 1.2, 0.75)), 80)
-    cameras = []
-    for threads in (1, 2):
-        before = numba.get_num_threads()
-        numba.set_num_threads(min(threads, before))
-        found = find_camera(bank, plant, picture)
-        numba.set_num_threads(before)
-        assert found is not None
-        cameras.append(found.camera)
-    assert cameras[0].viewmat.tobytes() == cameras[1].viewmat.tobytes()
-    assert cameras[0].K.tobytes() == cameras[1].K.tobytes()
+    one, two = with_one_and_two_threads(lambda: find_camera(bank, plant, picture))
+    assert one is not None
+    assert two is not None
+    assert one.camera.viewmat.tobytes() == two.camera.viewmat.tobytes()
+    assert one.camera.K.tobytes() == two.camera.K.tobytes()
 
 
 def test_other_pictures_are_not_recognised(plant: GaussianModel, bank: Landmarks) -> None:

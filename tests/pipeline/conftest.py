@@ -28,3 +28,9 @@ def small_plant(plant: GaussianModel) -> GaussianModel:
 def scene() -> MarkedScene:
     """The real plant, marked with 32 bits at 47 dB; no landmark bank."""
     return mark_scene(SCENE, profile("fast", landmark_views=0, view_size=512))
+
+
+@pytest.fixture(scope="session")
+def other() -> MarkedScene:
+    """The same plant, marked by somebody else."""
+    return mark_scene(SCENE, profile("fast", landmark_views=0, views=3, view_size=256), seed=1)

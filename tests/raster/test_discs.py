@@ -1,4 +1,4 @@
-"""Discs of 2DGS against the slow twin, which solves the paper's plane equations in float64."""
+"""Discs of 2DGS against the slow twin, which solves its authors' plane equations in float64."""
 
 from __future__ import annotations
 

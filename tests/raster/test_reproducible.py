@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
-import pytest
 
-from engine.numerics.jit import thread_count
 from engine.raster import backward, draw, prepare_view, render, sh_colors
 from tests.raster.scenes import camera, random_model
+from tests.threads import with_one_and_two_threads
 
 MODEL = random_model(5000, 70, 16)
 VIEW = camera(301, 203, 250.0)
@@ -40,21 +37,8 @@ def everything() -> list[np.ndarray]:
     ]
 
 
-@pytest.fixture(autouse=True)
-def _keep_thread_count() -> Iterator[None]:
-    before = thread_count()
-    yield
-    numba.set_num_threads(before)
-
-
 def test_any_number_of_threads() -> None:
-    if numba.config.NUMBA_NUM_THREADS < 2:
-        pytest.skip("only one thread to be had")
-    results = []
-    for threads in (1, numba.config.NUMBA_NUM_THREADS):
-        numba.set_num_threads(threads)
-        results.append(everything())
-    for one, many in zip(*results, strict=True):
+    for one, many in zip(*with_one_and_two_threads(everything), strict=True):
         np.testing.assert_array_equal(one, many)
 
 

@@ -1,6 +1,6 @@
 """The image of discs (2DGS), defined the slow way: every disc over every pixel, in float64, nearest first.
 
-Written from the paper (Huang et al. 2024, Eq 4 to 11): a pixel's ray is the meeting of two planes, both are taken
+Written from Huang et al. 2024, equations 4 to 11: a pixel's ray is the meeting of two planes, both are taken
 to the disc's own frame by the transposed homography, and their line meets u, v there.
 """
 
@@ -14,7 +14,7 @@ from engine.raster.settings import MAX_SIGMA_PX, RasterSettings
 
 
 def homographies(model: GaussianModel, camera: Camera) -> np.ndarray:
-    """(N, 4, 4): (u, v, 1, 1) of the disc's frame to (x z, y z, z, 1), x and y in pixels (Eq 5 and 6, W H)."""
+    """(N, 4, 4): (u, v, 1, 1) of the disc's frame to (x z, y z, z, 1), x and y in pixels (equations 5 and 6, W H)."""
     screen = np.eye(4)
     screen[:3, :3] = camera.K
     world_to_screen = screen @ camera.viewmat
@@ -78,7 +78,7 @@ def meet(WH: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
     h_v = -WH[1] + y[..., None] * WH[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         below = h_u[..., 0] * h_v[..., 1] - h_u[..., 1] * h_v[..., 0]
-        u = (h_u[..., 1] * h_v[..., 3] - h_u[..., 3] * h_v[..., 1]) / below  # Eq 9
+        u = (h_u[..., 1] * h_v[..., 3] - h_u[..., 3] * h_v[..., 1]) / below  # equation 9
         v = (h_u[..., 3] * h_v[..., 0] - h_u[..., 0] * h_v[..., 3]) / below
         z = WH[2, 0] * u + WH[2, 1] * v + WH[2, 3]
     return u, v, np.nan_to_num(z, nan=-1.0, posinf=-1.0, neginf=-1.0)

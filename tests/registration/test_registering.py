@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from tests.registration.registration_cases import (
     splatted,
     train,
 )
+from tests.threads import with_one_and_two_threads
 
 
 def check(
@@ -229,16 +229,9 @@ def test_scales_out_of_bounds_are_not_believed():
 
 def test_same_seed_same_answer_whatever_the_threads():
     suspect = moved(noised(marked(scene(0)), 0.05).take(shuffled(scene(0), 0.5)))
-    before = numba.get_num_threads()
-    answers = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            answers.append(register(scene(0), suspect, seed=7))
-    finally:
-        numba.set_num_threads(before)
+    one, two = with_one_and_two_threads(lambda: register(scene(0), suspect, seed=7))
     for name in ("scale", "R", "t", "matches", "match_quality", "hypotheses_tried"):
-        np.testing.assert_array_equal(getattr(answers[0], name), getattr(answers[1], name))
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_an_index_serves_many_suspects():

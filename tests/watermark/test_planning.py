@@ -17,7 +17,7 @@ def scene(views: int = 3, n: int = 6000, codes: int = 256, seed: int = 0) -> tup
     per_view[0, labels < codes // 2] *= 0.05  # the first view sees little of one half
     coverage = per_view.sum(axis=0, dtype=np.float64)
     busy = coverage * rng.uniform(0.01, 0.1, codes)[labels]
-    return (Stage(book, labels),), Impact(coverage, per_view, busy, busy, 0.3 * coverage)
+    return (Stage(book, labels),), Impact(coverage, per_view, busy, 0.3 * coverage)
 
 
 def test_amplitudes_have_the_common_median_and_are_positive() -> None:

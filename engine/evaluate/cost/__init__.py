@@ -1,1 +1,1 @@
-"""What things cost as scenes, views and pictures grow."""
+"""What things cost as scenes, views and pictures grow. Start at `study`; `growth` fits the exponents."""

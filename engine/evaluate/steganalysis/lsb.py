@@ -93,7 +93,7 @@ def sample_pairs(channel: Picture) -> float:
 
     References
     ----------
-    Dumitrescu, Wu, Wang, "Detection of LSB steganography via sample pair analysis", IEEE TSP 51(7), 2003; Eq 14.
+    Dumitrescu, Wu, Wang, "Detection of LSB steganography via sample pair analysis", IEEE TSP 51(7), 2003; equation 14.
     """
     u, v = _pairs(_channel(channel))
     gap = np.abs(u - v)

@@ -2,7 +2,7 @@
 
 Leaving Gaussian i out costs about sum w_i^2 in squared error (w = alpha T, its blending weights): that is the rank.
 What is left out is merged into its nearest survivor with the moments of both, weighted by opacity times area, as
-in Hierarchical 3D Gaussians (Kerbl et al. 2024, Eq 6), or dropped.
+in Hierarchical 3D Gaussians (Kerbl et al. 2024, equation 6), or dropped.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How far a render is from a photo, with the gradient: (1 - w) L1 + w (1 - SSIM) (Kerbl et al. 2023, Eq 7).
+"""How far a render is from a photo, with the gradient: (1 - w) L1 + w (1 - SSIM) (Kerbl et al. 2023, equation 7).
 
 With m_x, m_y the means of a window (k its weights), q = E[x^2 + y^2] and c = E[xy], SSIM is a function of m_x, m_y,
 q and c, so dSSIM/dx(p) = sum over windows of k (dSSIM/dm_x + 2 x(p) dSSIM/dq + y(p) dSSIM/dc): four filters forward,

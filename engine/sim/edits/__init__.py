@@ -1,4 +1,8 @@
-"""Dynamic operations on models: select, edit, track the edits, place many objects in one scene."""
+"""Dynamic operations on models: select, edit, track the edits, place many objects in one scene.
+
+Scenarios and studies come in by the names gathered here. Start at `operations` (an edit) and `tracking` (what verifying
+an edited model needs); `edit_map` tells edits from the mark where nobody kept a track.
+"""
 
 from engine.sim.edits.bvh import BoxTree
 from engine.sim.edits.edit import Attribute, Edit, Edited, Recoloring

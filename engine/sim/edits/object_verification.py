@@ -9,13 +9,14 @@ from engine.errors import InputError
 from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.searching import count_tries
 from engine.registration.index import ReferenceIndex
 from engine.registration.registering import Registration, register
 from engine.sim.edits.objects import FlatScene
 from engine.sim.edits.pieces import LEAST_PIECE, RIGID
 from engine.watermark.claim import Claim
-from engine.watermark.model_evidence import Evidence, gather_model_evidence
 
 __all__ = ["ObjectFinding", "verify_objects"]
 
@@ -95,7 +96,7 @@ def verify_objects(
         raise InputError(f"route {config.route!r} sees the whole file; objects are read by 'model'")
     if instances < 1:
         raise InputError(f"an asset is looked for at least once, got instances {instances}")
-    tries = len(records) * instances
+    tries = count_tries(len(records), ("model",), config, places=instances)
     findings = []
     for name, opened in records.items():
         index = ReferenceIndex(opened.reference)
@@ -106,7 +107,7 @@ def verify_objects(
             found = register(index, part, seed=config.seed, config=RIGID)
             if instance and not found.found:
                 break
-            claim = _claim(part, opened, found, tries, config)
+            claim = judge(read_gaussians(part, opened, found), opened, "model", tries, config, found)
             rows = left[found.matches >= 0]
             finding = _finding(name, instance, claim, found, rows, model)
             if isinstance(suspect, FlatScene):
@@ -116,14 +117,6 @@ def verify_objects(
             if not found.found or len(left) < LEAST_PIECE:
                 break
     return findings
-
-
-def _claim(part: GaussianModel, opened: OpenedRecord, found: Registration, tries: int, config: VerifyConfig) -> Claim:
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], part.sh[:, 0], found.matches, found.match_quality
-    )
-    evidence = Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
-    return judge(evidence, opened, "model", tries, config, found)
 
 
 def _finding(

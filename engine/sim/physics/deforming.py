@@ -46,7 +46,7 @@ def deform_model(
 
     Notes
     -----
-    Equation 12 of the paper; Xie et al., "PhysGaussian", CVPR 2024, for turning the harmonics by polar
+    Eq 12 of the paper; Xie et al., "PhysGaussian", CVPR 2024, for turning the harmonics by polar
     decomposition.
     """
     count = len(model)

@@ -1,4 +1,7 @@
-"""Made golden_v1.m3dr: python -m tests.data.records.make_golden. Run again only with a new format version."""
+"""Made golden_v1.m3dr: python -m tests.data.records.make_golden. Run again only with a new format version.
+
+golden_v1_beside.m3dr is the same record as the first version could write it, with an array beside the plan.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from engine.watermark.keys import OwnerKey
 
 KEY = OwnerKey(bytes(range(32)))
 PATH = Path(__file__).with_name("golden_v1.m3dr")
+BESIDE = Path(__file__).with_name("golden_v1_beside.m3dr")
 
 
 def golden_model() -> GaussianModel:
@@ -37,7 +41,6 @@ def golden_record() -> Record:
             "empty": np.zeros((0, 3), dtype=np.float32),
         },
         extra={"strength": 1.25, "nothing": None},
-        extra_arrays={"cameras/viewmats": np.eye(4)[None]},
         copy="for a friend",
         registered_at="2025-01-31T12:00:00Z",
         tool_version="0.1.0",

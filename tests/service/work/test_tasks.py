@@ -18,10 +18,9 @@ from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
+from service.work.candidates import find_marks, load_candidates
 from service.work.embedding import embed_mark
-from service.work.inputs import load_candidates
 from service.work.pictures import choose_view
-from service.work.screening import find_marks
 from service.work.tasks import TASKS
 from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, silent
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 
-import numba
 import numpy as np
 import pytest
 
@@ -17,6 +16,7 @@ from engine.sim.capture.kernels import kernels_from_points
 from engine.sim.capture.parameters import NAMES
 from engine.sim.capture.training import TrainConfig, Trainer, cameras_extent, train
 from tests.sim.capture.scenes import orbit, photos, shell
+from tests.threads import with_one_and_two_threads
 
 TRUTH = shell()
 CAMERAS = orbit(8)
@@ -99,16 +99,10 @@ def test_rates_fall_from_first_to_last() -> None:
 
 def test_the_same_bytes_from_the_same_seed_on_any_thread_count() -> None:
     config = TrainConfig(steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15))
-    both = train(points(), CAMERAS, PHOTOS, config)
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = train(points(), CAMERAS, PHOTOS, config)
-    finally:
-        numba.set_num_threads(threads)
-    assert same(both, one)
+    one, two = with_one_and_two_threads(lambda: train(points(), CAMERAS, PHOTOS, config))
+    assert same(one, two)
     other = TrainConfig(steps=60, sh_degree=1, background="random", densify=DensifyConfig(first=0.1, every=15), seed=1)
-    assert not same(both, train(points(), CAMERAS, PHOTOS, other))
+    assert not same(two, train(points(), CAMERAS, PHOTOS, other))
 
 
 def test_a_pickled_training_goes_on_where_it_was() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from engine.sim.physics.deforming import deform_model, polar_rotations
 from engine.sim.physics.deforming_kernels import deform_covariances, rotation_parts, turn_sh
 from tests.reference.deformation import deformed_colour, deformed_covariance, nearest_rotation
 from tests.reference.similarity import covariance
+from tests.threads import with_one_and_two_threads
 
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
@@ -137,16 +137,9 @@ def test_rigid_motion_renders_as_transform_model_does(ball: GaussianModel) -> No
 
 def test_same_bytes_on_any_number_of_threads(ball: GaussianModel) -> None:
     F = gradients(len(ball), seed=7)
-    threads = numba.get_num_threads()
-    try:
-        results = []
-        for count in (1, threads):
-            numba.set_num_threads(count)
-            results.append(deform_model(ball, ball.means, F))
-    finally:
-        numba.set_num_threads(threads)
+    one, two = with_one_and_two_threads(lambda: deform_model(ball, ball.means, F))
     for name in ATTRIBUTES:
-        np.testing.assert_array_equal(getattr(results[0], name), getattr(results[1], name))
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_compiled_kernels_equal_their_formulas(ball: GaussianModel) -> None:

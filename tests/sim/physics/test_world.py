@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from engine.model import GaussianModel
 from engine.sim.physics.body import Body, Material, deformation_gradients, make_body, pose, strain_norms
 from engine.sim.physics.conserved import angular_momentum, energy, momentum
 from engine.sim.physics.world import Plane, Sphere, World, ground, step
+from tests.threads import with_one_and_two_threads
 
 NOWHERE = np.zeros(3)
 UNDAMPED = Material(viscosity=0.0)
@@ -187,15 +187,12 @@ def test_pinned_gaussians_stay_and_the_rest_hangs_from_them(ball: GaussianModel)
 
 def test_same_bytes_whatever_the_thread_count(body: Body) -> None:
     world = World((excited(body),), planes=(ground(-0.2),))
-    threads, results = numba.get_num_threads(), []
-    try:
-        for count in (1, threads):
-            numba.set_num_threads(count)
-            after = run(world, 25).bodies[0]
-            results.append((after.positions, after.velocities, pose(after).quats, pose(after).sh))
-    finally:
-        numba.set_num_threads(threads)
-    for one, other in zip(*results, strict=True):
+
+    def answer() -> tuple[np.ndarray, ...]:
+        after = run(world, 25).bodies[0]
+        return after.positions, after.velocities, pose(after).quats, pose(after).sh
+
+    for one, other in zip(*with_one_and_two_threads(answer), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

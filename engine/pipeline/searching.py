@@ -1,0 +1,288 @@
+"""The search: which record's mark is in this suspect? Hypotheses, tries, routes and ranking, once (DESIGN 4.9).
+
+1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not.
+2. Of many records only those are asked whose geometry the suspect resembles; sketches are blind to chips.
+3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
+4. Every reading is judged with all tries counted; the answer that tells most stands first.
+
+Verification asks one record (`verify`), tracing all copies of an asset (`readings`), the service all that is registered
+(`search`), the simulator every object of a file (`count_tries`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
+
+from engine.errors import InputError, RecordError
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
+from engine.pipeline.judging import VerifyConfig, judge
+from engine.pipeline.progress import Clock, Progress
+from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
+from engine.pipeline.sealing import OpenedRecord
+from engine.registration.registering import Registration, register
+from engine.registration.sketch import ALIKE, Sketch, SuspectIndex
+from engine.watermark.claim import Claim, Verdict
+from engine.watermark.model_evidence import Evidence
+
+__all__ = [
+    "Candidate",
+    "Outcome",
+    "Reading",
+    "Search",
+    "Suspect",
+    "Verification",
+    "count_tries",
+    "readings",
+    "resembling",
+    "search",
+    "verify",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """What is looked at: one model, or pictures of one.
+
+    Parameters
+    ----------
+    pictures : sequence of (h, w, 3) float32
+        Range 0 to 1; any size, possibly rotated, scaled or cropped.
+    cameras : sequence of Camera, optional
+        One for each picture, where known; found from a record's landmarks otherwise.
+    """
+
+    model: GaussianModel | None = None
+    pictures: Sequence[Float32] = ()
+    cameras: Sequence[Camera] | None = None
+
+    def routes(self, asked: str) -> tuple[str, ...]:
+        """The routes along which it is read, in their order.
+
+        Raises
+        ------
+        InputError
+            If the route takes the other kind of suspect, or the model is empty.
+        """
+        if self.model is None:
+            if asked not in ("auto", "image"):
+                raise InputError(f"route {asked!r} takes a model; pictures go by 'image' or 'auto'")
+            return ("image",)
+        if asked == "image":
+            raise InputError("route 'image' takes pictures; a model goes by 'model', 'render' or 'auto'")
+        if len(self.model) == 0:
+            raise InputError("the suspect model is empty")
+        return ("model", "render") if asked == "auto" else (asked,)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a suspect says along one route, blind to all chips.
+
+    Parameters
+    ----------
+    registration : Registration or None
+        Of a model.
+    notes : tuple of str
+        For the reader of the claim.
+    shown : bool
+        Whether the asset was found in the suspect.
+    """
+
+    route: str
+    evidence: Evidence
+    registration: Registration | None
+    notes: tuple[str, ...]
+    shown: bool
+
+    @property
+    def derived_fraction(self) -> float | None:
+        """Share of the reference found in the suspect; None where the route does not measure it."""
+        return None if self.registration is None else self.registration.derived_fraction
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """A claim, the evidence it rests on, and what it cost."""
+
+    claim: Claim
+    evidence: Evidence
+    seconds: float
+    seconds_by_stage: dict[str, float]
+
+    def report(self) -> dict[str, Any]:
+        """Plain values for `verify --json`."""
+        return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
+
+
+def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, places: int = 1) -> int:
+    """Hypotheses of a question, fixed before any evidence is seen.
+
+    A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
+    one asked for. A registration's own hypotheses were weighed without the chips and are none.
+    """
+    return max(records * len(routes) * places, config.tries or 1)
+
+
+def readings(
+    suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock
+) -> Iterator[Reading]:
+    """Read a suspect against one reference, a route at a time; who has heard enough stops asking.
+
+    Parameters
+    ----------
+    routes : sequence of str
+        Of `Suspect.routes`.
+    seed : int
+        Of the registration's trials.
+    """
+    if suspect.model is None:
+        evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
+        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()))
+        return
+    with clock.stage("register"):
+        registration = register(opened.reference, suspect.model, seed=seed)
+    for route in routes:
+        with clock.stage(route):
+            if route == "model":
+                evidence = read_gaussians(suspect.model, opened, registration)
+                reading = Reading(route, evidence, registration, (), registration.found)
+            else:
+                seen = read_renders(suspect.model, opened, registration, clock)
+                reading = Reading(route, seen.evidence, registration, seen.notes, seen.shown)
+        yield reading
+
+
+@one_blas_thread
+def verify(
+    suspect: Suspect, opened: OpenedRecord, config: VerifyConfig | None = None, progress: Progress | None = None
+) -> Verification:
+    """Does this suspect carry the record's mark?
+
+    Parameters
+    ----------
+    config : VerifyConfig, optional
+        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
+    """
+    config = config or VerifyConfig()
+    clock = Clock(progress)
+    routes = suspect.routes(config.route)
+    tries = count_tries(1, routes, config)
+    best: Verification | None = None
+    for reading in readings(suspect, opened, routes, config.seed, clock):
+        with clock.stage("decide"):
+            claim = judge(reading.evidence, opened, reading.route, tries, config, reading.registration, reading.notes)
+        found = reading.registration is not None and reading.registration.found
+        # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
+        if best is None or claim.verdict is Verdict.MARKED or (reading.shown and not found):
+            best = Verification(claim, reading.evidence, 0.0, {})
+        if claim.verdict is not Verdict.INCONCLUSIVE and found:
+            break
+    assert best is not None
+    return replace(best, seconds=clock.total, seconds_by_stage=clock.seconds)
+
+
+class Candidate(Protocol):
+    """A record that may explain a suspect."""
+
+    @property
+    def sketch(self) -> Sketch | None:
+        """Of the model that was published; None where the suspect is to be registered to it in any case."""
+
+    def open(self) -> OpenedRecord:
+        """The record; RecordError where it cannot be used."""
+
+
+C = TypeVar("C", bound=Candidate)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome(Generic[C]):
+    """What one candidate came to: a verification, or why its record cannot be used."""
+
+    candidate: C
+    opened: OpenedRecord | None = None  # kept of the best one only
+    found: Verification | None = None
+    error: RecordError | None = None
+
+    @property
+    def claim(self) -> Claim | None:
+        """The claim, where the record could be opened."""
+        return self.found.claim if self.found is not None else None
+
+    @property
+    def worth(self) -> tuple[float, ...]:
+        """Greater tells more: marked, then derived, then undecided, then foreign, then not to be opened."""
+        if (claim := self.claim) is None:
+            return (0.0,)
+        if claim.verdict is Verdict.MARKED:
+            return (4.0, -claim.log10_false_claim)
+        if claim.derived_fraction:
+            return (3.0, claim.derived_fraction)
+        return (2.0 if claim.verdict is Verdict.INCONCLUSIVE else 1.0, -claim.log10_false_claim)
+
+
+@dataclass(frozen=True, eq=False)
+class Search(Generic[C]):
+    """All that was asked: one outcome for each candidate looked at, in that order, and the tries of the whole."""
+
+    outcomes: tuple[Outcome[C], ...]
+    tries: int
+    seconds_by_stage: dict[str, float]
+
+    @property
+    def best(self) -> Outcome[C] | None:
+        """The outcome that tells most, the first among equals; None where nobody was asked."""
+        return max(self.outcomes, key=lambda outcome: outcome.worth, default=None)
+
+
+def resembling(model: GaussianModel, candidates: Sequence[C], progress: Progress) -> list[tuple[C, bool]]:
+    """All candidates, the most alike first, equals in their order, and whether the suspect may derive from each."""
+    if not candidates:
+        return []
+    progress("screen", 0.0)
+    index = SuspectIndex(model)
+    alike: dict[Sketch | None, int] = {None: ALIKE}
+    for number, candidate in enumerate(candidates, start=1):
+        if candidate.sketch is not None and candidate.sketch not in alike:  # copies of one asset share a sketch
+            alike[candidate.sketch] = index.resemblance(candidate.sketch)
+        progress("screen", number / len(candidates))
+    ranked = sorted(candidates, key=lambda candidate: -alike[candidate.sketch])
+    return [(candidate, alike[candidate.sketch] >= ALIKE) for candidate in ranked]
+
+
+def search(
+    suspect: Suspect, candidates: Sequence[C], config: VerifyConfig, progress: Progress, *, stop_at_first: bool = False
+) -> Search[C]:
+    """Ask one candidate after the other; with `stop_at_first` none after the first whose mark is there."""
+    tries = count_tries(len(candidates), suspect.routes(config.route), config)
+    config = replace(config, tries=max(1, tries))
+    outcomes: list[Outcome[C]] = []
+    seconds: dict[str, float] = {}
+    for number, candidate in enumerate(candidates):
+        clock = Clock(_share(progress, number, len(candidates)))
+        try:
+            with clock.stage("open record"):
+                opened = candidate.open()
+            found = verify(suspect, opened, config, _share(progress, number, len(candidates)))
+            outcome = Outcome(candidate, opened, found)
+        except RecordError as error:
+            outcome = Outcome(candidate, error=error)
+        outcomes.append(outcome)
+        best = max(outcomes, key=lambda each: each.worth)
+        # An opened record holds a whole model: only that of the best answer is kept.
+        outcomes = [each if each is best else replace(each, opened=None) for each in outcomes]
+        spent = clock.seconds | (outcome.found.seconds_by_stage if outcome.found is not None else {})
+        seconds |= {stage: seconds.get(stage, 0.0) + value for stage, value in spent.items()}
+        if stop_at_first and outcome.claim is not None and outcome.claim.verdict is Verdict.MARKED:
+            break
+    return Search(tuple(outcomes), tries, seconds)
+
+
+def _share(progress: Progress, number: int, count: int) -> Progress:
+    """Progress of one candidate; of several, the fraction is over all of them."""
+    if count == 1:
+        return progress
+    return lambda stage, fraction: progress(f"record {number + 1} of {count}", (number + fraction) / count)

@@ -1,0 +1,81 @@
+"""Registered assets that a suspect may derive from, and marks that an upload carries already."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from engine.errors import FormatError
+from engine.model import GaussianModel
+from engine.pipeline.sealing import OpenedRecord, open_record
+from engine.pipeline.searching import Suspect, resembling, search
+from engine.pipeline.verification import VerifyConfig
+from engine.registration.sketch import Sketch
+from engine.watermark.claim import Verdict
+from engine.watermark.keys import OwnerKey
+from service.work.process import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A registered asset.
+
+    Parameters
+    ----------
+    asset : str
+        Its id, handed back as it came.
+    sketch : Sketch or None
+        None where the suspect is to be registered to it in any case.
+    """
+
+    asset: str
+    record: Path
+    key: OwnerKey
+    sketch: Sketch | None
+
+    def open(self) -> OpenedRecord:
+        """See `engine.pipeline.searching.Candidate`."""
+        return open_record(self.record.read_bytes(), self.key)
+
+
+def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
+    """The candidates of a request, in its order."""
+    sketches: dict[str, Sketch | None] = {"": None}
+    found = []
+    for plain in request.get("candidates") or ():
+        path = str(plain.get("sketch") or "")
+        if path not in sketches:
+            sketches[path] = _load_sketch(path)
+        key = OwnerKey(bytes.fromhex(plain["key"]))
+        found.append(Candidate(str(plain["asset"]), Path(plain["record"]), key, sketches[path]))
+    return found
+
+
+def _load_sketch(path: str) -> Sketch | None:
+    try:
+        return Sketch.from_bytes(Path(path).read_bytes())
+    except FormatError:
+        return None  # a damaged sketch must not hide an asset
+
+
+def find_marks(model: GaussianModel, candidates: Sequence[Candidate], limit: int, progress: Progress) -> dict[str, Any]:
+    """Marks that a model carries already: `{"alike", "screened", "carries"}`, see docs/SERVICE.md.
+
+    The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is found by
+    `verify`. A record that cannot be opened is passed over: its owner learns that when verifying.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Those that matter most first: at most `limit` of those alike are verified, in this order.
+    """
+    alike = {candidate.asset for candidate, yes in resembling(model, candidates, progress) if yes}
+    chosen = [candidate for candidate in candidates if candidate.asset in alike][:limit]
+    config = VerifyConfig(route="model")
+    found = search(Suspect(model), chosen, config, lambda stage, fraction: progress("screen", fraction))
+    carries = [
+        {"asset": each.candidate.asset, "log10_false_claim": each.claim.log10_false_claim, "z": each.claim.z}
+        for each in found.outcomes
+        if each.claim is not None and each.claim.verdict is Verdict.MARKED
+    ]
+    return {"alike": len(alike), "screened": len(chosen), "carries": carries}
