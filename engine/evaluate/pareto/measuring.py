@@ -2,7 +2,6 @@
 
 import statistics
 import time
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,9 @@ from engine.formats import LoadedModel, encode_model, read_model
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.numerics.machine import load_per_core
-from engine.pipeline.choosing import AUTO, choose, rehearse
+from engine.pipeline.choosing import rehearse
 from engine.pipeline.embedding import Embedding, embed
-from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Clock
+from engine.pipeline.profiles import AUTO, Auto, EmbedConfig
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.strength import add_dc
 from engine.raster import render
@@ -73,10 +71,10 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
     about = {"scene": Path(scene).name, "point": point, "gaussians": len(loaded.model)}
     _warm(scene)
     try:
-        made, config, timed = _timed(model, loaded.sha256, setting, seed, quick)
+        made, timed = _timed(model, loaded.sha256, setting, seed, quick)
     except CapacityError as error:
         return [{**about, "refused": str(error), "capacity_bits": error.capacity}]
-    key = bench_key(seed)
+    config, key = made.config, bench_key(seed)
     record = made.record.to_bytes(key)
     views = other_views(loaded.model, HELD_OUT, size, (seed, OF_VIEWS))[: 2 if quick else None]
     subject = MarkedScene(Path(scene).name, loaded.model, made.model, open_record(record, key), made.report)
@@ -111,36 +109,28 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
     return [row]
 
 
-def _timed(
-    model: GaussianModel, digest: str, point: Point, seed: int, quick: bool
-) -> tuple[Embedding, EmbedConfig, Row]:
+def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bool) -> tuple[Embedding, Row]:
     """Embed once in full, then without the landmark bank: long and steady, it is timed once.
 
-    Returns the first embedding, how it was configured, and a row: median of each stage, processor time of each run
-    (the first has the landmark bank if any has), and what was chosen.
+    Returns the first embedding and a row: median of each stage, processor time of each run (the first has the landmark
+    bank if any has), and what was chosen.
     """
-    key = bench_key(seed)
     more: dict[str, Any] = {"landmark_views": 0, "view_size": QUICK_SIZE} if quick else {}
     if point.shares_landmarks:
         more["landmark_views"] = 0
-    runs: list[dict[str, float]] = []
+    made: list[Embedding] = []
     cpu: list[float] = []
-    for number in range(1 if quick else REPEATS):
-        clock, choice, ground = Clock(), None, None
-        began = time.process_time()
+    for _ in range(1 if quick else REPEATS):
         config = config_of(point, **more)
-        if point.profile == AUTO:
-            chosen = choose(model, key, point.bits, config, original_sha256=digest, clock=clock)
-            config, choice, ground = chosen.config, chosen.report(), chosen.ground
-        if number > 0:
-            config = replace(config, landmark_views=0)
-        again = embed(model, key, original_sha256=digest, bits=point.bits, config=config, ground=ground)
+        asked = Auto(config) if point.profile == AUTO else config
+        began = time.process_time()
+        made.append(embed(model, bench_key(seed), original_sha256=digest, bits=point.bits, config=asked))
         cpu.append(time.process_time() - began)
-        if number == 0:
-            made, used, said = again, config, choice
-        runs.append({**clock.seconds, **again.report["seconds_by_stage"]})
-        runs[-1]["landmarks"] = runs[0]["landmarks"]
-    return made, used, {"stages": stage_medians(runs), "cpu_seconds": cpu, "choice": said}
+        more["landmark_views"] = 0
+    first = made[0].report
+    bank = {"landmarks": first["seconds_by_stage"]["landmarks"]}
+    stages = stage_medians([{**again.report["seconds_by_stage"], **bank} for again in made])
+    return made[0], {"stages": stages, "cpu_seconds": cpu, "choice": first["choice"]}
 
 
 @lru_cache(maxsize=1)

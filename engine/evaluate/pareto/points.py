@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from engine.evaluate.marked_scene import configure
-from engine.pipeline.choosing import AUTO, START
-from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.profiles import AUTO, EmbedConfig
 
 NESTED = {"cells": ("quantize", "cells"), "budget": ("prune", "budget_db")}
 """Short names of knobs that belong to a stage of the embedding."""
@@ -79,4 +78,4 @@ def config_of(point: Point, **more: Any) -> EmbedConfig:
     for name, (stage, knob) in NESTED.items():
         if name in changes:
             deep[stage] = {knob: changes.pop(name)}
-    return configure(START if point.profile == AUTO else point.profile, changes, deep)
+    return configure(BASE.profile if point.profile == AUTO else point.profile, changes, deep)
