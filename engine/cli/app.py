@@ -71,7 +71,7 @@ app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)
 app.command("evaluate")(evaluate.evaluate)
-app.command("bench")(bench.bench)
+app.command("bench", help=bench.HELP)(bench.bench)
 app.add_typer(config.app, name="config")
 app.command("demo")(demo.demo)
 

@@ -1,19 +1,31 @@
 """`mark3dgs bench`: speed and robustness measured here and now, as numbers a reader can make again."""
 
 import json as json_text
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from engine.cli.bench_jobs import BENCHES, Job
 from engine.cli.console import Console
 from engine.cli.files import check_target, whole_file
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json, Seed
-from engine.errors import InputError
+from engine.errors import InputError, Mark3DGSError
+from engine.evaluate.bench.table import BENCHES
 from engine.numerics.plain import plain
+
+_LIST = "\n".join(f"{name:<12} {entry.summary}" for name, entry in BENCHES.items())
+HELP = f"""Measure on real scenes.
+
+{_LIST}
+
+Examples:
+
+  mark3dgs bench embed --scene city.sog --repeats 5
+  mark3dgs bench attacks --scene city.sog --scene plant.splat --out a.json
+"""
 
 
 def bench(
@@ -45,55 +57,38 @@ def bench(
     colors_only: Annotated[bool, typer.Option("--colors-only", help="finetune: leave the geometry alone.")] = False,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option("--out", help="Write the JSON report to this file, too.")] = None,
+    cells: Annotated[
+        Path | None, typer.Option("--cells", help="Folder that keeps what is measured; a run goes on where it stopped.")
+    ] = None,
+    workers: Annotated[
+        int, typer.Option("--workers", min=1, help="Local processes. Timings want 1, on a quiet machine.")
+    ] = 1,
     json: Json = False,
 ) -> int:
-    """Measure on real scenes.
-
-    raster       milliseconds forward and backward, against a plain loop
-    embed        seconds by stage and peak memory
-    verify       seconds for a model, a picture, a screenshot of unknown camera
-    fidelity     dB, SSIM and bits for every message length, compact output and pruning budgets
-    attacks      bits, z and claim after every attack of the bars
-    screenshots  claims from pictures of unknown camera, and from another scene's
-    finetune     claims after training on clean or own pictures, at the key views or others (Table 5)
-    truth        false claims among wrong keys, against the proven bound
-    suite        every attack of the simulator, with what it costs the attacker; failures first
-    variants     2DGS, 4DGS, Compact3D and DreamGaussian models, made from the scene (Table 4)
-    collusion    buyers who put their copies together: who is named, and whether an innocent is
-    retrain      claims from fresh models trained on renders of the marked one
-    life         speed of physics and of training
-
-    Examples:
-
-      mark3dgs bench embed --scene city.sog --repeats 5
-      mark3dgs bench attacks --scene city.sog --scene plant.splat --out a.json
-    """
+    """Measure one of BENCHES; the command's help is HELP."""
     console = Console(json)
-    scenes = scene or [shipped_scene()]
     if what not in BENCHES:
         raise InputError(f"nothing is measured under the name {what!r}; there are {', '.join(BENCHES)}")
     if out is not None:
         check_target(out)
+    from engine.evaluate.bench.table import bench_cells
+    from engine.evaluate.running import run_cells
     from engine.numerics.machine import machine_info
 
-    with console.progress() as progress:
+    asked = {"profile": profile, "repeats": repeats, "trials": trials, "size": list(size), "colors_only": colors_only}
+    spare = shipped_scene()
+    scenes = [str(path.absolute()) for path in scene or [spare]]
+    work, told = bench_cells(what, scenes, asked, seed=seed, settings=setting or [], spare=str(spare))
+    with console.progress() as progress, tempfile.TemporaryDirectory() as folder:
         prepare_kernels(console, progress, "everything")
-        progress(what, 0.0)
-        job = Job(
-            scenes,
-            profile,
-            repeats,
-            trials,
-            size,
-            seed,
-            lambda fraction: progress(what, fraction),
-            setting or [],
-            colors_only,
-        )
-        found = BENCHES[what](job)
-    report = {"bench": what, "machine": machine_info(), **found}
-    for row in report["rows"]:
+        try:
+            rows = run_cells(work, cells or Path(folder), workers=workers, tell=progress)
+        except InputError as error:  # what went wrong in a cell is told as if there were none
+            raise error.__cause__ if isinstance(error.__cause__, Mark3DGSError) else error from None
+    for row in rows:
+        del row["cell"]
         console.say("  ".join(f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict)))
+    report = {"bench": what, "machine": machine_info(), **told, "rows": rows}
     if out is not None:
         with whole_file(out) as part:
             part.write_text(json_text.dumps(plain(report), indent=1) + "\n")

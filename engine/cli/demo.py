@@ -159,7 +159,7 @@ def _trials(
     """Steal the marked model in three ways, and try the unmarked original."""
     import numpy as np
 
-    from engine.evaluate.bars_images import random_view
+    from engine.evaluate.bench.attacks import random_view
     from engine.formats import read_model, write_model
     from engine.formats.pictures import read_picture
     from engine.pipeline.verification import VerifyConfig, verify_images, verify_model

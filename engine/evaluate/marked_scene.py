@@ -1,17 +1,24 @@
 """A marked scene to measure on: original, marked model and opened record, made with a key of its own."""
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from engine.errors import InputError
 from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Progress
+from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.sealing import OpenedRecord, open_record
+from engine.pipeline.variant import PLAIN, Variant
 from engine.watermark.keys import OwnerKey
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +38,48 @@ def bench_key(seed: int) -> OwnerKey:
 
 
 def mark_scene(
-    path: str | Path, config: EmbedConfig, *, bits: int = 32, seed: int = 0, progress: Progress | None = None
+    path: str | Path, config: EmbedConfig, *, bits: int = 32, seed: int = 0, variant: Variant = PLAIN
 ) -> MarkedScene:
     """Read a model and mark it; the record makes the round trip through its bytes."""
-    loaded = read_model(path)
-    key = bench_key(seed)
-    result = embed(loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, progress=progress)
-    opened = open_record(result.record.to_bytes(key), key)
-    return MarkedScene(Path(path).name, loaded.model, result.model, opened, result.report)
+    return mark_copies(path, config, [""], bits=bits, seed=seed, variant=variant)[0]
+
+
+def mark_copies(
+    path: str | Path,
+    config: EmbedConfig,
+    names: Sequence[str],
+    *,
+    bits: int = 32,
+    seed: int = 0,
+    variant: Variant = PLAIN,
+) -> list[MarkedScene]:
+    """The same for the copy of each recipient."""
+    loaded, key = read_model(path), bench_key(seed)
+    scenes = []
+    for name in names:
+        made = embed(
+            loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, copy=name, variant=variant
+        )
+        opened = open_record(made.record.to_bytes(key), key)
+        scenes.append(MarkedScene(Path(path).name, loaded.model, made.model, opened, made.report))
+    return scenes
+
+
+def configure(start: str, *changes: dict[str, Any]) -> EmbedConfig:
+    """A profile with changes as plain values, nested as its stages are; InputError for an unknown field."""
+    config = profile(start)
+    for change in changes:
+        config = _changed(config, change)
+    return config
+
+
+def _changed(config: T, changes: dict[str, Any]) -> T:
+    known = {f.name for f in fields(config)}
+    values = {}
+    for name, value in changes.items():
+        if name not in known:
+            raise InputError(f"{type(config).__name__} has no field {name!r}; it has {', '.join(sorted(known))}")
+        if isinstance(value, dict):
+            value = _changed(getattr(config, name), value)
+        values[name] = tuple(value) if isinstance(value, list) else value
+    return replace(config, **values)

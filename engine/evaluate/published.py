@@ -9,17 +9,8 @@ __all__ = ["Published", "read_published"]
 
 @dataclass(frozen=True)
 class Published:
-    """One published number.
-
-    Parameters
-    ----------
-    what : str
-        "bit accuracy", "PSNR", "embedding time", ...
-    conditions : str
-        Message length, attack, reference.
-    blind : bool
-        Whether reading goes without the unmarked original.
-    """
+    """One published number: of what ("bit accuracy", "PSNR", "embedding time", ...), under which conditions (message
+    length, attack, reference), and whether reading goes without the unmarked original (blind)."""
 
     method: str
     venue: str

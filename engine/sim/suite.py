@@ -107,7 +107,7 @@ class Company:
 def apply_chain(
     target: GaussianModel | Float32,
     trial: Trial,
-    seed: int,
+    seed: int | Sequence[int],
     *,
     company: Company = Company(),
     source: GaussianModel | None = None,

@@ -89,7 +89,7 @@ def make_plan(
         usage = coverage.sum(axis=0)
         # In the image a cell adds up over its members; a residual code's members are strangers to each other.
         reach = coverage if number == 0 else coverage * _incoherence(stage, impact, count)
-        mask = _visual_mask(stage, impact, usage, count, config)
+        mask = visual_mask(stage, impact, usage, count, config)
         if emphasis is not None:
             members = np.maximum(np.bincount(stage.labels, minlength=count), 1)
             mask = mask * np.bincount(stage.labels, emphasis, count) / members
@@ -123,7 +123,7 @@ def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
     return np.asarray(squared / np.maximum(total, 1e-12))
 
 
-def _visual_mask(stage: Stage, impact: Impact, usage: Float64, count: int, config: PlanConfig) -> Float64:
+def visual_mask(stage: Stage, impact: Impact, usage: Float64, count: int, config: PlanConfig) -> Float64:
     """(M,) beta: textured patches hide more, and so do patches the views are uncertain about (rarely seen)."""
     texture = np.bincount(stage.labels, impact.busy, count) / np.maximum(usage, 1e-9)
     seen = usage > 0.01 * np.median(usage[usage > 0]) if (usage > 0).any() else usage > 0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.evaluate.bench_embed import spread, stage_medians
+from engine.evaluate.bench.timing import spread, stage_medians
 from tests.flow.conftest import SCENE, ask
 
 

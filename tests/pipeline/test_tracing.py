@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
 from engine.pipeline.embedding import embed

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError, WrongKeyError
-from engine.evaluate.bars_images import to_8_bit
-from engine.evaluate.bars_truth import forge, wrong_key_rates
+from engine.evaluate.bench.attacks import to_8_bit
+from engine.evaluate.bench.truth import forge, wrong_key_rates
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import GaussianModel
 from engine.pipeline.embedding import embed

@@ -7,7 +7,7 @@ import json
 import numpy as np
 
 import engine.raster
-from engine.evaluate.bench_raster import bench_camera, bench_raster, naive_forward
+from engine.evaluate.bench.raster import bench_camera, bench_raster, naive_forward
 from engine.raster import prepare_view, release_memory, sh_colors, warm_up
 from engine.raster.workspace import borrow_workspace
 from tests.raster.scenes import TOLERANCE, random_model

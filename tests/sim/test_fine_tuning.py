@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.evaluate.bars_fine_tuning import stops_until
+from engine.evaluate.bench.training import stops_until
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline.rigs import make_rig

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from engine.evaluate.bars_images import IMAGE_BARS, to_8_bit
-from engine.evaluate.bars_models import MODEL_BARS
-from engine.evaluate.bars_truth import wrong_key_rates
 from engine.evaluate.baselines.fitted import FittedPictures
 from engine.evaluate.baselines.methods import Kept, Method, find_method
+from engine.evaluate.bench.attacks import IMAGE_BARS, MODEL_BARS, to_8_bit
+from engine.evaluate.bench.truth import wrong_key_rates
 from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.evaluate.study import Row
 from engine.formats import read_model

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +15,9 @@ from engine.evaluate.study import Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Curve", "draw_formats", "draw_growth", "draw_roofline"]
-
-Curve = tuple[Sequence[float], Sequence[float], Growth | None]
+Curve = tuple[Sequence[float], Sequence[float], Growth]
 """Sizes, costs, and the growth fitted to them."""
+HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 
 
 def draw_growth(curves: Mapping[str, Curve], x_label: str, y_label: str, title: str) -> Figure:
@@ -26,15 +26,12 @@ def draw_growth(curves: Mapping[str, Curve], x_label: str, y_label: str, title: 
     axes.set_xscale("log")
     axes.set_yscale("log")
     for (name, (sizes, costs, growth)), style in zip(curves.items(), styles(), strict=False):
-        label = name if growth is None else f"{name}: exponent {growth.exponent:.2f}"
-        axes.plot(sizes, costs, label=label, **style)
+        axes.plot(sizes, costs, label=f"{name}: exponent {growth.exponent:.2f}", **style)
     sizes = sorted({size for curve in curves.values() for size in curve[0]})
     axes.set_xticks(sizes, [_count(size) for size in sizes])
     axes.minorticks_off()
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    axes.set_title(title)
+    axes.set(xlabel=x_label, ylabel=y_label, title=title)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return drawn
 
@@ -48,53 +45,25 @@ def draw_roofline(rows: Sequence[Row]) -> Figure:
     ridge = peak / bandwidth
     x = np.geomspace(min(1.0, ridge / 4), max(200.0, 4 * ridge), 100)
     axes.plot(x, np.minimum(peak, x * bandwidth) / 1e9, color=INK)
-    axes.annotate(
-        f"{bandwidth / 1e9:.0f} GB/s",
-        (x[0] * 1.3, x[0] * 1.3 * bandwidth / 1e9),
-        xytext=(0, -14),
-        textcoords="offset points",
-        fontsize=8,
-        color=INK,
-    )
-    axes.annotate(
-        f"{peak / 1e9:.0f} GFLOP/s",
-        (x[-1], peak / 1e9),
-        xytext=(0, 4),
-        textcoords="offset points",
-        fontsize=8,
-        ha="right",
-    )
+    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8, "color": INK}
+    left = 1.3 * x[0]
+    axes.annotate(f"{bandwidth / 1e9:.0f} GB/s", (left, left * bandwidth / 1e9), xytext=(0, -14), **look)
+    axes.annotate(f"{peak / 1e9:.0f} GFLOP/s", (x[-1], peak / 1e9), xytext=(0, 4), ha="right", **look)
     for row, style in zip(rows, styles(), strict=False):
-        achieved = row["achieved_flops"] / 1e9
-        axes.plot(
-            [row["flops_per_byte"]] * 2,
-            [achieved, row["attainable_flops"] / 1e9],
-            color=FAINT,
-            linestyle=":",
-            linewidth=1.0,
-        )
-        axes.plot(
-            row["flops_per_byte"],
-            achieved,
-            linestyle="none",
-            color=style["color"],
-            marker=style["marker"],
-            markersize=7,
-            label=f"{row['scene']}: {achieved:.0f} GFLOP/s, {100 * row['fraction']:.0f} % of attainable",
-        )
-    axes.set_xlabel("operations a byte of memory traffic (log scale)")
-    axes.set_ylabel("GFLOP/s (log scale)")
-    axes.set_title(
-        "The forward kernel is bound by arithmetic, not by memory"
-        if _by_arithmetic(rows, ridge)
-        else "The forward kernel under the machine's roof"
+        at, achieved, attainable = row["flops_per_byte"], row["achieved_flops"] / 1e9, row["attainable_flops"] / 1e9
+        axes.plot([at, at], [achieved, attainable], color=FAINT, linestyle=":", linewidth=1.0)
+        label = f"{row['scene']}: {achieved:.0f} GFLOP/s, {100 * row['fraction']:.0f} % of attainable"
+        axes.plot(at, achieved, **{**style, "linestyle": "none"}, markersize=7, label=label)
+    by_arithmetic = all(row["flops_per_byte"] > ridge for row in rows)
+    axes.set(
+        xlabel="operations a byte of memory traffic (log scale)",
+        ylabel="GFLOP/s (log scale)",
+        title="The forward kernel is bound by arithmetic, not by memory"
+        if by_arithmetic
+        else "The forward kernel under the machine's roof",
     )
     axes.legend(loc="lower right")
     return drawn
-
-
-def _by_arithmetic(rows: Sequence[Row], ridge: float) -> bool:
-    return all(row["flops_per_byte"] > ridge for row in rows)
 
 
 def draw_formats(rows: Sequence[Row]) -> Figure:
@@ -103,32 +72,21 @@ def draw_formats(rows: Sequence[Row]) -> Figure:
     formats = list(dict.fromkeys(str(row["format"]) for row in rows))
     drawn, axes = figure(width=6.4, height=3.6)
     wide = 0.8 / len(scenes)
-    hatches = ("", "//", "..", "xx", "\\\\", "++", "oo")
-    most = 0.0
-    for number, (scene, style) in enumerate(zip(scenes, styles(), strict=False)):
-        own = {row["format"]: row["bytes"] / row["gaussians"] for row in rows if row["scene"] == scene}
-        values = [own.get(name, 0.0) for name in formats]
+    sizes = {(str(row["scene"]), str(row["format"])): row["bytes"] / row["gaussians"] for row in rows}
+    for number, (scene, style, hatch) in enumerate(zip(scenes, styles(), cycle(HATCHES), strict=False)):
+        values = [sizes.get((scene, name), 0.0) for name in formats]
         places = np.arange(len(formats)) + (number - (len(scenes) - 1) / 2) * wide
-        axes.bar(
-            places,
-            values,
-            0.92 * wide,
-            color=style["color"],
-            edgecolor="white",
-            hatch=hatches[number % len(hatches)],
-            label=scene,
-        )
-        for place, value in zip(places, values, strict=True):
-            axes.text(place, value, f"{value:.0f}", ha="center", va="bottom", fontsize=7.5)
-        most = max(most, *values)
+        look = {"color": style["color"], "edgecolor": "white", "hatch": hatch}
+        drawn_bars = axes.bar(places, values, 0.92 * wide, label=scene, **look)
+        axes.bar_label(drawn_bars, fmt="%.0f", fontsize=7.5)
+    first = {name: sizes[scenes[0], name] for name in formats if (scenes[0], name) in sizes}
+    least, largest = min(first, key=first.__getitem__), max(first, key=first.__getitem__)
     axes.set_xticks(range(len(formats)), [f".{name}" for name in formats])
     axes.grid(visible=False, axis="x")
-    axes.set_ylim(0, 1.12 * most)
-    axes.set_ylabel("bytes a Gaussian")
-    each = {row["format"]: row["bytes"] / row["gaussians"] for row in rows if row["scene"] == scenes[0]}
-    least, largest = min(each, key=lambda name: each[name]), max(each, key=lambda name: each[name])
-    axes.set_title(
-        f"{scenes[0]}: from {each[least]:.0f} bytes a Gaussian (.{least}) to {each[largest]:.0f} (.{largest})"
+    axes.set(
+        ylim=(0, 1.12 * max(sizes.values())),
+        ylabel="bytes a Gaussian",
+        title=f"{scenes[0]}: from {first[least]:.0f} bytes a Gaussian (.{least}) to {first[largest]:.0f} (.{largest})",
     )
     axes.legend()
     return drawn

@@ -26,10 +26,7 @@ class Growth:
 def fit_growth(sizes: Sequence[float], costs: Sequence[float]) -> Growth:
     """Least squares of log cost on log size; the interval is Student's, from the scatter about the line.
 
-    Raises
-    ------
-    ValueError
-        With fewer than two sizes, or something that is not positive.
+    ValueError with fewer than two sizes, or something that is not positive.
     """
     x, y = np.asarray(sizes, dtype=np.float64), np.asarray(costs, dtype=np.float64)
     if len(np.unique(x)) < 2 or len(x) != len(y):

@@ -1,13 +1,31 @@
-"""Cells of the cost study: one size, in a process of its own, so that its peak memory is its own."""
+"""Cells of the cost study: scenes of any size, each in a process of its own, so that its peak memory is its own."""
 
+import math
 import statistics
+import tempfile
 import time
+from functools import partial
+from pathlib import Path
 from typing import Any
 
-from engine.evaluate.bench_embed import in_own_process, stage_medians
-from engine.evaluate.study import Row
+import numpy as np
 
-__all__ = ["measure_formats", "measure_roofline", "measure_size"]
+from engine.evaluate.bench.attacks import to_8_bit
+from engine.evaluate.bench.raster import bench_raster
+from engine.evaluate.bench.timing import in_own_process, seconds_of, stage_medians
+from engine.evaluate.cost.peaks import peak_bandwidth, peak_flops
+from engine.evaluate.marked_scene import bench_key, mark_scene
+from engine.evaluate.study import Row
+from engine.formats import read_model, write_model
+from engine.model import GaussianModel
+from engine.numerics.machine import load_per_core, peak_memory_mb
+from engine.numerics.similarity import transform_model
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import EmbedConfig, profile
+from engine.pipeline.rigs import make_rig, measure_extent
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
+from engine.raster import render
 
 RASTER_SIZE = (1297, 840)
 FLOPS_PER_FRAGMENT = 32
@@ -17,6 +35,8 @@ BYTES_PER_PAIR = 48
 """Read once a Gaussian and tile: its number (4), record (32) and colour (12)."""
 BYTES_PER_PIXEL = 16
 """Written: colour and alpha."""
+SPACING = 2.0
+"""Between copies, in robust radii: neighbours touch and hide one another in part, as houses of a town do."""
 
 
 def measure_size(
@@ -34,57 +54,15 @@ def measure_size(
     picture_size: int = 800,
     apart: bool = True,
 ) -> list[Row]:
-    """Embed, verify and draw at one size.
+    """Embed, verify and draw at one size of what grows along the axis, `repeats` times after one that warms up.
 
-    Parameters
-    ----------
-    scene : str
-        Path of a model.
-    axis : str
-        What grows, for the report; `size` is its value.
-    gaussians : int, optional
-        Thin or replicate the scene to this many.
-    views, view_size, landmarks : int
-        Of the embedding (profile fast otherwise).
-    repeats : int
-        Embeddings, after one small one that warms up.
-    raster_size : (int, int), optional
-        Of the picture that is drawn, pixels; 1297x840.
-    picture_size : int
-        Side of the picture that is verified, pixels.
-    apart : bool
-        In a process of its own; without, `peak_memory_mb` is that of all that went before, too.
+    The scene is thinned or replicated to so many Gaussians where a number is given; views and landmarks are of the
+    embedding (profile fast otherwise), `raster_size` (1297x840 where not given) of the picture that is drawn,
+    `picture_size` the side of the one that is verified, all in pixels. Without a process of its own (`apart`),
+    `peak_memory_mb` is that of all that went before, too.
     """
-    width, height = raster_size or RASTER_SIZE  # a list where the arguments were stored
-    chosen = (scene, gaussians, views, view_size, landmarks, repeats, (width, height), picture_size, seed)
-    found = in_own_process(_size, *chosen) if apart else _size(*chosen)
-    return [{"axis": axis, "size": size, **found}]
-
-
-def _size(
-    scene: str,
-    gaussians: int | None,
-    views: int,
-    view_size: int,
-    landmarks: int,
-    repeats: int,
-    raster_size: tuple[int, int],
-    picture_size: int,
-    seed: int,
-) -> Row:
-    from engine.evaluate.bars_images import to_8_bit
-    from engine.evaluate.bench_raster import bench_raster
-    from engine.evaluate.cost.scenes import sized
-    from engine.evaluate.marked_scene import bench_key
-    from engine.formats import read_model
-    from engine.numerics.machine import load_per_core, peak_memory_mb
-    from engine.pipeline.embedding import embed
-    from engine.pipeline.profiles import EmbedConfig, profile
-    from engine.pipeline.rigs import make_rig
-    from engine.pipeline.sealing import open_record
-    from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
-    from engine.raster import render
-
+    if apart:
+        return in_own_process(partial(measure_size, **{**locals(), "apart": False}))
     loaded = read_model(scene)
     model = loaded.model if gaussians is None else sized(loaded.model, gaussians, seed)
     key = bench_key(seed)
@@ -103,8 +81,10 @@ def _size(
     picture = to_8_bit(render(made.model, camera))
     whole = [verify_model(made.model, opened, VerifyConfig(route="model")) for _ in range(repeats)]
     seen = [verify_images([picture], opened, VerifyConfig(), cameras=[camera]) for _ in range(repeats)]
-    raster = bench_raster(made.model, *raster_size, repeats=3 if repeats == 1 else 7)
-    return {
+    raster = bench_raster(made.model, *(raster_size or RASTER_SIZE), repeats=3 if repeats == 1 else 7)
+    row = {
+        "axis": axis,
+        "size": size,
         "gaussians": len(model),
         "views": views,
         "view_size": view_size,
@@ -123,50 +103,30 @@ def _size(
         "memory_before_mb": model_memory,
         "peak_memory_all_mb": peak_memory_mb(),
     }
+    return [row]
 
 
 def measure_formats(scene: str, formats: list[str]) -> list[Row]:
     """Bytes a Gaussian of the marked model in each format, and seconds to write and read it."""
-    import tempfile
-    from pathlib import Path
-
-    from engine.evaluate.marked_scene import mark_scene
-    from engine.formats import read_model, write_model
-    from engine.pipeline.profiles import profile
-
-    subject = mark_scene(scene, profile("fast", views=4, view_size=256, landmark_views=0, psnr_db=40.0), bits=16)
+    config = profile("fast", views=4, view_size=256, landmark_views=0, psnr_db=40.0)
+    marked = mark_scene(scene, config, bits=16).marked
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in formats:
             path = Path(folder) / f"model.{name}"
             began = time.perf_counter()
-            size = write_model(subject.marked, path, name)
-            written = time.perf_counter()
-            read_model(path)
-            rows.append(
-                {
-                    "format": name,
-                    "bytes": size,
-                    "gaussians": len(subject.marked),
-                    "sh_degree": subject.marked.sh_degree,
-                    "write_s": written - began,
-                    "read_s": time.perf_counter() - written,
-                }
-            )
+            size = write_model(marked, path, name)
+            row = {"format": name, "bytes": size, "gaussians": len(marked), "sh_degree": marked.sh_degree}
+            row["write_s"] = time.perf_counter() - began
+            rows.append({**row, "read_s": seconds_of(partial(read_model, path))})
     return rows
 
 
 def measure_roofline(scene: str, quick: bool) -> list[Row]:
     """The forward kernel against what the machine can do."""
-    from engine.evaluate.bench_raster import bench_raster
-    from engine.evaluate.cost.peaks import peak_bandwidth, peak_flops
-    from engine.formats import read_model
-
     width, height = (320, 200) if quick else RASTER_SIZE
     raster = bench_raster(read_model(scene).model, width, height, repeats=3 if quick else 9)
-    bandwidth = peak_bandwidth(1 << 21 if quick else 1 << 25)
-    flops = peak_flops(1 << 17 if quick else 1 << 22)
-    return [_roofline(raster, bandwidth, flops)]
+    return [_roofline(raster, peak_bandwidth(1 << 21 if quick else 1 << 25), peak_flops(1 << 17 if quick else 1 << 22))]
 
 
 def _roofline(raster: dict[str, Any], bandwidth: float, flops: float) -> Row:
@@ -189,3 +149,30 @@ def _roofline(raster: dict[str, Any], bandwidth: float, flops: float) -> Row:
         "fraction": operations / seconds / attainable,
         "threads": raster["threads"],
     }
+
+
+def sized(model: GaussianModel, count: int, seed: int = 0) -> GaussianModel:
+    """A scene of exactly `count` Gaussians made of a real one; needs memory for itself and one copy of the model.
+
+    Fewer than the model has: a random choice of them. More: copies on a square grid, each turned about the up axis by
+    an angle of its own, the last one thinned.
+    """
+    if count < 1:
+        raise ValueError(f"a scene needs a Gaussian, got {count}")
+    rng = np.random.default_rng(seed)
+    copies = math.ceil(count / len(model))
+    if copies == 1:
+        return model.take(np.sort(rng.choice(len(model), count, replace=False)))
+    extent = measure_extent(model)
+    side = math.ceil(math.sqrt(copies))
+    made = model.take(np.arange(count) % len(model))
+    for copy in range(copies):
+        first, last = copy * len(model), min((copy + 1) * len(model), count)
+        piece = model if last - first == len(model) else sized(model, last - first, seed)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+        step = SPACING * extent.radius * np.array([copy % side, 0.0, copy // side])
+        piece = transform_model(piece, 1.0, turn, extent.center + step - turn @ extent.center)
+        for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+            getattr(made, name)[first:last] = getattr(piece, name)
+    return made

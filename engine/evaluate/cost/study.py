@@ -9,12 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from engine.evaluate.busy import busy_words
 from engine.evaluate.cost.charts import Curve, draw_formats, draw_growth, draw_roofline
-from engine.evaluate.cost.growth import fit_growth
-from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
-
-__all__ = ["STUDY"]
+from engine.evaluate.cost.growth import Growth, fit_growth
+from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
+from engine.evaluate.summing import busy_words, of_kind, table
 
 MODULE = "engine.evaluate.cost.measuring"
 GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 4_000_000)
@@ -23,7 +21,13 @@ SIZES = (256, 512, 1024, 2048)
 FORMATS = ("ply", "splat", "spz", "compressed.ply", "sog")
 LARGE = 1_000_000
 """From here on each embedding is timed once."""
-EMBED_BAR, VERIFY_BAR, BAR_GAUSSIANS = 15.0, 3.0, 500_000
+BAR_GAUSSIANS = 500_000
+BARS = {
+    "embed, s": ("embed fast", 15.0),
+    "verify model, s": ("verify a model", 3.0),
+    "verify picture, s": ("verify a picture", 3.0),
+}
+"""Seconds that so many Gaussians may take."""
 AXES = {"gaussians": "Gaussians", "views": "key views", "pixels": "pixels a side, key views and picture"}
 COSTS: dict[str, Callable[[Row], float]] = {
     "embed, s": lambda row: float(sum(row["stages"].values())),
@@ -74,7 +78,7 @@ def _report(rows: list[Row], options: Options) -> Report:
         own = [row for row in rows if row["scene"] == scene and "axis" in row]
         exponents: dict[str, dict[str, str]] = {}
         for axis, words in AXES.items():
-            found = sorted((row for row in own if row["axis"] == axis), key=lambda row: row["size"])
+            found = sorted(of_kind(own, axis=axis), key=lambda row: row["size"])
             curves = _curves(found)
             exponents[axis] = {name: str(curve[2]) for name, curve in curves.items()}
             sections.append(_growth_section(scene, axis, words, found, curves))
@@ -92,19 +96,17 @@ def _answer(scene: str, exponents: dict[str, dict[str, str]]) -> str:
     return f"{scene}: the time to embed grows {', '.join(parts)} (95 %)."
 
 
+def _growth_of(rows: Sequence[Row], cost: Callable[[Row], float]) -> Growth:
+    return fit_growth([row["size"] for row in rows], [cost(row) for row in rows])
+
+
 def _curves(found: Sequence[Row]) -> dict[str, Curve]:
     sizes = [float(row["size"]) for row in found]
-    curves: dict[str, Curve] = {}
-    for name, cost in COSTS.items():
-        values = [cost(row) for row in found]
-        curves[name] = (sizes, values, fit_growth(sizes, values))
-    return curves
+    return {name: (sizes, [cost(row) for row in found], _growth_of(found, cost)) for name, cost in COSTS.items()}
 
 
 def _growth_section(scene: str, axis: str, words: str, found: Sequence[Row], curves: dict[str, Curve]) -> Section:
     title = f"{scene}: cost over {words.split(',')[0]}"
-    embed = curves["embed, s"][2]
-    assert embed is not None
     low, high = found[0], found[-1]
     finding = (
         f"From {low['size']:,} to {high['size']:,} {words.split(',')[0]}: embedding takes "
@@ -119,65 +121,42 @@ def _growth_section(scene: str, axis: str, words: str, found: Sequence[Row], cur
         text.append("Smaller sizes are the scene thinned at random, larger ones a grid of turned copies of it.")
     else:
         text.append("Without the landmark bank, which does not depend on the key views.")
-    stages = list(found[0]["stages"])
-    peak = [row["peak_memory_mb"] for row in found]
-    rows = [
-        [
-            row["size"],
-            row["gaussians"],
-            COSTS["embed, s"](row),
-            *(row["stages"][stage] for stage in stages),
-            row["verify_model_s"],
-            row["verify_picture_s"],
-            row["forward_ms"],
-            row["backward_color_ms"],
-            row["backward_ms"],
-            memory,
-        ]
-        for row, memory in zip(found, peak, strict=True)
+    growths = [{"cost": name, "growth": growth} for name, (_, _, growth) in curves.items()]
+    growths.append({"cost": "peak memory", "growth": _growth_of(found, lambda row: float(row["peak_memory_mb"]))})
+    tables = [
+        table(
+            found,
+            (words, "size"),
+            ("Gaussians", "gaussians"),
+            ("embed s", COSTS["embed, s"]),
+            *((f"{stage} s", lambda row, stage=stage: row["stages"][stage]) for stage in low["stages"]),
+            ("verify model s", "verify_model_s"),
+            ("verify picture s", "verify_picture_s"),
+            ("forward ms", "forward_ms"),
+            ("colour backward ms", "backward_color_ms"),
+            ("backward ms", "backward_ms"),
+            ("peak MB, embed", "peak_memory_mb"),
+            title="Measured",
+        ),
+        table(growths, "cost", ("exponent (95 %)", lambda line: str(line["growth"])), title="Growth"),
     ]
-    columns = [
-        words,
-        "Gaussians",
-        "embed s",
-        *(f"{stage} s" for stage in stages),
-        "verify model s",
-        "verify picture s",
-        "forward ms",
-        "colour backward ms",
-        "backward ms",
-        "peak MB, embed",
-    ]
-    exponents = Table(
-        ["cost", "exponent (95 %)"],
-        [
-            *([name, str(curve[2])] for name, curve in curves.items()),
-            ["peak memory", str(fit_growth([row["size"] for row in found], peak))],
-        ],
-        "Growth",
-    )
     drawing = Drawing(
         f"growth-{axis}-{Path(scene).stem.replace(' ', '-')}",
         partial(draw_growth, curves, words, "seconds", finding),
         f"{scene}: seconds over {words}, log-log.",
     )
-    return Section(title, text, [Table(columns, rows, "Measured"), exponents], [drawing])
+    return Section(title, text, tables, [drawing])
 
 
 def _bars(scene: str, own: Sequence[Row]) -> list[Bar]:
     """Embedding and verifying 500,000 Gaussians, read off the fitted growth where no cell has just as many."""
-    found = [row for row in own if row["axis"] == "gaussians"]
+    found = of_kind(own, axis="gaussians")
     if max((row["size"] for row in found), default=0) < BAR_GAUSSIANS:
         return []
+    near = [row for row in found if 100_000 <= row["size"] <= LARGE]
     bars = []
-    wanted = {
-        "embed, s": ("embed fast", EMBED_BAR),
-        "verify model, s": ("verify a model", VERIFY_BAR),
-        "verify picture, s": ("verify a picture", VERIFY_BAR),
-    }
-    for name, (what, limit) in wanted.items():
-        near = [row for row in found if 100_000 <= row["size"] <= LARGE]
-        line = fit_growth([row["size"] for row in near], [COSTS[name](row) for row in near])
+    for name, (what, limit) in BARS.items():
+        line = _growth_of(near, COSTS[name])
         value = line.factor * BAR_GAUSSIANS**line.exponent
         measured = f"{value:.1f} s (line through {len(near)} sizes from 100,000 to 1,000,000)"
         bars.append(Bar(f"{scene}: {what}, 500,000 Gaussians", f"<= {limit:g} s", measured, value <= limit))
@@ -185,35 +164,20 @@ def _bars(scene: str, own: Sequence[Row]) -> list[Bar]:
 
 
 def _roofline_section(rows: Sequence[Row]) -> Section:
-    columns = [
+    shown = table(
+        rows,
         "scene",
         "pairs",
         "fragments",
-        "blend ms",
-        "operations a byte",
-        "GFLOP/s",
-        "attainable GFLOP/s",
+        ("blend ms", "blend_ms"),
+        ("operations a byte", "flops_per_byte"),
+        ("GFLOP/s", lambda row: row["achieved_flops"] / 1e9),
+        ("attainable GFLOP/s", lambda row: row["attainable_flops"] / 1e9),
         "fraction",
-        "peak GFLOP/s",
-        "peak GB/s",
+        ("peak GFLOP/s", lambda row: row["peak_flops"] / 1e9),
+        ("peak GB/s", lambda row: row["peak_bytes"] / 1e9),
         "threads",
-    ]
-    table = [
-        [
-            row["scene"],
-            row["pairs"],
-            row["fragments"],
-            row["blend_ms"],
-            row["flops_per_byte"],
-            row["achieved_flops"] / 1e9,
-            row["attainable_flops"] / 1e9,
-            row["fraction"],
-            row["peak_flops"] / 1e9,
-            row["peak_bytes"] / 1e9,
-            row["threads"],
-        ]
-        for row in rows
-    ]
+    )
     return Section(
         "The forward kernel under the machine's roof",
         [
@@ -224,29 +188,26 @@ def _roofline_section(rows: Sequence[Row]) -> Section:
             "one too. The roof: a stream triad and chains of fused multiply-adds in sixteen lanes, measured in the "
             "same process, best of five."
         ],
-        [Table(columns, table)],
+        [shown],
         [Drawing("roofline", partial(draw_roofline, rows), "Achieved against attainable operations a second.")],
     )
 
 
 def _formats_section(rows: Sequence[Row]) -> Section:
-    columns = ["scene", "format", "SH degree", "bytes", "bytes a Gaussian", "write s", "read s"]
-    table = [
-        [
-            row["scene"],
-            row["format"],
-            row["sh_degree"],
-            row["bytes"],
-            row["bytes"] / row["gaussians"],
-            row["write_s"],
-            row["read_s"],
-        ]
-        for row in rows
-    ]
+    shown = table(
+        rows,
+        "scene",
+        "format",
+        ("SH degree", "sh_degree"),
+        "bytes",
+        ("bytes a Gaussian", lambda row: row["bytes"] / row["gaussians"]),
+        ("write s", "write_s"),
+        ("read s", "read_s"),
+    )
     return Section(
         "Storage by format",
         ["The marked model as each format holds it; .splat keeps no SH beyond degree 0."],
-        [Table(columns, table)],
+        [shown],
         [Drawing("formats", partial(draw_formats, rows), "Bytes a Gaussian of the marked model.")],
     )
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from engine.evaluate.bars_truth import forge
+from engine.evaluate.bench.truth import forge
 from engine.evaluate.marked_scene import bench_key
 from engine.evaluate.null.counting import above
 from engine.evaluate.null.suspects import config_of, marked_scene

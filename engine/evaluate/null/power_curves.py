@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.null.counting import above, wrong_key_seed
 from engine.evaluate.null.suspects import marked_scene
 from engine.evaluate.study import Row

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.evaluate.bars_collusion import innocent_copies
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
+from engine.evaluate.bench.truth import innocent_copies
 from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.evaluate.null.counting import above, count_wrong_keys, wrong_key_seed
 from engine.evaluate.study import Row

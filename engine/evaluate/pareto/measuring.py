@@ -2,16 +2,16 @@
 
 import statistics
 import time
-from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.evaluate.bars_images import bench_screenshots, to_8_bit
-from engine.evaluate.bench_embed import stage_medians
-from engine.evaluate.bench_raster import bench_camera, median_ms
+from engine.evaluate.bench.attacks import other_views, read_attacked, read_screenshots, to_8_bit
+from engine.evaluate.bench.raster import bench_camera
+from engine.evaluate.bench.timing import median_ms, stage_medians
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.evaluate.pareto.points import BASE, Point, config_of
 from engine.evaluate.study import Row
@@ -19,19 +19,14 @@ from engine.formats import LoadedModel, encode_model, read_model
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
 from engine.numerics.machine import load_per_core
-from engine.pipeline.choosing import AUTO, choose, rehearse
+from engine.pipeline.choosing import rehearse
 from engine.pipeline.embedding import Embedding, embed
-from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import make_rig
+from engine.pipeline.profiles import AUTO, Auto, EmbedConfig
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.strength import add_dc
-from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.raster import render
-from engine.sim.suite import Trial, apply_chain
+from engine.sim.suite import Trial
 from engine.watermark.spreading import signed_amplitudes
-
-__all__ = ["ATTACKS", "measure_point"]
 
 ATTACKS: tuple[Trial, ...] = (
     Trial("none", (), "", "model"),
@@ -53,31 +48,19 @@ SCREENSHOTS = 8
 PREDICTED = ("profile", "cells", "fidelity", "auto", "corner")
 """Axes on which `choosing` is held against what is measured."""
 FPS_SIZE = (1297, 840)
+OF_VIEWS = 0x4E1D
+"""Of the stream that draws those views."""
 QUICK_SIZE = 256
 QUICK_ATTACKS = ("none", "noise 0.1 on all", "picture", "picture, JPEG 10")
 
 
 def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> list[Row]:
-    """Everything about one setting on one scene.
+    """Everything about one setting (fields of `Point`) on one scene; quick: small views, no landmarks, one run.
 
-    Parameters
-    ----------
-    scene : str
-        Path of a model.
-    point : dict
-        `Point.arguments()`.
-    seed : int
-        Of key, held-out views and attacks.
-    quick : bool
-        Small views, no landmarks, one run.
-
-    Returns
-    -------
-    list of dict
-        One row, or none where the point does not apply (an SH degree that the scene does not have). A message that
-        the scene cannot carry gives a row with `refused`.
+    One row, or none where the point does not apply (an SH degree that the scene does not have). A message that the
+    scene cannot carry gives a row with `refused`.
     """
-    setting = Point.make(point)
+    setting = Point(**point)
     loaded = _read(scene)
     model = loaded.model
     if setting.degree is not None:
@@ -85,18 +68,16 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
             return []
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (setting.degree + 1) ** 2]))
     size = QUICK_SIZE if quick else 800
-    about = {"scene": scene_name(scene), "point": point, "gaussians": len(loaded.model)}
+    about = {"scene": Path(scene).name, "point": point, "gaussians": len(loaded.model)}
     _warm(scene)
     try:
-        timed = _timed(model, loaded.sha256, setting, seed, quick)
+        made, timed = _timed(model, loaded.sha256, setting, seed, quick)
     except CapacityError as error:
         return [{**about, "refused": str(error), "capacity_bits": error.capacity}]
-    made, config = timed.made, timed.config
-    key = bench_key(seed)
+    config, key = made.config, bench_key(seed)
     record = made.record.to_bytes(key)
-    jitter = np.random.default_rng((seed, 0x4E1D)).random((HELD_OUT, 4))
-    views = make_rig(loaded.model, HELD_OUT, size, size, jitter=jitter)[: 2 if quick else None]
-    subject = MarkedScene(scene_name(scene), loaded.model, made.model, open_record(record, key), made.report)
+    views = other_views(loaded.model, HELD_OUT, size, (seed, OF_VIEWS))[: 2 if quick else None]
+    subject = MarkedScene(Path(scene).name, loaded.model, made.model, open_record(record, key), made.report)
     camera = bench_camera(loaded.model, *((320, 200) if quick else FPS_SIZE))
     foretold = None
     if setting.axis in PREDICTED and not quick:
@@ -110,12 +91,10 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         "landmark_views": config_of(setting).landmark_views,
         "bits": setting.bits,
         "gaussians_out": len(made.model),
-        "stages": timed.stages,
-        "cpu_seconds": timed.cpu_seconds,
+        **timed,
         "busy": load_per_core(),
         "shares_landmarks": setting.shares_landmarks and not quick,
         "predicted_worst_z": foretold,
-        "choice": timed.choice,
         **_fidelity(subject, loaded.model, views),
         "frame_ms": median_ms(lambda: render(made.model, camera), 3 if quick else 9),
         "frame_size": [camera.width, camera.height],
@@ -125,57 +104,38 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
         **_attacked(subject, views[: 1 if quick else PICTURES], seed, quick),
     }
     if not quick and config.landmark_views and (setting == BASE or setting.axis == "landmarks"):
-        shots = bench_screenshots(subject, SCREENSHOTS, seed)
+        shots = read_screenshots(subject, SCREENSHOTS, seed)
         row["screenshots"] = [sum(shot["verdict"] == "marked" for shot in shots), len(shots)]
     return [row]
 
 
-@dataclass(frozen=True)
-class _Timed:
-    """An embedding, the median of each of its stages, processor time of each run (the first has the landmark bank if
-    any has), and how it was configured."""
+def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bool) -> tuple[Embedding, Row]:
+    """Embed once in full, then without the landmark bank: long and steady, it is timed once.
 
-    made: Embedding
-    config: EmbedConfig
-    stages: dict[str, float]
-    cpu_seconds: list[float]
-    choice: dict[str, float | int | bool] | None
-
-
-def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bool) -> _Timed:
-    """Embed once in full, then without the landmark bank: long and steady, it is timed once."""
-    key = bench_key(seed)
+    Returns the first embedding and a row: median of each stage, processor time of each run (the first has the landmark
+    bank if any has), and what was chosen.
+    """
     more: dict[str, Any] = {"landmark_views": 0, "view_size": QUICK_SIZE} if quick else {}
     if point.shares_landmarks:
         more["landmark_views"] = 0
-    runs: list[dict[str, float]] = []
+    made: list[Embedding] = []
     cpu: list[float] = []
-    for number in range(1 if quick else REPEATS):
-        clock, choice, ground = Clock(), None, None
-        began = time.process_time()
+    for _ in range(1 if quick else REPEATS):
         config = config_of(point, **more)
-        if point.profile == AUTO:
-            chosen = choose(model, key, point.bits, config, original_sha256=digest, clock=clock)
-            config, choice, ground = chosen.config, chosen.report(), chosen.ground
-        if number > 0:
-            config = replace(config, landmark_views=0)
-        again = embed(model, key, original_sha256=digest, bits=point.bits, config=config, ground=ground)
+        asked = Auto(config) if point.profile == AUTO else config
+        began = time.process_time()
+        made.append(embed(model, bench_key(seed), original_sha256=digest, bits=point.bits, config=asked))
         cpu.append(time.process_time() - began)
-        if number == 0:
-            made, used, said = again, config, choice
-        runs.append({**clock.seconds, **again.report["seconds_by_stage"]})
-        runs[-1]["landmarks"] = runs[0]["landmarks"]
-    return _Timed(made, used, stage_medians(runs), cpu, said)
+        more["landmark_views"] = 0
+    first = made[0].report
+    bank = {"landmarks": first["seconds_by_stage"]["landmarks"]}
+    stages = stage_medians([{**again.report["seconds_by_stage"], **bank} for again in made])
+    return made[0], {"stages": stages, "cpu_seconds": cpu, "choice": first["choice"]}
 
 
 @lru_cache(maxsize=1)
 def _read(scene: str) -> LoadedModel:
     return read_model(scene)
-
-
-def scene_name(scene: str) -> str:
-    """What a scene is called in rows: its file's name."""
-    return scene.replace("\\", "/").rsplit("/", 1)[-1]
 
 
 @lru_cache(maxsize=1)
@@ -194,13 +154,12 @@ def _warm(scene: str) -> None:
 def _fidelity(subject: MarkedScene, original: GaussianModel, views: list[Camera]) -> Row:
     """Of the mark alone and of everything together, in views where the mark was not shaped."""
     delivered = _unmarked(subject.marked, subject.opened)
-    alone, likeness, total = [], [], []
-    for camera in views:
-        marked, clean = render(subject.marked, camera), render(delivered, camera)
-        alone.append(psnr(clean, marked))
-        likeness.append(ssim(clean, marked))
-        total.append(psnr(render(original, camera), marked))
-    return {"psnr_held_out": alone, "ssim_held_out": min(likeness), "psnr_total_held_out": min(total)}
+    seen = [[render(model, camera) for model in (subject.marked, delivered, original)] for camera in views]
+    return {
+        "psnr_held_out": [psnr(clean, marked) for marked, clean, _ in seen],
+        "ssim_held_out": min(ssim(clean, marked) for marked, clean, _ in seen),
+        "psnr_total_held_out": min(psnr(truth, marked) for marked, _, truth in seen),
+    }
 
 
 def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
@@ -211,28 +170,25 @@ def _unmarked(marked: GaussianModel, opened: OpenedRecord) -> GaussianModel:
 
 
 def _attacked(subject: MarkedScene, cameras: list[Camera], seed: int, quick: bool) -> Row:
-    pictures = [to_8_bit(render(subject.marked, camera)) for camera in cameras]
-    attacks: dict[str, Any] = {}
+    pictures = [(to_8_bit(render(subject.marked, camera)), camera) for camera in cameras]
+    attacks: dict[str, Row] = {}
     seconds: dict[str, float] = {}
     for trial in ATTACKS:
         if quick and trial.label not in QUICK_ATTACKS:
             continue
-        runs: list[Verification] = []
         if trial.kind == "model":
-            suspect = apply_chain(subject.marked, trial, seed)
             times = 1 if trial.chain or quick else REPEATS
-            runs = [verify_model(suspect, subject.opened, VerifyConfig(route="model")) for _ in range(times)]
+            runs = [read_attacked(subject, trial, seed, subject.marked) for _ in range(times)]
         else:
-            for camera, picture in zip(cameras, pictures, strict=True):
-                shown = to_8_bit(apply_chain(picture, trial, seed))
-                runs.append(verify_images([shown], subject.opened, VerifyConfig(), cameras=[camera]))
+            runs = [read_attacked(subject, trial, seed, picture, camera) for picture, camera in pictures]
         if not trial.chain:
             seconds["model" if trial.kind == "model" else "picture"] = statistics.median(r.seconds for r in runs)
+        claims = [run.claim for run in runs]
         attacks[trial.label] = {
-            "z": min(run.claim.z for run in runs),
-            "bit_accuracy": min(run.claim.bit_accuracy for run in runs),
-            "matching": sum(run.claim.matching_bits for run in runs),
-            "read": sum(run.claim.bits for run in runs),
-            "log10_false_claim": max(run.claim.log10_false_claim for run in runs),
+            "z": min(claim.z for claim in claims),
+            "bit_accuracy": min(claim.bit_accuracy for claim in claims),
+            "matching": sum(claim.matching_bits for claim in claims),
+            "read": sum(claim.bits for claim in claims),
+            "log10_false_claim": max(claim.log10_false_claim for claim in claims),
         }
     return {"attacks": attacks, "verify_seconds": seconds}

@@ -5,21 +5,21 @@ One cell is one setting on one scene. On two quiet cores a scene of 100,000 Gaus
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
-from engine.evaluate.busy import busy_words
 from engine.evaluate.intervals import bootstrap, share_interval
 from engine.evaluate.pareto.charts import draw_foretold, draw_main, draw_rendering, draw_time_and_fidelity, peers
 from engine.evaluate.pareto.points import BASE, points
 from engine.evaluate.pareto.summing import Result, cheapest, results
 from engine.evaluate.published import read_published
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
+from engine.evaluate.summing import Column, busy_words, grouped, table
 from engine.pipeline.choosing import SLACK_DB
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
-
-__all__ = ["STUDY"]
 
 WORK = "engine.evaluate.pareto.measuring:measure_point"
 MARGIN = 1.5
@@ -35,7 +35,7 @@ def _cells(options: Options) -> list[Cell]:
         Cell(
             f"{number}-{Path(scene).stem.replace(' ', '-')}-{point.name}",
             WORK,
-            {"scene": scene, "point": point.arguments(), "seed": options.seed, "quick": options.quick},
+            {"scene": scene, "point": asdict(point), "seed": options.seed, "quick": options.quick},
         )
         for number, scene in enumerate(options.scenes)
         for point in points(options.quick)
@@ -43,12 +43,9 @@ def _cells(options: Options) -> list[Cell]:
 
 
 def _report(rows: list[Row], options: Options) -> Report:
-    by_scene: dict[str, list[Row]] = {}
-    for row in rows:
-        by_scene.setdefault(row["scene"], []).append(row)
+    by_scene = grouped(rows, "scene")
     found = {scene: results(own) for scene, own in by_scene.items()}
-    everything = [result for own in found.values() for result in own]
-    told = [result for result in everything if result.row["predicted_worst_z"] is not None]
+    told = [r for own in found.values() for r in own if r.row["predicted_worst_z"] is not None]
     first, main = next(iter(found.items()))
     published = read_published()
     sections = [
@@ -126,52 +123,44 @@ def _advice(scene: str, found: Sequence[Result]) -> tuple[str, dict[str, Any]]:
 def _named(result: Result) -> str:
     changed = ", ".join(
         f"{name.replace('_', ' ')} {value:g}" if isinstance(value, (int, float)) else f"{name} {value}"
-        for name, value in result.point.changes
+        for name, value in sorted(result.point.changes.items())
     )
     return f"profile {result.point.profile}" + (f" with {changed}" if changed else "")
 
 
 def _bars(scene: str, found: Sequence[Result]) -> list[Bar]:
-    bars = []
     plain = [result for result in found if result.point.axis in ("profile", "auto")]
     matching, read = sum(r.matching for r in plain), sum(r.read for r in plain)
     low, high = share_interval(matching, read)
-    bars.append(
+    worst, wanted = min(plain, key=lambda result: result.worst_z), MARGIN * z_threshold(CHANCE_RATE)
+    least, most = bootstrap([result.worst_z for result in plain])
+    bars = [
         Bar(
             f"{scene}: bits right after all attacks, profiles and auto",
             "100 %",
             f"{100 * matching / read:.2f} % of {read} (95 %: {100 * low:.2f} to {100 * high:.2f})",
             matching == read,
-        )
-    )
-    worst = min(plain, key=lambda result: result.worst_z)
-    spread = bootstrap([result.worst_z for result in plain])
-    bars.append(
+        ),
         Bar(
             f"{scene}: z after the worst attack, profiles and auto",
-            f">= {MARGIN * z_threshold(CHANCE_RATE):.1f}",
-            f"{worst.worst_z:.1f} ({worst.point.name}, {worst.worst_attack}; mean of settings "
-            f"{spread[0]:.1f} to {spread[1]:.1f})",
-            worst.worst_z >= MARGIN * z_threshold(CHANCE_RATE),
-        )
-    )
+            f">= {wanted:.1f}",
+            f"{worst.worst_z:.1f} ({worst.point.name}, {worst.worst_attack}; "
+            f"mean of settings {least:.1f} to {most:.1f})",
+            worst.worst_z >= wanted,
+        ),
+    ]
     base = next(result for result in found if result.point == BASE)
-    large = base.row["gaussians"] >= 400_000 or base.embed_seconds > FAST_BAR
-    for name, limit in (("fast", FAST_BAR), ("balanced", BALANCED_BAR)):
-        result = next((r for r in found if r.point.name == name), None)
-        if result is not None and large:
-            bars.append(
-                Bar(
-                    f"{scene}: embed {name}, {base.row['gaussians']:,} Gaussians",
-                    f"<= {limit:g} s",
-                    f"{result.embed_seconds:.1f} s (medians of {len(result.row['cpu_seconds'])})",
-                    result.embed_seconds <= limit,
-                )
-            )
+    count = base.row["gaussians"]
+    if count >= 400_000 or base.embed_seconds > FAST_BAR:
+        limits = {"fast": FAST_BAR, "balanced": BALANCED_BAR}
+        for result in (result for result in found if result.point.name in limits):
+            seconds, limit = result.embed_seconds, limits[result.point.name]
+            said = f"{seconds:.1f} s (medians of {len(result.row['cpu_seconds'])})"
+            what = f"{scene}: embed {result.point.name}, {count:,} Gaussians"
+            bars.append(Bar(what, f"<= {limit:g} s", said, seconds <= limit))
     for what, seconds in base.row["verify_seconds"].items():
-        bars.append(
-            Bar(f"{scene}: verify a {what}", f"<= {VERIFY_BAR:g} s", f"{seconds:.1f} s (median)", seconds <= VERIFY_BAR)
-        )
+        said = f"{seconds:.1f} s (median)"
+        bars.append(Bar(f"{scene}: verify a {what}", f"<= {VERIFY_BAR:g} s", said, seconds <= VERIFY_BAR))
     return bars
 
 
@@ -185,7 +174,7 @@ def _foretold_section(told: Sequence[Result]) -> Section:
             "unseen views of 800 pixels at JPEG quality 10 (engine/pipeline/choosing.py). What is measured beside is "
             "the worse of two other unseen views, at JPEG quality 10 and with noise of std 0.1. "
             f"Measured over predicted: {min(ratios):.2f} to {max(ratios):.2f} in {len(told)} settings, mean "
-            f"{sum(ratios) / len(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
+            f"{fmean(ratios):.2f} (95 %: {low:.2f} to {high:.2f})."
         ],
         drawings=[
             Drawing("foretold", partial(draw_foretold, told), "z of the worst attacked picture: predicted, measured.")
@@ -195,6 +184,22 @@ def _foretold_section(told: Sequence[Result]) -> Section:
 
 def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> Section:
     refused = [f"{row['point']['name']}: {row['refused']}" for row in rows if "refused" in row]
+    cost = table(found, *COSTS, title="Cost and worth")
+    stages = dict.fromkeys(stage for result in found for stage in result.row["stages"])
+    by_stage = table(
+        found,
+        SETTING,
+        *((stage, partial(_seconds_of_stage, stage)) for stage in stages),
+        title="Seconds by stage (landmarks left empty: those of fast)",
+    )
+    by_attack = table(
+        found,
+        SETTING,
+        *((attack, lambda r, attack=attack: r.attacks[attack]["z"]) for attack in found[0].attacks),
+        title="z after each attack (pictures: the lowest of two)",
+    )
+    shot = sorted((r for r in found if "screenshots" in r.row), key=lambda r: int(r.row["landmark_views"]))
+    screenshots = table(shot, *SCREENSHOTS, title="Screenshots of unknown camera by landmark views")
     return Section(
         f"{scene}: all settings",
         [
@@ -203,107 +208,65 @@ def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> 
             "against the unmarked render, in the worst of six views that no key view was.",
             *refused,
         ],
-        [_cost_table(found), _stage_table(found), _attack_table(found), *_screenshot_table(found)],
+        [cost, by_stage, by_attack, *([screenshots] if shot else [])],
     )
 
 
-def _cost_table(found: Sequence[Result]) -> Table:
-    columns = [
-        "setting",
-        "embed s",
-        "embed, CPU s",
-        "verify model s",
-        "verify picture s",
-        "pictures/s",
-        "mark dB, unseen",
-        "SSIM, unseen",
-        "total dB, unseen",
-        "worst z",
-        "worst attack",
-        "bits right %",
-        "capacity",
-        "Gaussians",
-        ".sog bytes each",
-        "record bytes each",
-    ]
-    return Table(columns, [_cost_row(result, result.row) for result in found], "Cost and worth")
+def _seconds_of_stage(stage: str, result: Result) -> float | None:
+    if stage == "landmarks" and result.row["shares_landmarks"]:
+        return None
+    seconds: float | None = result.row["stages"].get(stage)
+    return seconds
 
 
-def _cost_row(r: Result, row: Row) -> list[Any]:
-    return [
-        r.point.name,
-        r.embed_seconds,
-        r.cpu_seconds,
-        row["verify_seconds"]["model"],
-        row["verify_seconds"]["picture"],
-        r.frames_per_second,
-        r.held_out_db,
-        row["ssim_held_out"],
-        row["psnr_total_held_out"],
-        r.worst_z,
-        r.worst_attack,
-        100 * r.matching / r.read,
-        row["capacity_bits"],
-        row["gaussians_out"],
-        row["sog_bytes"] / row["gaussians_out"],
-        row["record_bytes"] / row["gaussians_out"],
-    ]
+def _share_claimed(result: Result) -> str:
+    low, high = share_interval(*result.row["screenshots"])
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
 
 
-def _stage_table(found: Sequence[Result]) -> Table:
-    stages = list(dict.fromkeys(stage for r in found for stage in r.row["stages"]))
-    rows: list[list[Any]] = []
-    for result in found:
-        own = dict(result.row["stages"])
-        if result.row["shares_landmarks"]:
-            del own["landmarks"]
-        rows.append([result.point.name, *(own.get(stage) for stage in stages)])
-    return Table(["setting", *stages], rows, "Seconds by stage (landmarks left empty: those of fast)")
-
-
-def _attack_table(found: Sequence[Result]) -> Table:
-    attacks = list(found[0].row["attacks"])
-    rows = [[r.point.name, *(r.row["attacks"][name]["z"] for name in attacks)] for r in found]
-    return Table(["setting", *attacks], rows, "z after each attack (pictures: the lowest of two)")
-
-
-def _screenshot_table(found: Sequence[Result]) -> list[Table]:
-    rows: list[list[Any]] = []
-    for result in found:
-        if "screenshots" in result.row:
-            marked, trials = result.row["screenshots"]
-            low, high = share_interval(marked, trials)
-            rows.append(
-                [
-                    result.row["landmark_views"],
-                    result.row["stages"]["landmarks"],
-                    f"{marked} of {trials}",
-                    f"{100 * low:.0f} to {100 * high:.0f} %",
-                ]
-            )
-    columns = ["landmark views", "seconds", "screenshots claimed", "95 %"]
-    return [Table(columns, sorted(rows), "Screenshots of unknown camera by landmark views")] if rows else []
+SETTING: Column = ("setting", lambda r: r.point.name)
+COSTS: tuple[Column, ...] = (
+    SETTING,
+    ("embed s", lambda r: r.embed_seconds),
+    ("embed, CPU s", lambda r: r.cpu_seconds),
+    ("verify model s", lambda r: r.row["verify_seconds"]["model"]),
+    ("verify picture s", lambda r: r.row["verify_seconds"]["picture"]),
+    ("pictures/s", lambda r: r.frames_per_second),
+    ("mark dB, unseen", lambda r: r.held_out_db),
+    ("SSIM, unseen", lambda r: r.row["ssim_held_out"]),
+    ("total dB, unseen", lambda r: r.row["psnr_total_held_out"]),
+    ("worst z", lambda r: r.worst_z),
+    ("worst attack", lambda r: r.worst_attack),
+    ("bits right %", lambda r: 100 * r.matching / r.read),
+    ("capacity", lambda r: r.row["capacity_bits"]),
+    ("Gaussians", lambda r: r.row["gaussians_out"]),
+    (".sog bytes each", lambda r: r.row["sog_bytes"] / r.row["gaussians_out"]),
+    ("record bytes each", lambda r: r.row["record_bytes"] / r.row["gaussians_out"]),
+)
+SCREENSHOTS: tuple[Column, ...] = (
+    ("landmark views", lambda r: r.row["landmark_views"]),
+    ("seconds", lambda r: r.row["stages"]["landmarks"]),
+    ("screenshots claimed", lambda r: "{} of {}".format(*r.row["screenshots"])),
+    ("95 %", _share_claimed),
+)
 
 
 def _peers_table(published: Sequence[Any]) -> Table:
     bits, fidelity = ({name: value for name, _, value, _ in peers(published, what)} for what in ("bits", "PSNR"))
+    times = {point.method: point.value for point in reversed(published) if point.what == "embedding time"}
     first = {point.method: point for point in reversed(published)}
-    rows = [
-        [
-            method,
-            point.venue,
-            next(p.value for p in published if p.method == method and p.what == "embedding time"),
-            bits.get(method),
-            fidelity.get(method),
-            "blind" if point.blind else "informed",
-            point.hardware,
-            point.source,
-        ]
-        for method, point in sorted(first.items())
-        if method in bits or method in fidelity
-    ]
-    columns = ["method", "venue", "embed s", "bits right, worst picture %", "PSNR dB", "reads", "hardware", "source"]
-    return Table(columns, rows, "Published, other hardware")
+    return table(
+        [point for method, point in sorted(first.items()) if method in bits or method in fidelity],
+        ("method", lambda point: point.method),
+        ("venue", lambda point: point.venue),
+        ("embed s", lambda point: times[point.method]),
+        ("bits right, worst picture %", lambda point: bits.get(point.method)),
+        ("PSNR dB", lambda point: fidelity.get(point.method)),
+        ("reads", lambda point: "blind" if point.blind else "informed"),
+        ("hardware", lambda point: point.hardware),
+        ("source", lambda point: point.source),
+        title="Published, other hardware",
+    )
 
 
 STUDY = Study(

@@ -3,51 +3,54 @@
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from engine.evaluate.pareto.points import BASE, Point, config_of
 from engine.evaluate.study import Row
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
-__all__ = ["Result", "cheapest", "pareto_front", "results"]
-
 
 @dataclass(frozen=True)
 class Result:
-    """One setting on one scene.
+    """One setting on one scene, and everything that was measured.
 
-    Parameters
-    ----------
-    embed_seconds : float
-        Sum of the medians of all stages, the landmark bank included.
-    cpu_seconds : float
-        Processor time of the same, all threads together: it hardly depends on what else the machine does.
-    worst_z : float
-        Lowest of all attacks and pictures.
-    worst_attack : str
-        Where it was.
-    matching, read : int
-        Bits right and read, all attacks together.
-    held_out_db : float
-        PSNR of the mark in the worst view that no key view was, dB.
-    row : dict
-        Everything else.
+    Seconds to embed are the sum of the medians of all stages, the landmark bank included; processor time of the same,
+    all threads together, hardly depends on what else the machine does.
     """
 
     point: Point
     embed_seconds: float
     cpu_seconds: float
-    worst_z: float
-    worst_attack: str
-    matching: int
-    read: int
-    held_out_db: float
     row: Row
 
     @property
-    def all_bits(self) -> bool:
-        """Whether every bit was read right after every attack."""
-        return self.matching == self.read
+    def attacks(self) -> dict[str, Row]:
+        """What was read after each attack."""
+        return dict(self.row["attacks"])
+
+    @property
+    def worst_attack(self) -> str:
+        """That of the lowest z."""
+        return min(self.attacks, key=lambda label: float(self.attacks[label]["z"]))
+
+    @property
+    def worst_z(self) -> float:
+        """Lowest of all attacks and pictures."""
+        return float(self.attacks[self.worst_attack]["z"])
+
+    @property
+    def matching(self) -> int:
+        """Bits right, all attacks together."""
+        return sum(told["matching"] for told in self.attacks.values())
+
+    @property
+    def read(self) -> int:
+        """Bits read, all attacks together."""
+        return sum(told["read"] for told in self.attacks.values())
+
+    @property
+    def held_out_db(self) -> float:
+        """PSNR of the mark in the worst view that no key view was, dB."""
+        return float(min(self.row["psnr_held_out"]))
 
     @property
     def frames_per_second(self) -> float:
@@ -64,37 +67,29 @@ class Result:
         """z of the worst attacked picture."""
         return min(float(told["z"]) for told in self._attacked_pictures())
 
-    def _attacked_pictures(self) -> list[dict[str, Any]]:
-        return [told for label, told in self.row["attacks"].items() if label.startswith("picture, ")]
+    def _attacked_pictures(self) -> list[Row]:
+        return [told for label, told in self.attacks.items() if label.startswith("picture, ")]
 
 
 def results(rows: Sequence[Row]) -> list[Result]:
-    """Results of one scene's rows, in their order; settings that were refused are left out."""
-    measured = [row for row in rows if "refused" not in row]
-    base = next((row for row in measured if Point.make(row["point"]) == BASE), None)
-    wall, cpu = 0.0, 0.0
-    if base is not None:
-        first, *others = base["cpu_seconds"]
-        wall, cpu = float(base["stages"]["landmarks"]), first - statistics.median(others or [first])
-    return [_result(row, wall, cpu) if row["shares_landmarks"] else _result(row, 0.0, None) for row in measured]
+    """Results of one scene's rows, in their order; settings that were refused are left out.
 
-
-def _result(row: Row, bank: float, bank_cpu: float | None) -> Result:
-    """One row's result, with the time of a landmark bank that it shares."""
-    cpu = row["cpu_seconds"]
-    attacks: dict[str, Any] = row["attacks"]
-    worst = min(attacks, key=lambda label: attacks[label]["z"])
-    return Result(
-        Point.make(row["point"]),
-        sum(row["stages"].values()) + bank,
-        cpu[0] if bank_cpu is None else statistics.median(cpu) + bank_cpu,
-        float(attacks[worst]["z"]),
-        worst,
-        sum(told["matching"] for told in attacks.values()),
-        sum(told["read"] for told in attacks.values()),
-        min(row["psnr_held_out"]),
-        row,
-    )
+    A setting that shares the landmark bank of the base is given that bank's time.
+    """
+    measured = [(Point(**row["point"]), row) for row in rows if "refused" not in row]
+    bank, bank_cpu = 0.0, 0.0
+    for point, row in measured:
+        if point == BASE:
+            first, *others = row["cpu_seconds"]
+            bank, bank_cpu = float(row["stages"]["landmarks"]), first - statistics.median(others or [first])
+    found = []
+    for point, row in measured:
+        seconds, cpu = sum(row["stages"].values()), row["cpu_seconds"]
+        if row["shares_landmarks"]:
+            found.append(Result(point, seconds + bank, statistics.median(cpu) + bank_cpu, row))
+        else:
+            found.append(Result(point, seconds, cpu[0], row))
+    return found
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -108,17 +103,9 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def cheapest(found: Sequence[Result], *, margin: float, least_db: float, bits: int = 32) -> Result | None:
-    """The setting of least embedding time that meets a wished accuracy; None where none does.
+    """The setting of least embedding time that reads every bit after every attack; None where none does.
 
-    Parameters
-    ----------
-    found : sequence of Result
-    margin : float
-        Times the z that a claim at 1e-9 needs, after the worst attack.
-    least_db : float
-        Of the mark in unseen views.
-    bits : int
-        Length of the message; every bit must be read after every attack.
+    After the worst attack it keeps `margin` times the z that a claim at 1e-9 needs, and in unseen views `least_db`.
     """
     wanted = margin * z_threshold(CHANCE_RATE)
     # A mark must be read from screenshots, too. A thinner bank loses one in some dozens (docs/RESULTS.md), which the
@@ -128,7 +115,7 @@ def cheapest(found: Sequence[Result], *, margin: float, least_db: float, bits: i
         result
         for result in found
         if result.point.bits == bits
-        and result.all_bits
+        and result.matching == result.read
         and result.worst_z >= wanted
         and result.held_out_db >= least_db
         and result.row["landmark_views"] >= bank

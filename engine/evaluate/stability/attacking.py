@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene
 from engine.evaluate.stability.subjects import BaselineMark, Subjects, subjects
 from engine.evaluate.study import Row

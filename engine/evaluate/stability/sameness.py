@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.evaluate.bars_images import to_8_bit
+from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import mark_scene
 from engine.evaluate.stability.stressing import claim_digest
 from engine.evaluate.stability.subjects import config_of, subjects

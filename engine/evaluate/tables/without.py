@@ -7,75 +7,53 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from engine.compress.hvq import HvqConfig, Stage, quantize
-from engine.compress.impact import Impact, uncertainty
+from engine.compress.impact import Impact
 from engine.errors import InputError
-from engine.model import SH_C0, Float64, GaussianModel, Int32
+from engine.model import SH_C0, Float64, GaussianModel
 from engine.pipeline.rigs import measure_extent
 from engine.pipeline.variant import PLAIN, Variant
-
-__all__ = ["STEPS", "without"]
+from engine.watermark.planning import PlanConfig, visual_mask
 
 STEPS = ("uncertainty weights", "uncertainty mask", "uncertainty", "svd")
 
 
 def without(step: str, config: HvqConfig) -> Variant:
-    """The variant whose embedding lacks that step; the plain one for an empty name.
-
-    Parameters
-    ----------
-    step : str
-        One of STEPS, or empty.
-    config : HvqConfig
-        Of the embedding.
-
-    Raises
-    ------
-    InputError
-        If there is no such step.
-    """
+    """The variant whose embedding lacks that step of STEPS (InputError for another); the plain one for no name."""
     if not step:
         return PLAIN
     if step not in STEPS:
         raise InputError(f"no step {step!r} can be taken out; there are {', '.join(STEPS)}")
-    return _Without(step=step, config=config)
+    return _Lacking(step=step, config=config)
 
 
 @dataclass(frozen=True, eq=False)
-class _Without(Variant):
+class _Lacking(Variant):
     step: str = ""
     config: HvqConfig = field(default_factory=HvqConfig)
-    seen: list[Int32] = field(default_factory=list)
+    made: list[Stage] = field(default_factory=list)
 
     def own_stages(self, model: GaussianModel, weights: Float64) -> tuple[Stage, ...]:
         if self.step in ("uncertainty weights", "uncertainty"):
             weights = np.ones(len(model))
         stages = quantize(model, weights, measure_extent(model).radius, self.config)
-        self.seen.append(stages[0].labels)
+        self.made.append(stages[0])
         return _on_rgb_axes(stages) if self.step == "svd" else stages
 
     def emphasis_on(self, impact: Impact) -> Float64 | None:
+        """The planner's mask where all cells are equally certain, over its mask as they are."""
         if self.step not in ("uncertainty mask", "uncertainty"):
             return None
-        labels = self.seen[-1]
-        return np.asarray(1.0 / doubt(labels, impact))[labels]
-
-
-def doubt(labels: Int32, impact: Impact) -> Float64:
-    """(M,) the planner's factor for uncertainty on each cell; 1 where nothing was seen.
-
-    A copy of what `engine.watermark.planning` multiplies in, to be divided out; a test holds the two together.
-    """
-    usage = np.bincount(labels, impact.coverage)
-    seen = usage > 0.01 * np.median(usage[usage > 0]) if (usage > 0).any() else usage > 0
-    if not seen.any():
-        return np.ones(len(usage))
-    u = uncertainty(np.bincount(labels, impact.squared).astype(np.float64))
-    return np.where(seen, np.clip((u / np.median(u[seen])) ** 0.125, 0.8, 1.25), 1.0)
+        stage = self.made[-1]
+        count = len(stage.codebook)
+        usage = np.bincount(stage.labels, impact.coverage, count).astype(np.float64)  # (M,)
+        even = replace(impact, squared=1.0 / np.bincount(stage.labels)[stage.labels])  # (N,), adds up to 1 in each cell
+        wanted, usual = (visual_mask(stage, seen, usage, count, PlanConfig()) for seen in (even, impact))  # (M,)
+        return np.asarray((wanted / usual)[stage.labels])  # (N,); texture cancels out
 
 
 def _on_rgb_axes(stages: Sequence[Stage]) -> tuple[Stage, ...]:

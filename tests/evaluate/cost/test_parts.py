@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from engine.evaluate.cost.growth import fit_growth
-from engine.evaluate.cost.measuring import _roofline
+from engine.evaluate.cost.measuring import _roofline, sized
 from engine.evaluate.cost.peaks import peak_bandwidth, peak_flops
-from engine.evaluate.cost.scenes import sized
 from engine.formats import read_model
 from engine.pipeline.rigs import measure_extent
 

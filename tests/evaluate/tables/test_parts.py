@@ -11,13 +11,13 @@ from engine.compress.hvq import HvqConfig, Stage, quantize
 from engine.compress.impact import measure_impact
 from engine.errors import InputError
 from engine.evaluate.intervals import share_interval
-from engine.evaluate.tables.compare import effect, paired
-from engine.evaluate.tables.paper import printed
+from engine.evaluate.marked_scene import configure
+from engine.evaluate.summing import accuracy, mean_text, range_text, share_text, table
+from engine.evaluate.tables.curves import effect
+from engine.evaluate.tables.part import printed
 from engine.evaluate.tables.sections.ablation import LINES, verdict
 from engine.evaluate.tables.sections.fig6 import knobs as knobs_of_figure_6
-from engine.evaluate.tables.setting import configure
-from engine.evaluate.tables.without import STEPS, doubt, without
-from engine.evaluate.tables.words import accuracy, mean_text, range_text
+from engine.evaluate.tables.without import STEPS, without
 from engine.formats import read_model
 from engine.model import SH_C0
 from engine.pipeline.profiles import profile
@@ -31,24 +31,26 @@ from tests.evaluate.tables.test_study import PLANT
 
 
 def test_settings_change_what_they_name_and_nothing_else() -> None:
-    config = configure({"views": 3}, {"plan": {"texture_exponent": 0.0}, "quantize": {"residual_codes": [8, 4]}})
-    plain = profile("fast", landmark_views=0)
+    config = configure(
+        "fast", {"views": 3}, {"plan": {"texture_exponent": 0.0}, "quantize": {"residual_codes": [8, 4]}}
+    )
+    plain = profile("fast")
     assert config.views == 3
     assert config.plan.texture_exponent == 0.0
     assert config.plan.balance_rounds == plain.plan.balance_rounds
     assert config.quantize.residual_codes == (8, 4)
-    assert configure() == plain
+    assert configure("fast") == plain
 
 
 def test_unknown_settings_are_refused() -> None:
     with pytest.raises(InputError, match="PlanConfig has no field 'texture'"):
-        configure({"plan": {"texture": 0.0}})
+        configure("fast", {"plan": {"texture": 0.0}})
 
 
 def test_every_setting_of_the_tables_exists() -> None:
     points = [setting for knob in knobs_of_figure_6(False) for setting in knob.points.values()]
     for setting in [*points, *(s for line in LINES for s in (line.setting, line.base))]:
-        configure(setting.changes)
+        configure("fast", setting.changes)
         without(setting.without, HvqConfig())
 
 
@@ -62,9 +64,10 @@ def test_mask_without_uncertainty_is_the_planners_without_it(monkeypatch: pytest
     taken = without("uncertainty mask", HvqConfig(cells=64))
     stages = taken.own_stages(model, impact.squared)
     assert stages is not None
-    factor = doubt(stages[0].labels, impact)
+    factor = taken.emphasis_on(impact)
+    assert factor is not None
     assert factor.max() - factor.min() > 0.05, "the step does something on this model"
-    made = planning.make_plan(stages, impact, None, taken.emphasis_on(impact))
+    made = planning.make_plan(stages, impact, None, factor)
     monkeypatch.setattr(planning, "uncertainty", lambda curvature: np.ones_like(curvature))
     expected = planning.make_plan(stages, impact)
     np.testing.assert_allclose(made.layout.amplitudes, expected.layout.amplitudes, rtol=1e-5)
@@ -122,7 +125,14 @@ def test_accuracy_counts_bits_and_whole_readings() -> None:
     assert (found.low, found.high) == share_interval(62, 64)
     assert (found.whole, found.readings) == (1, 2)
     assert str(found).startswith("96.88 % (")
+    assert share_text(found).startswith("96.9 % (")
     assert accuracy([]) is None
+    assert share_text(None) == ""
+
+
+def test_a_table_is_columns_of_rows() -> None:
+    made = table([{"a": 1, "b": 2.0}], "a", ("twice", lambda row: 2 * row["b"]), ("again", "a"), title="T")
+    assert (made.columns, made.rows, made.title) == (["a", "twice", "again"], [[1, 4.0, 1]], "T")
 
 
 def test_one_value_is_said_to_be_alone() -> None:
@@ -155,7 +165,7 @@ def test_effects_are_paired_by_place() -> None:
     found = effect(rows, "texture-0", "default", "JPEG 10")
     assert found is not None
     line = next(line for line in LINES if line.setting.name == "texture-0")
-    assert len(paired(rows, "texture-0", "default", "none")) == 8 == found.pairs
+    assert found.pairs == 8
     assert effect(rows, "default", "default", "none") is not None
     assert math.isclose(effect(rows, "default", "default", "none").percent, 0.0)  # type: ignore[union-attr]
     assert effect(rows, "default", "cells-1024", "none") is None

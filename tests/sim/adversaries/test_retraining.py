@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.evaluate.bars_retraining import bench_retraining
+from engine.evaluate.bench.training import read_retrained
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.formats import read_model
 from engine.model import Camera, GaussianModel
@@ -92,7 +92,7 @@ def test_random_points_know_nothing_of_the_surface(scene: MarkedScene, cameras: 
 
 
 def test_bench_gives_a_row_for_each_route(scene: MarkedScene) -> None:
-    rows = list(bench_retraining(scene, views=(3,), stops=(5,), size=96, config=CONFIG))
+    rows = list(read_retrained(scene, views=(3,), stops=(5,), size=96, config=CONFIG))
     assert [row["route"] for row in rows] == ["render", "image"]
     assert rows[0]["views"] == 3
     assert rows[0]["verdict"] != "marked"  # after five steps there is nothing to see yet

@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from statistics import fmean
+from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import figure, styles
-from engine.evaluate.study import Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.tables.compare import CONDITIONS, effect
-from engine.evaluate.tables.part import Part, of_kind, setting_cells
+from engine.evaluate.drawing import INK, figure, styles
+from engine.evaluate.study import Cell, Drawing, Options, Row, Section
+from engine.evaluate.summing import INTERVALS, accuracy, share_text, table
+from engine.evaluate.tables.curves import Effect, effect
+from engine.evaluate.tables.part import CONDITIONS, DEFAULT, Part, Setting, rows_of_setting, setting_cells
 from engine.evaluate.tables.sections.fig6 import compact
-from engine.evaluate.tables.sections.fig7 import BUDGET_DB, pruned
-from engine.evaluate.tables.sections.table6 import refined
-from engine.evaluate.tables.setting import DEFAULT, Setting
-from engine.evaluate.tables.words import INTERVALS, accuracy
+from engine.evaluate.tables.sections.fig7 import BUDGET_DB, pruned, share_pruned
+from engine.evaluate.tables.sections.table6 import LOSSES, refined
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SEEN_AS = ("model", *CONDITIONS)
-NAMES = {"model": "the model", "none": "picture", "JPEG 10": "picture, JPEG 10", "noise 0.1": "picture, noise 0.1"}
+NAMES = {"model": "the model", "none": "picture", **{name: f"picture, {name}" for name in CONDITIONS[1:]}}
+"""What z is read from."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One stage, switched.
-
-    Parameters
-    ----------
-    stage, change : str
-        Which, and what is done to it.
-    setting, base : Setting
-        With the change, and without.
-    """
+    """One stage, what is done to it, the setting with that change and the one without."""
 
     stage: str
     change: str
@@ -61,8 +53,8 @@ LINES = (
     Line("SVD", "RGB axes instead of singular vectors", Setting("no-svd", without="svd")),
     Line("masses", "clipped values move too", Setting("masses-move", {"plan": {"mass_share": 1.0}})),
     Line("balance", "views not balanced", Setting("no-balance", {"plan": {"balance_rounds": 0}})),
-    Line("refinement", "60 steps, weights of the text", refined("loss-text", 0.4, 1.0, 0.3)),
-    Line("refinement", "60 steps, weights of the appendix", refined("loss-appendix", 0.2, 0.5, 0.05)),
+    Line("refinement", "60 steps, weights of the text", refined("loss-text", *LOSSES["loss-text"])),
+    Line("refinement", "60 steps, weights of the appendix", refined("loss-appendix", *LOSSES["loss-appendix"])),
 )
 QUICK = ("texture-0",)
 
@@ -74,24 +66,29 @@ def lines(quick: bool) -> list[Line]:
 
 def cells(options: Options) -> list[Cell]:
     """Each line's two settings."""
-    wanted = lines(options.quick)
-    every = {s.name: s for line in wanted for s in (line.base, line.setting)}
-    return setting_cells(options, every.values())
+    return setting_cells(options, [setting for line in lines(options.quick) for setting in (line.base, line.setting)])
 
 
 def section(rows: list[Row], options: Options) -> Section:
     """Changes of z, bits, fidelity and seconds, and a verdict in words."""
-    table = [
-        _line(line, rows) for line in lines(options.quick) if of_kind(rows, setting=line.setting.name, kind="marked")
-    ]
-    columns = (
+    compared = table(
+        [
+            {
+                "stage": line.stage,
+                "change": line.change,
+                **{f"z, {NAMES[seen]}": str(found or "") for seen, found in _effects(line, rows).items()},
+                **_sides(line, rows),
+                "so": verdict(line, rows),
+            }
+            for line in _shown(lines(options.quick), rows)
+        ],
         "stage",
         "change",
-        *(f"z, {NAMES[c]}" for c in SEEN_AS),
-        "bits under attack, before -> after",
-        "PSNR, dB",
-        "size",
-        "embed, s",
+        *(f"z, {name}" for name in NAMES.values()),
+        ("bits under attack, before -> after", lambda of: f"{_bits(of['before'])} -> {_bits(of['after'])}"),
+        ("PSNR, dB", lambda of: f"{_worst(of['before']):.1f} -> {_worst(of['after']):.1f}"),
+        ("size", lambda of: f"{_left(of['before']):.0f} -> {_left(of['after']):.0f}"),
+        ("embed, s", lambda of: f"{_seconds(of['before']):.1f} -> {_seconds(of['after']):.1f}"),
         "so",
     )
     return Section(
@@ -107,7 +104,7 @@ def section(rows: list[Row], options: Options) -> Section:
             "on a scene that has only the first one.",
             INTERVALS,
         ],
-        [Table(columns, table)],
+        [compared],
         [
             Drawing(
                 "ablation",
@@ -118,77 +115,70 @@ def section(rows: list[Row], options: Options) -> Section:
     )
 
 
-def _line(line: Line, rows: list[Row]) -> list[Any]:
-    new, old = (of_kind(rows, setting=s.name, kind="marked") for s in (line.setting, line.base))
-    return [
-        line.stage,
-        line.change,
-        *(str(effect(rows, line.setting.name, line.base.name, c) or "") for c in SEEN_AS),
-        f"{_bits(rows, line.base)} -> {_bits(rows, line.setting)}",
-        f"{_worst(old):.1f} -> {_worst(new):.1f}",
-        f"{100 * _left(rows, line.base):.0f} -> {100 * _left(rows, line.setting):.0f}",
-        f"{_seconds(old):.1f} -> {_seconds(new):.1f}",
-        verdict(line, rows),
-    ]
+def _effects(line: Line, rows: list[Row]) -> dict[str, Effect | None]:
+    return {seen: effect(rows, line.setting.name, line.base.name, seen) for seen in NAMES}
+
+
+def _sides(line: Line, rows: list[Row]) -> dict[str, dict[str, list[Row]]]:
+    sides = {"before": line.base, "after": line.setting}
+    return {side: rows_of_setting(rows, setting.name) for side, setting in sides.items()}
+
+
+def _shown(wanted: list[Line], rows: list[Row]) -> list[Line]:
+    return [line for line in wanted if _sides(line, rows)["after"]["marked"]]
 
 
 def verdict(line: Line, rows: list[Row]) -> str:
     """The changes whose interval leaves out 0, and that of the size."""
-    found = {c: effect(rows, line.setting.name, line.base.name, c) for c in SEEN_AS}
+    found, sides = _effects(line, rows), _sides(line, rows)
     if not any(found.values()):
         return "not measured"
     if all(e is not None and e.low == e.high == 0.0 for e in found.values()):
         return "changes nothing here"
     said = [f"{NAMES[c]} {e.percent:+.0f} %" for c, e in found.items() if e is not None and e.is_clear]
-    new, old = (_left(rows, setting) for setting in (line.setting, line.base))
-    if abs(new / old - 1.0) > 0.005:
-        said.append(f"Gaussians {100 * (new / old - 1.0):+.0f} %")
+    size = 100 * (_left(sides["after"]) / _left(sides["before"]) - 1.0)
+    if abs(size) > 0.5:
+        said.append(f"Gaussians {size:+.0f} %")
     return "; ".join(said) or "no clear effect"
 
 
 def draw(rows: list[Row], wanted: list[Line]) -> Figure:
     """A forest: one row a change, one mark a kind of evidence."""
-    shown = [line for line in wanted if of_kind(rows, setting=line.setting.name, kind="marked")]
+    shown = _shown(wanted, rows)
     drawn, axes = figure(width=8.6, height=1.2 + 0.42 * max(len(shown), 1))
-    for slot, (condition, style) in enumerate(zip(SEEN_AS, styles(), strict=False)):
-        points = []
-        for number, line in enumerate(shown):
-            found = effect(rows, line.setting.name, line.base.name, condition)
-            if found is not None:
-                points.append(
-                    (found.percent, number - 0.24 + 0.16 * slot, found.percent - found.low, found.high - found.percent)
-                )
+    for slot, (condition, style) in enumerate(zip(NAMES, styles(), strict=False)):
+        points = [
+            (e.percent, number - 0.24 + 0.16 * slot, e.percent - e.low, e.high - e.percent)
+            for number, line in enumerate(shown)
+            if (e := effect(rows, line.setting.name, line.base.name, condition)) is not None
+        ]
         if points:
             x, y, below, above = zip(*points, strict=True)
             look = {**style, "linestyle": "none", "markersize": 4.5}
             axes.errorbar(x, y, xerr=[below, above], capsize=1.5, label=NAMES[condition], **look)
-    axes.axvline(0.0, color="#1a1a1a", linewidth=0.8)
+    axes.axvline(0.0, color=INK, linewidth=0.8)
     axes.set_yticks(range(len(shown)), [f"{line.stage}: {line.change}" for line in shown])
     axes.invert_yaxis()
-    axes.set_xlabel("change of z, %")
-    axes.set_title("What each change does to the claim")
+    axes.set(xlabel="change of z, %", title="What each change does to the claim")
     drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return drawn
 
 
-def _bits(rows: list[Row], setting: Setting) -> str:
-    of = of_kind(rows, setting=setting.name, kind="picture")
-    found = accuracy([row for row in of if row["attack"] != "none"])
-    return "" if found is None else f"{100 * found.share:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
+def _bits(of: dict[str, list[Row]]) -> str:
+    return share_text(accuracy([row for row in of["picture"] if row["attack"] != "none"]))
 
 
-def _worst(rows: list[Row]) -> float:
-    return float(min(row["psnr_total_worst_view"] for row in rows))
+def _worst(of: dict[str, list[Row]]) -> float:
+    return float(min(row["psnr_total_worst_view"] for row in of["marked"]))
 
 
-def _seconds(rows: list[Row]) -> float:
-    return float(sum(row["embed_seconds"] for row in rows) / len(rows))
+def _seconds(of: dict[str, list[Row]]) -> float:
+    return fmean(row["embed_seconds"] for row in of["marked"])
 
 
-def _left(rows: list[Row], setting: Setting) -> float:
-    """Mean share of the Gaussians that are delivered."""
-    of = of_kind(rows, setting=setting.name, kind="marked")
-    return float(sum(row["gaussians_out"] / row["gaussians_in"] for row in of) / len(of))
+def _left(of: dict[str, list[Row]]) -> float:
+    """Mean share of the Gaussians that are delivered, per cent."""
+    return 100.0 - share_pruned(of["marked"])
 
 
 PART = Part("ablation", "Ablation", "What does each stage of the pipeline buy, and what buys nothing?", cells, section)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from engine.evaluate.drawing import figure
 from engine.evaluate.study import Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.tables.knob import COLUMNS, Knob, draw_knob, knob_rows
-from engine.evaluate.tables.paper import printed
-from engine.evaluate.tables.part import Part, setting_cells
-from engine.evaluate.tables.sections.table6 import refined
-from engine.evaluate.tables.setting import DEFAULT, Setting
-from engine.evaluate.tables.words import INTERVALS
+from engine.evaluate.summing import INTERVALS, grouped, of_kind
+from engine.evaluate.tables.curves import Knob, draw_knob, knob_table
+from engine.evaluate.tables.part import DEFAULT, Part, Setting, printed, setting_cells
+from engine.evaluate.tables.sections.table6 import LOSSES, refined
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TEXT = refined("loss-text", 0.4, 1.0, 0.3)
+WEIGHTS = dict(zip(("lambda_msg", "lambda_rec", "lambda_wavelet"), LOSSES["loss-text"], strict=True))
+TEXT = refined("loss-text", *WEIGHTS.values())
 NO_COUNTERPART = (
     ("tau_unc", "none: displacement falls continuously with certainty, there is no threshold to choose"),
     ("tau_occ", "none: accumulated opacity never exceeds 1, so 1.2 never stops a pixel; transmittance ends it at 1e-4"),
@@ -34,57 +34,45 @@ def knobs(quick: bool) -> list[Knob]:
     """All panels: four of the paper's, three of ours."""
     best = {row["knob"]: row["best"] for row in printed("figure6")}
     if quick:
-        return [Knob("texture exponent", {0.0: _plan("texture-0", texture_exponent=0.0), 0.5: DEFAULT}, 0.5)]
+        return [Knob("texture exponent", {v: _texture(v) for v in (0.0, 0.5)}, 0.5)]
+    losses = {
+        "lambda_msg": (0.1, 0.2, 0.4, 0.8),
+        "lambda_rec": (0.25, 0.5, 1.0, 2.0),
+        "lambda_wavelet": (0.05, 0.3, 1.0),
+    }
     return [
-        Knob(
-            "lambda_msg",
-            {v: TEXT if v == 0.4 else refined(f"msg-{v:g}", v, 1.0, 0.3) for v in (0.1, 0.2, 0.4, 0.8)},
-            0.4,
-            best["lambda_msg"],
-            log=True,
-        ),
-        Knob(
-            "lambda_rec",
-            {v: TEXT if v == 1.0 else refined(f"rec-{v:g}", 0.4, v, 0.3) for v in (0.25, 0.5, 1.0, 2.0)},
-            1.0,
-            best["lambda_rec"],
-            log=True,
-        ),
-        Knob(
-            "lambda_wavelet",
-            {v: TEXT if v == 0.3 else refined(f"wavelet-{v:g}", 0.4, 1.0, v) for v in (0.05, 0.3, 1.0)},
-            0.3,
-            best["lambda_wavelet"],
-            log=True,
+        *(
+            Knob(name, {v: _loss(name, v) for v in values}, WEIGHTS[name], best[name], log=True)
+            for name, values in losses.items()
         ),
         Knob("lambda_freq (compact output)", {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)}, 0.0, best["lambda_freq"]),
-        Knob(
-            "texture exponent",
-            {v: DEFAULT if v == 0.5 else _plan(f"texture-{v:g}", texture_exponent=v) for v in (0.0, 0.25, 0.5, 1.0)},
-            0.5,
-        ),
-        Knob(
-            "cells (code vectors)",
-            {
-                v: DEFAULT if v == 8192 else Setting(f"cells-{v}", {"quantize": {"cells": v}})
-                for v in (1024, 2048, 4096, 8192)
-            },
-            8192,
-            log=True,
-        ),
-        Knob(
-            "key views",
-            {v: DEFAULT if v == 6 else Setting(f"views-{v}", {"views": v}) for v in (2, 4, 6, 10, 16)},
-            6,
-            log=True,
-        ),
+        Knob("texture exponent", {v: _texture(v) for v in (0.0, 0.25, 0.5, 1.0)}, 0.5),
+        Knob("cells (code vectors)", {v: _cells_of(v) for v in (1024, 2048, 4096, 8192)}, 8192, log=True),
+        Knob("key views", {v: _views(v) for v in (2, 4, 6, 10, 16)}, 6, log=True),
     ]
+
+
+def _loss(name: str, value: float) -> Setting:
+    if value == WEIGHTS[name]:
+        return TEXT
+    return refined(f"{name.removeprefix('lambda_')}-{value:g}", *(WEIGHTS | {name: value}).values())
+
+
+def _texture(value: float) -> Setting:
+    return DEFAULT if value == 0.5 else Setting(f"texture-{value:g}", {"plan": {"texture_exponent": value}})
+
+
+def _cells_of(count: int) -> Setting:
+    return DEFAULT if count == 8192 else Setting(f"cells-{count}", {"quantize": {"cells": count}})
+
+
+def _views(count: int) -> Setting:
+    return DEFAULT if count == 6 else Setting(f"views-{count}", {"views": count})
 
 
 def cells(options: Options) -> list[Cell]:
     """Every point of every panel."""
-    every = {setting.name: setting for knob in knobs(options.quick) for setting in knob.points.values()}
-    return setting_cells(options, every.values())
+    return setting_cells(options, [setting for knob in knobs(options.quick) for setting in knob.points.values()])
 
 
 def section(rows: list[Row], options: Options) -> Section:
@@ -98,10 +86,7 @@ def section(rows: list[Row], options: Options) -> Section:
             "below about 12 at 32 bits. The peaks of the paper's figure are marked where the knob exists.",
             INTERVALS,
         ],
-        [
-            Table(("the paper's knob", "here"), NO_COUNTERPART),
-            Table(COLUMNS, [line for knob in panels for line in knob_rows(knob, rows)], "Every point"),
-        ],
+        [Table(("the paper's knob", "here"), NO_COUNTERPART), knob_table(panels, rows)],
         [
             Drawing(
                 "fig6",
@@ -132,18 +117,11 @@ def draw(rows: list[Row], panels: list[Knob]) -> Figure:
 def _finding(rows: list[Row], panels: list[Knob]) -> str:
     """How much the weakest kind of picture moves over all panels."""
     names = {setting.name for knob in panels for setting in knob.points.values()}
-    z: dict[str, list[float]] = {}
-    for row in rows:
-        if row.get("setting") in names and row.get("attack") == "JPEG 10":
-            z.setdefault(row["setting"], []).append(row["z"])
+    z = grouped([row for row in of_kind(rows, attack="JPEG 10") if row.get("setting") in names], "setting")
     if len(z) < 2:
         return "Hyper-parameters"
-    means = sorted(sum(values) / len(values) for values in z.values())
-    return f"Over all these settings, z after JPEG 10 stays between {means[0]:.0f} and {means[-1]:.0f}"
-
-
-def _plan(name: str, **changes: float) -> Setting:
-    return Setting(name, {"plan": changes})
+    means = [fmean(row["z"] for row in own) for own in z.values()]
+    return f"Over all these settings, z after JPEG 10 stays between {min(means):.0f} and {max(means):.0f}"
 
 
 PART = Part("fig6", "Figure 6: hyper-parameters", "Which hyper-parameters matter, and how much?", cells, section)

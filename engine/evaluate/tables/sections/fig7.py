@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from engine.evaluate.drawing import figure, label_line, styles
-from engine.evaluate.study import Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.tables.knob import COLUMNS, Knob, draw_knob, knob_rows
-from engine.evaluate.tables.part import Part, of_kind, setting_cells
-from engine.evaluate.tables.setting import DEFAULT, Setting
-from engine.evaluate.tables.words import INTERVALS
+from engine.evaluate.study import Cell, Drawing, Options, Row, Section
+from engine.evaluate.summing import INTERVALS, of_kind, table
+from engine.evaluate.tables.curves import Knob, draw_knob, knob_table
+from engine.evaluate.tables.part import DEFAULT, Part, Setting, setting_cells
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,19 +51,28 @@ def knobs(quick: bool) -> dict[str, Knob]:
 
 def cells(options: Options) -> list[Cell]:
     """Every point, and the model without pruning."""
-    every = {setting.name: setting for knob in knobs(options.quick).values() for setting in knob.points.values()}
-    return setting_cells(options, [DEFAULT, *every.values()])
+    points = [setting for knob in knobs(options.quick).values() for setting in knob.points.values()]
+    return setting_cells(options, [DEFAULT, *points])
 
 
 def section(rows: list[Row], options: Options) -> Section:
     """What pruning and strength do to bits and look."""
     panels = knobs(options.quick)
-    shares = [
-        [knob.name, value, f"{100 * _share_pruned(rows, setting.name):.1f}", _least(rows, setting.name)]
-        for knob in (panels["budget"], panels["gamma"])
-        for value, setting in knob.points.items()
-        if of_kind(rows, setting=setting.name, kind="marked")
-    ]
+    shares = table(
+        [
+            {"knob": knob.name, "value": value, "of": of}
+            for knob in (panels["budget"], panels["gamma"])
+            for value, of in _marked(rows, knob).items()
+        ],
+        "knob",
+        "value",
+        ("pruned, %", lambda line: f"{share_pruned(line['of']):.1f}"),
+        (
+            "worst key view against the original, dB",
+            lambda line: min(row["psnr_total_worst_view"] for row in line["of"]),
+        ),
+        title="What pruning removes",
+    )
     return Section(
         "Figure 7: pruning and strength",
         [
@@ -73,14 +82,7 @@ def section(rows: list[Row], options: Options) -> Section:
             "fidelity the owner asks for. A picture's z is against its own pruned reference.",
             INTERVALS,
         ],
-        [
-            Table(COLUMNS, [line for knob in panels.values() for line in knob_rows(knob, rows)], "Every point"),
-            Table(
-                ("knob", "value", "pruned, %", "worst key view against the original, dB"),
-                shares,
-                "What pruning removes",
-            ),
-        ],
+        [knob_table(panels.values(), rows), shares],
         [
             Drawing(
                 "fig7",
@@ -96,65 +98,44 @@ def draw(rows: list[Row], panels: dict[str, Knob]) -> Figure:
     """Pruned share, gamma, strength."""
     drawn, axes = figure(1, 3, width=10.2, height=3.8)
     budget = panels["budget"]
-    with_share = Knob(
-        "Gaussians removed, %",
-        {0.0: DEFAULT, **{v: s for v, s in budget.points.items() if of_kind(rows, setting=s.name, kind="marked")}},
-        -1.0,
-    )
-    places = [100 * _share_pruned(rows, setting.name) for setting in with_share.points.values()]
-    draw_knob(axes[0], with_share, rows, places)
-    for value, place in list(zip(with_share.points, places, strict=True))[1:]:
-        axes[0].annotate(
-            f"{value:g} dB",
-            (place, 0),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-            color="#6a6a6a",
-        )
+    pruned_ = {value: share_pruned(of) for value, of in _marked(rows, budget).items()}
+    with_share = Knob("Gaussians removed, %", {0.0: DEFAULT, **{v: budget.points[v] for v in pruned_}}, -1.0)
+    whole = of_kind(rows, setting=DEFAULT.name, kind="marked")
+    draw_knob(axes[0], with_share, rows, [share_pruned(whole) if whole else 0.0, *pruned_.values()])
+    for value, place in pruned_.items():
+        look = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": "#6a6a6a"}
+        axes[0].annotate(f"{value:g} dB", (place, 0), xytext=(0, 3), **look)
     axes[0].set_title("Pruning to a budget")
     _draw_gamma(axes[1], panels["gamma"], rows)
     draw_knob(axes[2], panels["strength"], rows)
     axes[2].set_title("Strength of the mark")
     axes[2].invert_xaxis()
     axes[0].set_ylabel("z of one picture")
-    handles = axes[0].get_legend_handles_labels()
-    drawn.legend(*handles, loc="outside lower center", ncols=3)
+    drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return drawn
 
 
 def _draw_gamma(axes: Axes, knob: Knob, rows: list[Row]) -> None:
     """Share removed at the same budget over gamma."""
-    style = next(styles())
-    values = [v for v, s in knob.points.items() if of_kind(rows, setting=s.name, kind="marked")]
-    axes.plot(values, [100 * _share_pruned(rows, knob.points[v].name) for v in values], **{**style, "color": "#1a1a1a"})
-    axes.set_ylim(0, 100)
-    axes.set_xlabel(knob.name)
-    axes.set_ylabel("Gaussians removed, %")
-    axes.set_title(_gamma_finding(rows, knob))
-    if values:
+    shares = {value: share_pruned(of) for value, of in _marked(rows, knob).items()}
+    axes.plot(list(shares), list(shares.values()), **{**next(styles()), "color": "#1a1a1a"})
+    moved = max(shares.values(), default=0.0) - min(shares.values(), default=0.0)
+    title = f"Gamma moves {moved:.1f} points" if len(shares) > 1 else "Gamma at a budget"
+    axes.set(ylim=(0, 100), xlabel=knob.name, ylabel="Gaussians removed, %", title=title)
+    if shares:
         label_line(axes, knob.ours, "ours", along="y")
         label_line(axes, 0.2, "the paper's", along="y")
 
 
-def _gamma_finding(rows: list[Row], knob: Knob) -> str:
-    shares = [
-        100 * _share_pruned(rows, setting.name)
-        for setting in knob.points.values()
-        if of_kind(rows, setting=setting.name, kind="marked")
-    ]
-    return f"Gamma moves {max(shares) - min(shares):.1f} points" if len(shares) > 1 else "Gamma at a budget"
+def _marked(rows: list[Row], knob: Knob) -> dict[float, list[Row]]:
+    """Markings at each point that has any."""
+    found = {value: of_kind(rows, setting=setting.name, kind="marked") for value, setting in knob.points.items()}
+    return {value: of for value, of in found.items() if of}
 
 
-def _share_pruned(rows: list[Row], setting: str) -> float:
-    """Mean over keys and scenes of the share of Gaussians removed."""
-    of = of_kind(rows, setting=setting, kind="marked")
-    return float(sum(1.0 - row["gaussians_out"] / row["gaussians_in"] for row in of) / max(len(of), 1))
-
-
-def _least(rows: list[Row], setting: str) -> float:
-    return float(min(row["psnr_total_worst_view"] for row in of_kind(rows, setting=setting, kind="marked")))
+def share_pruned(marked: list[Row]) -> float:
+    """Mean over keys and scenes of the share of Gaussians removed, per cent."""
+    return 100.0 * fmean(1.0 - row["gaussians_out"] / row["gaussians_in"] for row in marked)
 
 
 PART = Part(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from engine.evaluate.drawing import figure, styles
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.tables.effort import Effort, scenes_of
-from engine.evaluate.tables.paper import PUBLISHED, printed
-from engine.evaluate.tables.part import CELLS, Part, of_kind
-from engine.evaluate.tables.words import INTERVALS, accuracy, range_text
+from engine.evaluate.summing import INTERVALS, Accuracy, accuracy, of_kind, range_text, table
+from engine.evaluate.tables.part import MEASURING, PUBLISHED, Part, changes_of, efforts, printed, scenes_of, system
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,15 +48,15 @@ MEANINGS = (
 
 def cells(options: Options) -> list[Cell]:
     """Pictures and models of every scene under every key."""
-    effort = Effort.of(options)
+    effort, _ = efforts(options)
+    columns = list(QUICK if options.quick else (*COLUMNS, *CUTS))
     made = []
     for short, path in scenes_of(options):
         for seed in range(options.seed, options.seed + effort.keys):
-            columns = list(QUICK if options.quick else (*COLUMNS, *CUTS))
-            on: dict[str, Any] = {"scene": path, "seed": seed, "changes": effort.changes, "columns": columns}
+            on: dict[str, Any] = {"scene": path, "seed": seed, "changes": changes_of(options), "columns": columns}
             seen = {**on, "views": effort.views, "size": effort.size}
-            made.append(Cell(f"table2-pictures-{short}-k{seed}", f"{CELLS}.attacks:attack_pictures", seen))
-            made.append(Cell(f"table2-models-{short}-k{seed}", f"{CELLS}.attacks:attack_models", on))
+            made.append(Cell(f"table2-pictures-{short}-k{seed}", f"{MEASURING}:attack_pictures", seen))
+            made.append(Cell(f"table2-models-{short}-k{seed}", f"{MEASURING}:attack_models", on))
     return made
 
 
@@ -67,10 +64,26 @@ def section(rows: list[Row], options: Options) -> Section:
     """The paper's eight columns, ours in four readings, and each with its intervals."""
     wide: list[list[Any]] = []
     for on, reading, name in WAYS:
-        found = {c: accuracy(of_kind(rows, on=on, reading=reading, attack=c)) for c in COLUMNS}
-        if any(found.values()):
-            wide.append([f"ours: {name}", *(None if a is None else f"{100 * a.share:.2f}" for a in found.values())])
-    wide += [[f"{_named(row)} (published)", *(row[column] for column in COLUMNS)] for row in printed("table2")]
+        found = [_found(rows, on, reading, column) for column in COLUMNS]
+        if any(found):
+            wide.append([f"ours: {name}", *(None if a is None else f"{100 * a.share:.2f}" for a in found)])
+    wide += [[f"{system(row)} (published)", *(row[column] for column in COLUMNS)] for row in printed("table2")]
+    details = [
+        {"attack": COLUMNS.get(column, column), "on": name, "of": of}
+        for on, reading, name in WAYS
+        for column in (*COLUMNS, *CUTS)
+        if (of := of_kind(rows, on=on, reading=reading, attack=column))
+    ]
+    ours = table(
+        details,
+        "attack",
+        "on",
+        ("bits", lambda line: str(accuracy(line["of"]))),
+        ("z, least to most", lambda line: range_text([row["z"] for row in line["of"]])),
+        ("claims at 1e-9", lambda line: f"{sum(row['claimed'] for row in line['of'])} of {len(line['of'])}"),
+        ("by the paper's rule (Eq 10)", lambda line: _by_eq10(line["of"])),
+        title="Ours in full",
+    )
     return Section(
         "Table 2: 32 bits after attacks",
         [
@@ -81,11 +94,7 @@ def section(rows: list[Row], options: Options) -> Section:
         ],
         [
             Table(("system", *COLUMNS.values()), wide, "Bit accuracy, %"),
-            Table(
-                ("attack", "on", "bits", "z, least to most", "claims at 1e-9", "by the paper's rule (Eq 10)"),
-                list(_details(rows)),
-                "Ours in full",
-            ),
+            ours,
             Table(("attack", "picture, literal", "picture, as public code runs it", "model"), MEANINGS, "What is run"),
         ],
         [
@@ -100,20 +109,12 @@ def section(rows: list[Row], options: Options) -> Section:
     )
 
 
-def _details(rows: list[Row]) -> Iterator[list[Any]]:
-    for on, reading, name in WAYS:
-        for column in (*COLUMNS, *CUTS):
-            of = of_kind(rows, on=on, reading=reading, attack=column)
-            if of:
-                claims = f"{sum(row['claimed'] for row in of)} of {len(of)}"
-                yield [
-                    COLUMNS.get(column, column),
-                    name,
-                    str(accuracy(of)),
-                    range_text([row["z"] for row in of]),
-                    claims,
-                    f"{100 * accuracy(of, 'right_by_eq10').share:.2f} %",  # type: ignore[union-attr]
-                ]
+def _found(rows: list[Row], on: str, reading: str, column: str) -> Accuracy | None:
+    return accuracy(of_kind(rows, on=on, reading=reading, attack=column))
+
+
+def _by_eq10(rows: list[Row]) -> str:
+    return f"{100 * sum(row['right_by_eq10'] for row in rows) / sum(row['bits'] for row in rows):.2f} %"
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
@@ -124,52 +125,42 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
     made = []
     for on, column, least in wanted:
         for reading in ("literal", "as_code"):
-            found = accuracy(of_kind(rows, on=on, reading=reading, attack=column))
-            if found is None:
-                continue
-            what = f"32 bits, {on}, {COLUMNS.get(column, column)}" + (
-                ", as public code runs it" if reading == "as_code" else ""
-            )
-            bar = "100 %" if least == 1.0 else f">= {100 * least:g} %"
-            made.append(Bar(what, bar, str(found), found.share >= least))
+            found = _found(rows, on, reading, column)
+            if found is not None:
+                what = f"32 bits, {on}, {COLUMNS.get(column, column)}"
+                what += ", as public code runs it" if reading == "as_code" else ""
+                bar = "100 %" if least == 1.0 else f">= {100 * least:g} %"
+                made.append(Bar(what, bar, str(found), found.share >= least))
     return made
 
 
 def draw(rows: list[Row]) -> Figure:
     """One line an attack, one mark a system."""
     drawn, axes = figure(width=7.6, height=4.8)
-    style = styles()
-    ours = [
-        (name, on, reading, next(style) | {"linestyle": "none", "markersize": 6.5, "zorder": 5})
-        for on, reading, name in WAYS
-        if of_kind(rows, on=on, reading=reading)
-    ]
-    step = 0.14
-    for slot, (name, on, reading, look) in enumerate(ours):
-        for number, column in enumerate(COLUMNS):
-            found = accuracy(of_kind(rows, on=on, reading=reading, attack=column))
-            if found is None:
-                continue
-            error = [[100 * (found.share - found.low)], [100 * (found.high - found.share)]]
-            y = number - 0.26 + step * slot
-            label = f"ours, {name}" if column == _first(rows, on, reading) else None
-            axes.errorbar(100 * found.share, y, xerr=error, label=label, capsize=2, **look)
+    ways = [(on, reading, name) for on, reading, name in WAYS if of_kind(rows, on=on, reading=reading)]
+    for slot, ((on, reading, name), look) in enumerate(zip(ways, styles(), strict=False)):
+        points = [(n, found) for n, column in enumerate(COLUMNS) if (found := _found(rows, on, reading, column))]
+        axes.errorbar(
+            [100 * found.share for _, found in points],
+            [number - 0.26 + 0.14 * slot for number, _ in points],
+            xerr=list(zip(*(found.error for _, found in points), strict=True)),
+            label=f"ours, {name}",
+            capsize=2,
+            **look | {"linestyle": "none", "markersize": 6.5, "zorder": 5},
+        )
     for mark, row in zip("xo+d*", [r for r in printed("table2") if r["system"] != "HiDDeN+3DGS"], strict=True):
-        paper = row["system"] == "Mark3DGS"
         axes.plot(
             [row[column] for column in COLUMNS],
             [n + 0.34 for n in range(len(COLUMNS))],
             linestyle="none",
             marker=mark,
-            color="#1a1a1a" if paper else "#8a8a8a",
+            color="#1a1a1a" if row["system"] == "Mark3DGS" else "#8a8a8a",
             markerfacecolor="none",
-            label="the paper" if paper else row["system"],
+            label=system(row),
         )
     axes.set_yticks(range(len(COLUMNS)), list(COLUMNS.values()))
     axes.invert_yaxis()
-    axes.set_xlim(84, 101)
-    axes.set_xlabel("bit accuracy, %")
-    axes.set_title(_finding(rows))
+    axes.set(xlim=(84, 101), xlabel="bit accuracy, %", title=_finding(rows))
     handles, labels = axes.get_legend_handles_labels()
     order = sorted(range(len(labels)), key=lambda k: not labels[k].startswith("ours"))
     drawn.legend([handles[k] for k in order], [labels[k] for k in order], loc="outside lower center", ncols=3)
@@ -184,14 +175,6 @@ def _finding(rows: list[Row]) -> str:
     if found.share == 1.0:
         return "Every bit is read after every attack, in every reading of it"
     return f"{100 * found.share:.2f} % of bits are read over all attacks and readings"
-
-
-def _first(rows: list[Row], on: str, reading: str) -> str:
-    return next(column for column in COLUMNS if of_kind(rows, on=on, reading=reading, attack=column))
-
-
-def _named(row: Row) -> str:
-    return "the paper" if row["system"] == "Mark3DGS" else str(row["system"])
 
 
 PART = Part(

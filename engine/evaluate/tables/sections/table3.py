@@ -2,10 +2,9 @@
 
 from typing import Any
 
-from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
-from engine.evaluate.tables.effort import Effort, scenes_of
-from engine.evaluate.tables.paper import PUBLISHED, printed
-from engine.evaluate.tables.part import CELLS, Part
+from engine.evaluate.study import Bar, Cell, Options, Row, Section
+from engine.evaluate.summing import of_kind, table
+from engine.evaluate.tables.part import MEASURING, PUBLISHED, Part, changes_of, printed_table, scenes_of
 
 LARGE = 400_000
 """Gaussians from which a scene speaks for the bars, which are meant for 500k."""
@@ -14,21 +13,16 @@ EMBED_BARS, VERIFY_BAR, BYTES_BAR = {"fast": 15.0, "balanced": 45.0}, 3.0, 20.0
 
 def cells(options: Options) -> list[Cell]:
     """Two profiles of every scene."""
-    changes = {**Effort.of(options).changes, "landmark_views": 2} if options.quick else {}
+    changes = {**changes_of(options), "landmark_views": 2} if options.quick else {}
+    shared = {
+        "seed": options.seed,
+        "repeats": 1 if options.quick else 3,
+        "width": 1297,
+        "height": 840,
+        "changes": changes,
+    }
     return [
-        Cell(
-            f"table3-{profile}-{short}",
-            f"{CELLS}.costs:measure_costs",
-            {
-                "scene": path,
-                "named_profile": profile,
-                "seed": options.seed,
-                "repeats": 1 if options.quick else 3,
-                "width": 1297,
-                "height": 840,
-                "changes": changes,
-            },
-        )
+        Cell(f"table3-{profile}-{short}", f"{MEASURING}:measure_costs", {"scene": path, "profile": profile, **shared})
         for short, path in scenes_of(options)
         for profile in (("fast",) if options.quick else ("fast", "balanced"))
     ]
@@ -37,47 +31,29 @@ def cells(options: Options) -> list[Cell]:
 def section(rows: list[Row], options: Options) -> Section:
     """The paper's columns and ours."""
     of = _own(rows)
-    ours = [
-        [
-            row["scene"],
-            row["profile"],
-            row["gaussians"],
-            _seconds(row, "embed"),
-            _seconds(row, "verify"),
-            f"{row['fps_before']:.1f}",
-            f"{row['fps_after']:.1f}",
-            _mb(row["bytes"]["ply"]),
-            _mb(row["bytes"]["sog"]),
-            _mb(row["compact_sog_bytes"]),
-            row["compact_sog_bytes"] / row["gaussians"],
-            f"{row['compact_psnr']:.1f}",
-        ]
-        for row in of
-    ]
-    columns = (
+    ours = table(
+        of,
         "scene",
         "profile",
-        "Gaussians",
-        "embed, s",
-        "verify a model, s",
-        "frames/s before",
-        "and after",
-        "PLY, MB",
-        ".sog, MB",
-        "compact .sog, MB",
-        "its bytes a Gaussian",
-        "its worst view, dB",
+        ("Gaussians", "gaussians"),
+        ("embed, s", "{embed:.1f} ({embed_least:.1f} to {embed_most:.1f})"),
+        ("verify a model, s", "{verify:.1f} ({verify_least:.1f} to {verify_most:.1f})"),
+        ("frames/s before", "{fps_before:.1f}"),
+        ("and after", "{fps_after:.1f}"),
+        ("PLY, MB", lambda row: _mb(row["bytes"]["ply"])),
+        (".sog, MB", lambda row: _mb(row["bytes"]["sog"])),
+        ("compact .sog, MB", lambda row: _mb(row["compact_sog_bytes"])),
+        ("its bytes a Gaussian", _compact),
+        ("its worst view, dB", "{compact_psnr:.1f}"),
+        title="Ours",
     )
-    every = [
-        [row["scene"], *(row["bytes"][kind] / row["gaussians"] for kind in row["bytes"])]
-        for row in of
-        if row["profile"] == "fast"
-    ]
-    names = tuple(f".{kind}" for kind in of[0]["bytes"]) if of else ()
-    theirs = [
-        [row["system"], f"{row['training_seconds'] / 60:.1f}", row["fps"], row["megabytes"]]
-        for row in printed("table3")
-    ]
+    fast = of_kind(of, profile="fast")
+    each = table(
+        [{"scene": row["scene"], **{k: size / row["gaussians"] for k, size in row["bytes"].items()}} for row in fast],
+        "scene",
+        *((f".{kind}", kind) for kind in (of[0]["bytes"] if of else ())),
+        title="Bytes a Gaussian in each format, marked, no bands or codes dropped",
+    )
     return Section(
         "Table 3: time, frames a second, size",
         [
@@ -89,9 +65,15 @@ def section(rows: list[Row], options: Options) -> Section:
             "are a GPU's, its size is that of an uncompressed file: none of the three is the same question as ours.",
         ],
         [
-            Table(columns, ours, "Ours"),
-            Table(("scene", *names), every, "Bytes a Gaussian in each format, marked, no bands or codes dropped"),
-            Table(("system", "training, minutes", "frames/s", "MB"), theirs, "As the paper prints it"),
+            ours,
+            each,
+            printed_table(
+                "table3",
+                "system",
+                ("training, minutes", lambda row: f"{row['training_seconds'] / 60:.1f}"),
+                ("frames/s", "fps"),
+                ("MB", "megabytes"),
+            ),
         ],
     )
 
@@ -103,19 +85,12 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         return []
     made: list[Bar] = []
     for profile, most in EMBED_BARS.items():
-        if any(row["profile"] == profile for row in of):
+        if of_kind(of, profile=profile):
             made.append(_timed(of, "embed", f"embed 500k Gaussians, {profile}", most, profile))
     made.append(_timed(of, "verify", "verify a model of 500k Gaussians", VERIFY_BAR, "fast"))
-    for row in (row for row in of if row["profile"] == "fast"):
-        size = row["compact_sog_bytes"] / row["gaussians"]
-        made.append(
-            Bar(
-                f"file of {row['scene']}, compact, .sog",
-                f"<= {BYTES_BAR:g} bytes a Gaussian",
-                f"{size:.1f}",
-                size <= BYTES_BAR,
-            )
-        )
+    for row in of_kind(of, profile="fast"):
+        what, size = f"file of {row['scene']}, compact, .sog", _compact(row)
+        made.append(Bar(what, f"<= {BYTES_BAR:g} bytes a Gaussian", f"{size:.1f}", size <= BYTES_BAR))
     return made
 
 
@@ -134,8 +109,8 @@ def _own(rows: list[Row]) -> list[Row]:
     return [row for row in rows if "fps_after" in row]
 
 
-def _seconds(row: Row, what: str) -> str:
-    return f"{row[what]:.1f} ({row[f'{what}_least']:.1f} to {row[f'{what}_most']:.1f})"
+def _compact(row: Row) -> float:
+    return float(row["compact_sog_bytes"] / row["gaussians"])
 
 
 def _mb(size: Any) -> str:

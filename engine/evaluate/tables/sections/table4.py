@@ -1,10 +1,8 @@
 """Table 4: other kinds of Gaussian models."""
 
-from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
-from engine.evaluate.tables.effort import scenes_of
-from engine.evaluate.tables.paper import PUBLISHED, printed
-from engine.evaluate.tables.part import CELLS, Part
-from engine.evaluate.tables.words import range_text
+from engine.evaluate.study import Bar, Cell, Options, Row, Section
+from engine.evaluate.summing import table
+from engine.evaluate.tables.part import PUBLISHED, Part, printed, printed_table, scenes_of
 
 KINDS = ("2dgs", "4dgs", "compact3d", "dreamgaussian")
 MOST_DROP_DB = 0.1
@@ -15,8 +13,8 @@ def cells(options: Options) -> list[Cell]:
     return [
         Cell(
             f"table4-{kind}-{short}",
-            f"{CELLS}.variants:measure_variants",
-            {"scene": path, "kind": kind, "seed": options.seed},
+            "engine.evaluate.bench.marking:measure_variants",
+            {"scene": path, "setting": kind, "seed": options.seed},
         )
         for short, path in scenes_of(options)
         for kind in (() if options.quick else KINDS)
@@ -27,54 +25,36 @@ def section(rows: list[Row], options: Options) -> Section:
     """Quality before and after, bits over all readings, and each reading."""
     of = _own(rows)
     paper = {row["variant"]: row for row in printed("table4")}
-    ours = [
-        [
-            row["scene"],
-            row["variant"],
-            row["psnr_before"],
-            row["psnr_after"],
-            f"{row['psnr_drop']:.3f}",
-            row["ms_ssim_distance_before"],
-            row["ms_ssim_distance_after"],
-            f"{row['all_bits']} of {row['cases']}",
-            f"{row['claimed']} of {row['cases']}",
-            f"{row['weakest']}: {100 * row['weakest_bits']:.1f} %, z {row['weakest_z']:.0f}",
-            paper[row["model"]]["psnr_before"] - paper[row["model"]]["psnr_after"],
-            paper[row["model"]]["bit_accuracy"],
-        ]
-        for row in of
-    ]
-    columns = (
+
+    def theirs(row: Row) -> Row:
+        return next(said for kind, said in paper.items() if str(row["variant"]).lower().startswith(kind))
+
+    ours = table(
+        of,
         "scene",
         "variant",
-        "PSNR before, dB",
-        "after",
-        "drop, dB",
-        "1 - MS-SSIM before",
-        "after",
-        "readings whole",
-        "claims at 1e-9",
-        "weakest reading",
-        "the paper: drop, dB",
-        "its bits, %",
+        ("PSNR before, dB", "psnr_before"),
+        ("after", "psnr_after"),
+        ("drop, dB", "{psnr_drop:.3f}"),
+        ("1 - MS-SSIM before", "ms_ssim_distance_before"),
+        ("after", "ms_ssim_distance_after"),
+        ("readings whole", "{all_bits} of {cases}"),
+        ("claims at 1e-9", "{claimed} of {cases}"),
+        ("weakest reading", lambda row: "{}: {:.1f} %, z {:.0f}".format(*_weakest(row), row["weakest_z"])),
+        ("the paper: drop, dB", lambda row: _drop(theirs(row))),
+        ("its bits, %", lambda row: theirs(row)["bit_accuracy"]),
+        title="Ours",
     )
-    theirs = [
-        [
-            row["variant"],
-            row["psnr_before"],
-            row["psnr_after"],
-            row["psnr_before"] - row["psnr_after"],
-            row["lpips_before"],
-            row["lpips_after"],
-            row["bit_accuracy"],
-        ]
-        for row in printed("table4")
-    ]
-    each = [
-        [row["scene"], row["variant"], reading["case"], 100 * reading["bit_accuracy"], reading["z"], reading["verdict"]]
-        for row in of
-        for reading in row["row"]["readings"]
-    ]
+    each = table(
+        [{**row, **reading} for row in of for reading in row["row"]["readings"]],
+        "scene",
+        "variant",
+        ("reading", "case"),
+        ("bits, %", lambda reading: 100 * reading["bit_accuracy"]),
+        "z",
+        "verdict",
+        title="Every reading",
+    )
     return Section(
         "Table 4: 2DGS, 4DGS, codebooks, generated models",
         [
@@ -86,13 +66,18 @@ def section(rows: list[Row], options: Options) -> Section:
             *(["Not part of a quick run: making one of these takes minutes."] if options.quick else []),
         ],
         [
-            Table(columns, ours, "Ours"),
-            Table(
-                ("variant", "PSNR before, dB", "after", "drop, dB", "LPIPS before", "after", "bit accuracy, %"),
-                theirs,
-                "As the paper prints it",
+            ours,
+            printed_table(
+                "table4",
+                "variant",
+                ("PSNR before, dB", "psnr_before"),
+                ("after", "psnr_after"),
+                ("drop, dB", _drop),
+                ("LPIPS before", "lpips_before"),
+                ("after", "lpips_after"),
+                ("bit accuracy, %", "bit_accuracy"),
             ),
-            Table(("scene", "variant", "reading", "bits, %", "z", "verdict"), each, "Every reading"),
+            each,
         ],
     )
 
@@ -101,26 +86,22 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
     """All bits in all readings, and 0.1 dB."""
     made = []
     for row in _own(rows):
-        whole, cases = row["all_bits"], row["cases"]
-        made.append(
-            Bar(
-                f"{row['variant']} of {row['scene']}: bits in every reading, claims",
-                "100 %, all claimed",
-                f"{whole} of {cases} readings whole, {row['claimed']} claimed; weakest {row['weakest']} "
-                f"{100 * row['weakest_bits']:.1f} %",
-                whole == cases == row["claimed"],
-            )
-        )
-        drop = range_text([row["psnr_drop"]], 3)
-        made.append(
-            Bar(
-                f"{row['variant']} of {row['scene']}: what the mark costs",
-                f"<= {MOST_DROP_DB} dB",
-                f"{drop} dB",
-                row["psnr_drop"] <= MOST_DROP_DB,
-            )
-        )
+        name, whole, cases = f"{row['variant']} of {row['scene']}", row["all_bits"], row["cases"]
+        weakest, drop = "{} {:.1f} %".format(*_weakest(row)), row["psnr_drop"]
+        said = f"{whole} of {cases} readings whole, {row['claimed']} claimed; weakest {weakest}"
+        made += [
+            Bar(f"{name}: bits in every reading, claims", "100 %, all claimed", said, whole == cases == row["claimed"]),
+            Bar(f"{name}: what the mark costs", f"<= {MOST_DROP_DB} dB", f"{drop:.3f} dB", drop <= MOST_DROP_DB),
+        ]
     return made
+
+
+def _weakest(row: Row) -> tuple[str, float]:
+    return str(row["weakest"]), 100 * float(row["weakest_bits"])
+
+
+def _drop(row: Row) -> float:
+    return float(row["psnr_before"] - row["psnr_after"])
 
 
 def _own(rows: list[Row]) -> list[Row]:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from engine.evaluate.drawing import figure, styles
 from engine.evaluate.intervals import share_interval
-from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.tables.effort import Effort, scenes_of
-from engine.evaluate.tables.paper import PUBLISHED, printed
-from engine.evaluate.tables.part import CELLS, Part, of_kind
+from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section
+from engine.evaluate.summing import of_kind, table
+from engine.evaluate.tables.measuring import PROFILE
+from engine.evaluate.tables.part import PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,18 +28,12 @@ SIZE = 400
 def cells(options: Options) -> list[Cell]:
     """One training for each setting and scene."""
     epochs, size = (2, 200) if options.quick else (EPOCHS, SIZE)
+    shared = {"seed": options.seed, "epochs": epochs, "size": size, "changes": changes_of(options)}
     return [
         Cell(
             f"table5-{setting.replace('+', '-and-')}-{short}",
-            f"{CELLS}.fine_tuning:fine_tune_scene",
-            {
-                "scene": path,
-                "setting": setting,
-                "seed": options.seed,
-                "epochs": epochs,
-                "size": size,
-                "changes": Effort.of(options).changes,
-            },
+            "engine.evaluate.bench.training:measure_fine_tuning",
+            {"scene": path, "setting": setting, "profile": PROFILE, **shared},
         )
         for short, path in scenes_of(options)
         for setting in (("clean+key",) if options.quick else SETTINGS)
@@ -50,21 +44,23 @@ def section(rows: list[Row], options: Options) -> Section:
     """Bits, z, and what the training did to the model."""
     of = _own(rows)
     paper = {row["setting"]: row for row in printed("table5")}
-    ours = [
-        [
-            row["scene"],
-            SETTINGS[row["setting"]],
-            row["epochs"],
-            _share(row),
-            paper[row["setting"]].get(str(row["epochs"])),
-            row["z"],
-            f"{row['log10_false_claim']:.0f}",
-            row["verdict"],
-            row["psnr_to_clean"],
-        ]
-        for row in of
-    ]
-    theirs = [[SETTINGS[row.pop("setting")], *row.values()] for row in printed("table5")]
+    had = ("the attacker has", lambda row: SETTINGS[row["setting"]])
+    ours = table(
+        of,
+        "scene",
+        had,
+        "epochs",
+        ("bits", _share),
+        ("the paper, %", lambda row: paper[row["setting"]].get(str(row["epochs"]))),
+        "z",
+        ("log10 false claim", "{log10_false_claim:.0f}"),
+        "verdict",
+        ("PSNR to clean, dB", "psnr_to_clean"),
+        title="Ours",
+    )
+    theirs = printed_table(
+        "table5", had, ("0 epochs", "0"), "100", "300", "500", title="Bit accuracy as the paper prints it, %"
+    )
     return Section(
         "Table 5: fine-tuning",
         [
@@ -74,26 +70,7 @@ def section(rows: list[Row], options: Options) -> Section:
             "independent, the exact interval over them is too narrow.",
             PUBLISHED,
         ],
-        [
-            Table(
-                (
-                    "scene",
-                    "the attacker has",
-                    "epochs",
-                    "bits",
-                    "the paper, %",
-                    "z",
-                    "log10 false claim",
-                    "verdict",
-                    "PSNR to clean, dB",
-                ),
-                ours,
-                "Ours",
-            ),
-            Table(
-                ("the attacker has", "0 epochs", "100", "300", "500"), theirs, "Bit accuracy as the paper prints it, %"
-            ),
-        ],
+        [ours, theirs],
         [
             Drawing(
                 "table5",
@@ -109,19 +86,14 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
     """At least 99.9 % after the last epoch, in every setting."""
     made = []
     for setting, name in SETTINGS.items():
-        last = [row for row in of_kind(_own(rows), setting=setting) if row["epochs"] == EPOCHS]
-        if not last:
-            made.append(Bar(f"{EPOCHS} epochs, {name}", f">= {100 * LEAST:g} %", "not run", None))
-            continue
-        worst = min(last, key=lambda row: (row["bit_accuracy"], row["z"]))
-        made.append(
-            Bar(
-                f"{EPOCHS} epochs, {name}",
-                f">= {100 * LEAST:g} %",
-                f"{_share(worst)}, z {worst['z']:.0f}, lowest of {len(last)} scenes",
-                worst["bit_accuracy"] >= LEAST,
-            )
-        )
+        what, wanted = f"{EPOCHS} epochs, {name}", f">= {100 * LEAST:g} %"
+        last = of_kind(_own(rows), setting=setting, epochs=EPOCHS)
+        if last:
+            worst = min(last, key=lambda row: (row["bit_accuracy"], row["z"]))
+            said = f"{_share(worst)}, z {worst['z']:.0f}, lowest of {len(last)} scenes"
+            made.append(Bar(what, wanted, said, worst["bit_accuracy"] >= LEAST))
+        else:
+            made.append(Bar(what, wanted, "not run", None))
     return made
 
 
@@ -141,14 +113,10 @@ def draw(rows: list[Row]) -> Figure:
         if worst:
             left.plot(epochs, [100 * row["bit_accuracy"] for row in worst], **{**look, "linestyle": "none"}, zorder=5)
             right.plot(epochs, [row["z"] for row in worst], label=f"ours: {name}", **look)
-    left.set_title("All bits survive in all four settings" if _all_whole(rows) else "Bits along fine-tuning")
-    left.set_ylabel("bit accuracy, %")
-    left.set_ylim(45, 103)
-    right.set_title("What is left of our claim")
-    right.set_ylabel("z of the claim")
+    whole = "All bits survive in all four settings" if _all_whole(rows) else "Bits along fine-tuning"
+    left.set(title=whole, xlabel="epochs", ylabel="bit accuracy, %", ylim=(45, 103))
+    right.set(title="What is left of our claim", xlabel="epochs", ylabel="z of the claim")
     right.set_ylim(bottom=0)
-    for axes in (left, right):
-        axes.set_xlabel("epochs")
     handles = [h + k for h, k in zip(left.get_legend_handles_labels(), right.get_legend_handles_labels(), strict=True)]
     drawn.legend(*handles, loc="outside lower center", ncols=2)
     return drawn

@@ -1,13 +1,22 @@
 """Table 6: what the losses of the refinement buy, and the paper's two sets of weights."""
 
-from typing import Any
+from statistics import fmean
 
-from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
-from engine.evaluate.tables.compare import CONDITIONS, effect
-from engine.evaluate.tables.paper import PUBLISHED, printed
-from engine.evaluate.tables.part import Part, of_kind, setting_cells
-from engine.evaluate.tables.setting import DEFAULT, Setting
-from engine.evaluate.tables.words import INTERVALS, accuracy, mean_text
+from engine.evaluate.study import Bar, Cell, Options, Row, Section
+from engine.evaluate.summing import INTERVALS, Column, accuracy, of_kind, table
+from engine.evaluate.tables.curves import effect
+from engine.evaluate.tables.part import (
+    CONDITIONS,
+    DEFAULT,
+    FIDELITY,
+    PUBLISHED,
+    Part,
+    Setting,
+    printed,
+    printed_table,
+    rows_of_setting,
+    setting_cells,
+)
 
 STEPS, QUICK_STEPS = 60, 2
 UNMARKED = Setting("unmarked", unmarked=True)
@@ -19,6 +28,13 @@ ROWS = {
     "loss-text": "msg + rec + wavelet, weights of the text 0.4, 1.0, 0.3",
     "loss-appendix": "msg + rec + wavelet, weights of the appendix 0.2, 0.5, 0.05",
 }
+LOSSES = {
+    "loss-text": (0.4, 1.0, 0.3),
+    "loss-msg": (0.4, 0.0, 0.0),
+    "loss-msg-rec": (0.4, 1.0, 0.0),
+    "loss-appendix": (0.2, 0.5, 0.05),
+}
+"""Weights of the message, the pictures and their wavelets."""
 PAPER = {"unmarked": "none", "loss-msg": "msg", "loss-msg-rec": "msg+rec", "loss-text": "msg+rec+wavelet"}
 """Rows of the paper's table that ours stand beside."""
 
@@ -31,14 +47,7 @@ def refined(name: str, msg: float, rec: float, wavelet: float, *, quick: bool = 
 
 def settings(quick: bool) -> list[Setting]:
     """The rows of the table that are marked."""
-    every = [
-        DEFAULT,
-        UNMARKED,
-        refined("loss-text", 0.4, 1.0, 0.3, quick=quick),
-        refined("loss-msg", 0.4, 0.0, 0.0, quick=quick),
-        refined("loss-msg-rec", 0.4, 1.0, 0.0, quick=quick),
-        refined("loss-appendix", 0.2, 0.5, 0.05, quick=quick),
-    ]
+    every = [DEFAULT, UNMARKED, *(refined(name, *weights, quick=quick) for name, weights in LOSSES.items())]
     return every[:3] if quick else every
 
 
@@ -49,41 +58,37 @@ def cells(options: Options) -> list[Cell]:
 
 def section(rows: list[Row], options: Options) -> Section:
     """The paper's rows and ours."""
-    ours: list[list[Any]] = []
+    lines = [{"setting": name, **rows_of_setting(rows, name)} for name in ROWS]
     paper = {row["losses"]: row for row in printed("table6")}
-    for setting, name in ROWS.items():
-        of = of_kind(rows, setting=setting)
-        pictures, views, marked = (of_kind(of, kind=kind) for kind in ("picture", "view", "marked"))
-        if not marked:
-            continue
-        unseen = setting == "unmarked"
-        ours.append(
-            [
-                name,
-                str(accuracy(of_kind(pictures, attack="none"))),
-                f"{sum(row['claimed'] for row in pictures + marked)} of {len(pictures + marked)}",
-                None if unseen else mean_text([row["psnr"] for row in views]),
-                mean_text([row["ssim"] for row in views], 4),
-                mean_text([row["distance"] for row in views], 5),
-                *(None if unseen else str(effect(rows, setting, "default", c) or "") for c in ("model", *CONDITIONS)),
-                f"{sum(row['refine_seconds'] for row in marked) / len(marked):.1f}",
-                *(paper.get(PAPER.get(setting, ""), {}).get(name) for name in ("bit_accuracy", "psnr")),
-            ]
-        )
-    columns = (
-        "losses",
-        "bits, one picture",
-        "claims at 1e-9",
-        "PSNR, dB",
-        "SSIM",
-        "1 - MS-SSIM",
-        "z of the model",
-        *(f"z, {'no attack' if c == 'none' else c}" for c in CONDITIONS),
-        "refinement, s",
-        "the paper: bits, %",
-        "its PSNR, dB",
+
+    def change(condition: str) -> Column:
+        seen = {"model": "z of the model", "none": "z, no attack"}.get(condition, f"z, {condition}")
+        return (seen, lambda of: None if of["setting"] == UNMARKED.name else _change(rows, of["setting"], condition))
+
+    def claims(of: Row) -> str:
+        read = of["picture"] + of["marked"]
+        return f"{sum(row['claimed'] for row in read)} of {len(read)}"
+
+    ours = table(
+        [of for of in lines if of["marked"]],
+        ("losses", lambda of: ROWS[of["setting"]]),
+        ("bits, one picture", lambda of: str(accuracy(of_kind(of["picture"], attack="none")))),
+        ("claims at 1e-9", claims),
+        *FIDELITY,
+        *(change(condition) for condition in ("model", *CONDITIONS)),
+        ("refinement, s", lambda of: f"{fmean(row['refine_seconds'] for row in of['marked']):.1f}"),
+        ("the paper: bits, %", lambda of: paper.get(PAPER.get(of["setting"], ""), {}).get("bit_accuracy")),
+        ("its PSNR, dB", lambda of: paper.get(PAPER.get(of["setting"], ""), {}).get("psnr")),
+        title="Ours",
     )
-    theirs = [[*row.values()] for row in printed("table6")]
+    theirs = printed_table(
+        "table6",
+        "losses",
+        ("bit accuracy, %", "bit_accuracy"),
+        ("PSNR, dB", "psnr"),
+        ("SSIM", "ssim"),
+        ("LPIPS", "lpips"),
+    )
     return Section(
         "Table 6: losses of the refinement",
         [
@@ -96,16 +101,17 @@ def section(rows: list[Row], options: Options) -> Section:
             INTERVALS,
             PUBLISHED,
         ],
-        [
-            Table(columns, ours, "Ours"),
-            Table(("losses", "bit accuracy, %", "PSNR, dB", "SSIM", "LPIPS"), theirs, "As the paper prints it"),
-        ],
+        [ours, theirs],
     )
+
+
+def _change(rows: list[Row], setting: str, condition: str) -> str:
+    return str(effect(rows, setting, "default", condition) or "")
 
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
     """No claim on the unmarked model."""
-    of = [row for row in of_kind(rows, setting="unmarked") if "claimed" in row]
+    of = [row for row in of_kind(rows, setting=UNMARKED.name) if "claimed" in row]
     if not of:
         return []
     claims = sum(row["claimed"] for row in of)

@@ -1,4 +1,4 @@
-"""How long pictures and gradients take (`mark3dgs bench raster`).
+"""How long pictures and gradients take.
 
 Contract: every figure is the median of `repeats` runs after one that is not timed, in milliseconds, on the
 threads numba uses; memory for results is reused where the interface allows. The yardstick is what one would
@@ -8,13 +8,15 @@ process.
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
-import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import prange
 
+from engine.evaluate.bench.timing import median_ms
+from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.numerics.jit import inlined, parallel_kernel, parallel_section, thread_count
 from engine.numerics.machine import machine_info, peak_memory_mb
@@ -24,8 +26,6 @@ from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 from engine.raster.view import blend_colors
 from engine.raster.workspace import borrow_workspace
-
-__all__ = ["bench_camera", "bench_raster", "median_ms", "naive_forward"]
 
 _KERNEL_VERSION = 2
 
@@ -91,56 +91,25 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     """The image by the plain loop, black background."""
     geometry, camera = view.geometry, view.camera
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-    log2_skip, clamp, stop = geometry.limits
+    shown = (geometry.records, geometry.discs, colors, geometry.ids, geometry.starts)
     with parallel_section():
-        _naive(
-            geometry.records,
-            geometry.discs,
-            colors,
-            geometry.ids,
-            geometry.starts,
-            camera.width,
-            camera.height,
-            geometry.tiles_x,
-            log2_skip,
-            clamp,
-            stop,
-            image,
-        )
+        _naive(*shown, camera.width, camera.height, geometry.tiles_x, *geometry.limits, image)
     return image
 
 
-def median_ms(work: Callable[[], object], repeats: int) -> float:
-    """Milliseconds of `work`, median of `repeats` runs after one that is not timed."""
-    work()
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        work()
-        times.append(1000.0 * (time.perf_counter() - began))
-    return round(float(np.median(times)), 2)
+def measure_raster(scene: str, seed: int, repeats: int, size: tuple[int, int]) -> list[dict[str, Any]]:
+    """`bench_raster` of a scene; nothing is drawn by lot."""
+    return [{"scene": Path(scene).name, **bench_raster(read_model(scene).model, *size, repeats)}]
 
 
 def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, repeats: int = 9) -> dict[str, Any]:
-    """Time the rasterizer on one model and the view of `bench_camera`.
+    """Time the rasterizer on one model and the view of `bench_camera`, in pixels.
 
-    Parameters
-    ----------
-    width, height : int
-        Size of the image, pixels.
-    repeats : int
-        Timed runs of each stage.
-
-    Returns
-    -------
-    dict
-        JSON-ready. `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept),
-        `blend_ms` (the raster stage alone), `backward_color_ms` (image cotangent to SH gradient, geometry
-        cached), `backward_ms` (every parameter and the camera; not for discs), `cached_iteration_ms` (SH, image, SH
-        gradient, geometry cached), `naive_forward_ms` (raster stage of the plain loop) and
-        `speedup_over_naive` (that over blend_ms); `gaussians`, `visible`, `pairs`, `width`, `height`,
-        `fragments_per_second` (pixel and Gaussian, evaluated, blend_ms), `threads`, `repeats`,
-        `peak_memory_mb`, `machine`, `versions`.
+    JSON-ready: `forward_ms` (render: projection to image), `prepare_ms` (a view that is kept), `blend_ms` (the raster
+    stage alone), `backward_color_ms` (image cotangent to SH gradient, geometry cached), `backward_ms` (every parameter
+    and the camera; not for discs), `cached_iteration_ms` (SH, image, SH gradient, geometry cached), `naive_forward_ms`
+    (raster stage of the plain loop) and `speedup_over_naive` (that over blend_ms); `fragments_per_second` (pixel and
+    Gaussian, evaluated, blend_ms), counts, machine.
     """
     warm_up()
     camera = bench_camera(model, width, height)

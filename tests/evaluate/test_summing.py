@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.evaluate.busy import busy_words
+from engine.evaluate.summing import busy_words
 from engine.numerics.machine import load_per_core
 
 

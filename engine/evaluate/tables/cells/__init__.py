@@ -1,1 +1,0 @@
-"""What the tables measure: one function a kind of cell, plain rows back."""
