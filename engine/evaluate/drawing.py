@@ -1,4 +1,7 @@
-"""One look for all figures: readable in grey, by colour-blind people, and on paper; the same bytes every time."""
+"""One look for all figures: readable in grey, by colour-blind people, and on paper; the same bytes every time.
+
+Reports draw in `house_style`. Axes take their words and scales by matplotlib's own ``axes.set(...)``.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["DIVERGING", "INK", "MARKERS", "SEQUENTIAL", "figure", "house_style", "label_line", "png", "styles", "svg"]
+__all__ = [
+    "FAINT",
+    "INK",
+    "MARKERS",
+    "SEQUENTIAL",
+    "figure",
+    "house_style",
+    "label_line",
+    "png",
+    "spread_curve",
+    "styles",
+    "svg",
+]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
-SEQUENTIAL, DIVERGING = "cividis", "PuOr"
-"""Colour maps whose lightness says what their colour says."""
+SEQUENTIAL = "cividis"
+"""A colour map whose lightness says what its colour says."""
 TITLE_LETTERS = 11.5
 """Of a bold title of 10 points, an inch."""
 INK, FAINT = "#1a1a1a", "#9a9a9a"
@@ -59,14 +74,19 @@ def house_style() -> Iterator[None]:
 
 
 def figure(
-    rows: int = 1, columns: int = 1, *, width: float = 6.4, height: float = 3.8, **options: Any
+    rows: int = 1, columns: int = 1, *, width: float = 6.4, height: float = 3.8, title: str = "", **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure and its axes in the house style; sizes in inches. It belongs to no window and no global state."""
+    """A figure and its axes in the house style; sizes in inches. It belongs to no window and no global state.
+
+    The title stands above all axes.
+    """
     from matplotlib.figure import Figure
 
     with house_style():
         made = Figure(figsize=(width, height), layout="constrained")
         axes = made.subplots(rows, columns, **options)
+        if title:
+            made.suptitle(title, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
     return made, axes
 
 
@@ -93,6 +113,12 @@ def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None
         fontsize=7.5,
         color="#6a6a6a",
     )
+
+
+def spread_curve(axes: Axes, x: Any, y: Any, low: Any, high: Any, *, thin: float = 1.0, **style: Any) -> None:
+    """A line through measured points, and a thin upright one through each: its interval."""
+    axes.plot(x, y, **style)
+    axes.vlines(x, low, high, color=style["color"], linewidth=thin)
 
 
 def svg(drawn: Figure) -> bytes:

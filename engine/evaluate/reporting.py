@@ -1,14 +1,14 @@
 """Reports of studies: results.json, figures as SVG and PNG, and one self-contained HTML page; misses come first."""
 
 import base64
-import html
 import json
-import os
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from engine.evaluate.drawing import house_style, png, svg
+from engine.evaluate.running import write_whole
 from engine.evaluate.study import Bar, Options, Report, Row, Section, Study, Table
 from engine.numerics.machine import machine_info
 from engine.numerics.plain import plain
@@ -57,28 +57,24 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
         "summary": made.summary,
         "rows": rows,
     }
-    _write(folder / "results.json", (json.dumps(plain(results), indent=1) + "\n").encode())
-    parts: list[str] = []
-    names: list[str] = []
-    for section in made.sections:
-        parts.append(_section(section, folder, names))
-    page = _page(study, made, bars, parts, options)
-    _write(folder / "report.html", page.encode())
-    return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": names}
+    write_whole(folder / "results.json", (json.dumps(plain(results), indent=1) + "\n").encode())
+    figures: list[str] = []
+    sections = [_section(section, folder, figures) for section in made.sections]
+    write_whole(folder / "report.html", _page(study, made, bars, sections, options).encode())
+    return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": figures}
 
 
 def _section(section: Section, folder: Path, names: list[str]) -> str:
-    parts = [f"<h2>{_safe(section.title)}</h2>", *(f"<p>{_safe(text)}</p>" for text in section.text)]
+    parts = [f"<h2>{escape(section.title)}</h2>", *(f"<p>{escape(text)}</p>" for text in section.text)]
     for drawing in section.drawings:
         with house_style():
             figure = drawing.make()
-        vector = svg(figure)
+        vector, caption = svg(figure), escape(drawing.caption)
         (folder / "figures").mkdir(exist_ok=True)
         for ending, content in (("svg", vector), ("png", png(figure))):
-            _write(folder / "figures" / f"{drawing.name}.{ending}", content)
             names.append(f"figures/{drawing.name}.{ending}")
+            write_whole(folder / names[-1], content)
         source = "data:image/svg+xml;base64," + base64.b64encode(vector).decode()
-        caption = _safe(drawing.caption)
         parts.append(f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>')
     return "\n".join(parts + [_table(table) for table in section.tables])
 
@@ -87,18 +83,18 @@ def _page(study: Study, made: Report, bars: Sequence[Bar], sections: Sequence[st
     machine = ", ".join(f"{name} {value}" for name, value in machine_info().items())
     quick = ["<p><strong>A quick run: it shows that everything works, not how well.</strong></p>"]
     body = [
-        f'<h1>{_safe(study.title)}</h1><p class="question">{_safe(study.question)}</p>',
+        f'<h1>{escape(study.title)}</h1><p class="question">{escape(study.question)}</p>',
         *(quick if options.quick else []),
-        *(f"<p>{_safe(text)}</p>" for text in made.answer),
+        *(f"<p>{escape(text)}</p>" for text in made.answer),
         _bars(bars) if bars else "",
         *sections,
-        f"<footer><p>{_safe(INFORMED)}</p><p>Scenes: {_safe(', '.join(Path(s).name for s in options.scenes))}. "
+        f"<footer><p>{escape(INFORMED)}</p><p>Scenes: {escape(', '.join(Path(s).name for s in options.scenes))}. "
         f"Seed {options.seed}. Made by: mark3dgs evaluate --suite {study.name}"
-        f"{' --quick' if options.quick else ''}. {_safe(machine)}.</p></footer>",
+        f"{' --quick' if options.quick else ''}. {escape(machine)}.</p></footer>",
     ]
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
-        f'content="width=device-width"><title>{_safe(study.title)}</title><style>{CSS}</style></head>\n<body>\n'
+        f'content="width=device-width"><title>{escape(study.title)}</title><style>{CSS}</style></head>\n<body>\n'
         + "\n".join(body)
         + "\n</body></html>\n"
     )
@@ -107,8 +103,9 @@ def _page(study: Study, made: Report, bars: Sequence[Bar], sections: Sequence[st
 def _bars(bars: Sequence[Bar]) -> str:
     words = {False: '<b class="miss">missed</b>', None: "not measured", True: '<span class="met">met</span>'}
     rows = "".join(
-        f"<tr><td>{words[bar.met]}</td><td>{_safe(bar.what)}</td><td>{_safe(bar.wanted)}</td>"
-        f"<td>{_safe(bar.measured)}</td></tr>"
+        f"<tr><td>{words[bar.met]}</td>"
+        + "".join(f"<td>{escape(text)}</td>" for text in (bar.what, bar.wanted, bar.measured))
+        + "</tr>"
         for bar in bars
     )
     head = "<tr><th></th><th>what</th><th>wanted</th><th>measured</th></tr>"
@@ -116,17 +113,12 @@ def _bars(bars: Sequence[Bar]) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{_safe(column)}</th>" for column in table.columns)
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f"<td{' class=n' if isinstance(value, (int, float)) else ''}>{_safe(cell_text(value))}</td>"
-            for value in row
-        )
-        + "</tr>"
-        for row in table.rows
-    )
-    caption = f"<caption>{_safe(table.title)}</caption>" if table.title else ""
+    def entry(value: Any) -> str:
+        return f"<td{' class=n' if isinstance(value, (int, float)) else ''}>{escape(cell_text(value))}</td>"
+
+    head = "".join(f"<th>{escape(column)}</th>" for column in table.columns)
+    body = "".join(f"<tr>{''.join(entry(value) for value in row)}</tr>" for row in table.rows)
+    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     return f'<div class="wide"><table>{caption}<tr>{head}</tr>{body}</table></div>'
 
 
@@ -135,13 +127,3 @@ def cell_text(value: Any) -> str:
     if value is None:
         return ""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _safe(text: str) -> str:
-    return html.escape(text)
-
-
-def _write(path: Path, content: bytes) -> None:
-    part = path.with_name(f".{path.name}.part")
-    part.write_bytes(content)
-    os.replace(part, path)

@@ -8,7 +8,6 @@ how values are distributed, and how often exactly the same value occurs.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from engine.model import SH_C0, Float64, GaussianModel, Int64
@@ -30,19 +29,11 @@ OPPONENT = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.5, 0.5, -1.0]]) / np.
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """Compact pieces of one geometry and who is whose neighbour; the same for all copies of a scene.
+    """Compact pieces of one geometry and who is whose neighbour; the same for all copies of a scene."""
 
-    Parameters
-    ----------
-    label : (N,) int64
-        Region of each Gaussian.
-    neighbors : (N, FAR) int64
-        Nearest first.
-    """
-
-    label: Int64
+    label: Int64  # (N,) region of each Gaussian
     count: int
-    neighbors: Int64
+    neighbors: Int64  # (N, FAR) nearest first
 
 
 def divide(model: GaussianModel) -> Regions:
@@ -64,28 +55,13 @@ def divide(model: GaussianModel) -> Regions:
 
 
 def measure_regions(model: GaussianModel, regions: Regions) -> Float64:
-    """Features of each region.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        In the order that the regions were made of.
-
-    Returns
-    -------
-    (regions.count, F) float64
-    """
+    """(regions.count, F) features of each region; the model is in the order that the regions were made of."""
     dc = model.sh[:, 0].astype(np.float64)
     colors = dc @ OPPONENT.T  # (N, 3)
-    near = colors[regions.neighbors[:, :NEAR]].mean(axis=1)
-    far = colors[regions.neighbors].mean(axis=1)
     nearest = colors[regions.neighbors[:, 0]]
-    columns: list[npt.NDArray[np.float64]] = []
-    for difference in (colors - nearest, colors - near, near - far):
-        columns += _shape(difference, regions)
-    columns += _shape(colors, regions)
-    columns += _lattice(dc, regions)
-    return np.stack(columns, axis=1)
+    near, far = (colors[regions.neighbors[:, :count]].mean(axis=1) for count in (NEAR, FAR))
+    shapes = [_shape(values, regions) for values in (colors - nearest, colors - near, near - far, colors)]
+    return np.concatenate([*shapes, _lattice(dc, regions)], axis=1)
 
 
 def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
@@ -115,34 +91,31 @@ def float_born(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
     return model.with_dc(dc.astype(np.float32))
 
 
-def _shape(values: Float64, regions: Regions) -> list[Float64]:
-    """Spread, tails, lean and histogram of each channel, and the channels' correlations, a column each."""
+def _shape(values: Float64, regions: Regions) -> Float64:
+    """(count, 33) spread, tails, lean, channels' correlations and histogram of (N, 3) values."""
     spread = np.sqrt(_mean(values**2, regions)) + 1e-9  # (R, 3)
     scaled = values / spread[regions.label]
-    columns = [
-        *np.log(spread).T,
-        *np.log(_mean(np.abs(scaled), regions) + 1e-9).T,
-        *_mean(scaled**3, regions).clip(-20, 20).T,
-        *np.log(_mean(scaled**4, regions) + 1e-9).T,
-        *_mean(scaled * np.roll(scaled, 1, axis=1), regions).T,
-    ]
     bins = np.digitize(scaled, EDGES)  # (N, 3)
-    for c in range(3):
-        for edge in range(1, len(EDGES)):
-            columns.append(_mean((bins[:, c : c + 1] == edge).astype(np.float64), regions)[:, 0])
-    return columns
+    inner = np.arange(1, len(EDGES))
+    columns = [
+        np.log(spread),
+        np.log(_mean(np.abs(scaled), regions) + 1e-9),
+        _mean(scaled**3, regions).clip(-20, 20),
+        np.log(_mean(scaled**4, regions) + 1e-9),
+        _mean(scaled * np.roll(scaled, 1, axis=1), regions),
+        *(_mean((bins[:, c : c + 1] == inner).astype(np.float64), regions) for c in range(3)),
+    ]
+    return np.concatenate(columns, axis=1)
 
 
-def _lattice(dc: Float64, regions: Regions) -> list[Float64]:
-    """How often a value is shared with other Gaussians of the model, and how far values lie from 8-bit levels."""
+def _lattice(dc: Float64, regions: Regions) -> Float64:
+    """(count, 6) how often a value is shared with other Gaussians, and how far off 8-bit levels it lies."""
     columns = []
-    for c in range(3):
-        _, place, count = np.unique(dc[:, c], return_inverse=True, return_counts=True)
-        shared = (count[place] >= OFTEN).astype(np.float64)
-        levels = 255.0 * (0.5 + SH_C0 * dc[:, c])
-        off = np.abs(levels - np.round(levels))
-        columns += [*_mean(np.stack([shared, off], axis=1), regions).T]
-    return columns
+    for values in dc.T:
+        _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+        levels = 255.0 * (0.5 + SH_C0 * values)
+        columns += [count[place] >= OFTEN, np.abs(levels - np.round(levels))]
+    return _mean(np.stack(columns, axis=1), regions)
 
 
 def _mean(values: Float64, regions: Regions) -> Float64:

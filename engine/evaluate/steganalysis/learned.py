@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from engine.errors import InputError
 from engine.evaluate.baselines.methods import find_method
+from engine.evaluate.intervals import area, area_interval
 from engine.evaluate.marked_scene import bench_key
-from engine.evaluate.steganalysis.attributes import Regions, divide, float_born, measure_regions
-from engine.evaluate.steganalysis.roc import area, area_interval
+from engine.evaluate.steganalysis.attributes import divide, float_born, measure_regions
 from engine.evaluate.study import Row
 from engine.formats import read_model
 from engine.model import Float64, GaussianModel
@@ -23,6 +24,7 @@ from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.rigs import make_rig
 from engine.sim.attacks import model_attack
+from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import derive_message
 
 __all__ = ["FORMS", "detect_as_insider", "detect_as_stranger"]
@@ -38,8 +40,6 @@ def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: 
 
     Parameters
     ----------
-    path : str
-        Of a model.
     form : str
         One of `FORMS`.
     keys : int
@@ -56,13 +56,11 @@ def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: 
     regions = features.shape[1]
     half = np.random.default_rng((seed, 3)).permutation(regions) < regions // 2
     rows = []
-    for name in _classifiers(seed):
+    for name, classifier in _classifiers(seed).items():
         score = np.empty(features.shape[:2])
         for asked in (half, ~half):
-            known = features[: 1 + keys, ~asked]
-            model = _fit(name, known[0], known[1:].reshape(-1, known.shape[2]), seed)
-            for copy in range(len(features)):
-                score[copy, asked] = _score(model, features[copy, asked])
+            _fit(classifier, [features[: 1 + keys, ~asked]])
+            score[:, asked] = [_score(classifier, copy[asked]) for copy in features]
         asked_about = np.concatenate([score[:1], score[1 + keys :]])
         about = {"scene": Path(path).name, "method": method, "attacker": "insider", "form": form}
         rows.append({**about, "classifier": name, **_judged([asked_about])})
@@ -70,34 +68,19 @@ def detect_as_insider(path: str, profile_name: str, form: str, keys: int, seed: 
 
 
 def detect_as_stranger(paths: Sequence[str], profile_name: str, form: str, keys: int, seed: int) -> list[Row]:
-    """Trained on all scenes but one, asked about that one, for each; fresh keys everywhere.
+    """Trained on all scenes but one, asked about that one, for each; fresh `keys` everywhere.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        Of at least two models.
-    profile_name, form, seed
-        See `detect_as_insider`.
-    keys : int
-        Marked copies of each scene.
-
-    Returns
-    -------
-    list of dict
-        As `detect_as_insider`, one row a scene and classifier, and one of all scenes together.
+    Rows as of `detect_as_insider`, one a scene and classifier, and one of all scenes together.
     """
     if len(paths) < 2:
         raise InputError(f"a stranger learns from other scenes: at least 2 are needed, got {len(paths)}")
     features = [_copies(path, profile_name, form, keys, seed + 100 * n) for n, path in enumerate(paths)]
     rows = []
-    for name in _classifiers(seed):
+    for name, classifier in _classifiers(seed).items():
         scores = []
         for asked, path in enumerate(paths):
-            others = [f for n, f in enumerate(features) if n != asked]
-            unmarked = np.concatenate([f[0] for f in others])
-            marked = np.concatenate([f[1:].reshape(-1, f.shape[2]) for f in others])
-            model = _fit(name, unmarked, marked, seed)
-            scores.append(np.stack([_score(model, copy) for copy in features[asked]]))
+            _fit(classifier, [f for n, f in enumerate(features) if n != asked])
+            scores.append(np.stack([_score(classifier, copy) for copy in features[asked]]))
             about = {"method": "ours", "attacker": "stranger", "form": form, "classifier": name}
             rows.append({"scene": Path(path).name, **about, **_judged(scores[-1:])})
         rows.append({"scene": "all", **about, **_judged(scores)})
@@ -106,40 +89,27 @@ def detect_as_stranger(paths: Sequence[str], profile_name: str, form: str, keys:
 
 def _copies(path: str, profile_name: str, form: str, keys: int, seed: int, method: str = "ours") -> Float64:
     """(1 + keys, R, F) features of the unmarked model and of copies under different keys."""
-    loaded = read_model(path)
+    loaded, config = read_model(path), profile(profile_name, landmark_views=0)
     base = float_born(loaded.model, np.random.default_rng((seed, 4))) if form == "floats" else loaded.model
-    regions = divide(base)
-    found = [_features(base, form, path, regions)]
-    for number in range(keys):
-        marked = _marked(base, loaded.sha256, profile_name, 1_000 * (seed + 1) + number, method)
-        found.append(_features(marked, form, path, regions))
-    return np.stack(found)
+    regions, cameras = divide(base), make_rig(base, config.views, config.view_size, config.view_size)
 
+    def marked(key: OwnerKey) -> GaussianModel:
+        if method == "ours":
+            return embed(base, key, original_sha256=loaded.sha256, bits=BITS, config=config).model
+        message = derive_message(key, BITS, loaded.sha256.encode())
+        return find_method(method).embed(base, key, message, config.psnr_db, cameras)[0]
 
-def _marked(base: GaussianModel, digest: str, profile_name: str, number: int, method: str) -> GaussianModel:
-    key, config = bench_key(number), profile(profile_name, landmark_views=0)
-    if method == "ours":
-        return embed(base, key, original_sha256=digest, bits=BITS, config=config).model
-    cameras = make_rig(base, config.views, config.view_size, config.view_size)
-    message = derive_message(key, BITS, digest.encode())
-    return find_method(method).embed(base, key, message, config.psnr_db, cameras)[0]
-
-
-def _features(model: GaussianModel, form: str, path: str, regions: Regions) -> Float64:
-    if form != "own format":
+    def features(model: GaussianModel) -> Float64:
+        if form == "own format":
+            model = _in_order(model_attack("convert").apply(model, loaded.format), model)
         return measure_regions(model, regions)
-    stored = model_attack("convert").apply(model, _format(path))
-    return measure_regions(_in_order(stored, model), regions)
 
-
-def _format(path: str) -> str:
-    known = ("compressed.ply", "splat", "spz", "sog", "ply")
-    return next((name for name in known if path.endswith("." + name)), "ply")
+    copies = (marked(bench_key(1_000 * (seed + 1) + number)) for number in range(keys))
+    return np.stack([features(base), *(features(copy) for copy in copies)])
 
 
 def _in_order(stored: GaussianModel, model: GaussianModel) -> GaussianModel:
     """A format may order the Gaussians anew: back to the order that the regions know, by place and size."""
-    from scipy.spatial import cKDTree
 
     def place(of: GaussianModel) -> Float64:
         return np.concatenate([of.means, 1e-3 * of.log_scales], axis=1).astype(np.float64)
@@ -165,13 +135,15 @@ def _classifiers(seed: int) -> dict[str, Any]:
     }
 
 
-def _fit(name: str, unmarked: Float64, marked: Float64, seed: int) -> Any:
-    is_marked = np.repeat([0, 1], [len(unmarked), len(marked)])
-    return _classifiers(seed)[name].fit(np.concatenate([unmarked, marked]), is_marked)
+def _fit(classifier: Any, known: Sequence[Float64]) -> None:
+    """Anew, on scenes' features (1 + keys, R, F), the unmarked model first."""
+    unmarked = np.concatenate([features[0] for features in known])
+    marked = np.concatenate([features[1:].reshape(-1, features.shape[2]) for features in known])
+    classifier.fit(np.concatenate([unmarked, marked]), np.repeat([0, 1], [len(unmarked), len(marked)]))
 
 
-def _score(model: Any, features: Float64) -> Float64:
-    return np.asarray(model.predict_proba(features)[:, 1])
+def _score(classifier: Any, features: Float64) -> Float64:
+    return np.asarray(classifier.predict_proba(features)[:, 1])
 
 
 def _judged(scores: Sequence[Float64]) -> dict[str, Any]:
@@ -183,7 +155,7 @@ def _judged(scores: Sequence[Float64]) -> dict[str, Any]:
     places = [(score[:1, r], score[1:, r]) for score in scores for r in range(score.shape[1])]
     negative = np.concatenate([a for a, _ in places])
     positive = np.concatenate([b for _, b in places])
-    low, high = area_interval(negative, positive, places)
+    low, high = area_interval(places)
     spread = max(float(negative.std()), 1e-12)
     return {
         "auc": area(negative, positive),
