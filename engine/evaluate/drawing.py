@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+else:
+    Figure = Any  # matplotlib is loaded by what draws
 
 __all__ = [
     "FAINT",
     "INK",
     "MARKERS",
     "SEQUENTIAL",
+    "Figure",
     "figure",
     "house_style",
     "label_line",

@@ -5,19 +5,15 @@ machine, and be looked up when a study goes on after a break. What cells return 
 all rows together and of nothing else (`engine.evaluate.rows` picks, groups and tabulates them).
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from engine.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from engine.evaluate.drawing import Figure
 
 Row = dict[str, Any]
 """Plain JSON values."""
@@ -48,7 +44,7 @@ class Cell:
             raise InputError(f"the name of a cell is made of letters, digits, '.', '-' and '_', got {self.name!r}")
 
     @classmethod
-    def of(cls, name: str, work: Callable[..., list[Row]], /, **arguments: Any) -> Cell:
+    def of(cls, name: str, work: Callable[..., list[Row]], /, **arguments: Any) -> Self:
         """The cell that calls a function of a module with these arguments."""
         return cls(name, f"{work.__module__}:{work.__qualname__}", arguments)
 
@@ -75,7 +71,7 @@ class Bar:
     met: bool | None  # None: could not be measured in this run
 
     @classmethod
-    def without(cls, what: str, wanted: str, measured: str, faults: Sequence[str]) -> Bar:
+    def without(cls, what: str, wanted: str, measured: str, faults: Sequence[str]) -> Self:
         """Met where there are no faults; they are listed behind what was measured."""
         return cls(what, wanted, "; ".join([measured, *faults]), not faults)
 

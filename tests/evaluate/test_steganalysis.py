@@ -11,8 +11,7 @@ from engine.errors import InputError
 from engine.evaluate.intervals import area, area_interval
 from engine.evaluate.reporting import write_report
 from engine.evaluate.running import run_cells
-from engine.evaluate.steganalysis.attributes import divide, float_born, measure_regions
-from engine.evaluate.steganalysis.learned import detect_as_stranger
+from engine.evaluate.steganalysis.learned import detect_as_stranger, divide, float_born, measure_regions
 from engine.evaluate.steganalysis.pictures import DETECTORS, chi_square, fuse, replace_lsb
 from engine.evaluate.steganalysis.study import STUDY
 from engine.evaluate.study import Options

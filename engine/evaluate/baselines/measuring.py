@@ -40,19 +40,8 @@ QUICK_ATTACKS = ("none", "prune random 20 %", "similarity x10 + shuffle", "JPEG 
 def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys: int, quick: bool) -> list[Row]:
     """Mark a scene by another method at our PSNR, in the views where ours would have been measured, and attack it.
 
-    Parameters
-    ----------
-    seed : int
-        Of the key; attacks have streams of their own that do not depend on it.
-    pictures : int
-        Single pictures under each image attack.
-    quick : bool
-        Few attacks, small views.
-
-    Returns
-    -------
-    list of dict
-        ``what`` is "embedding", "attack" or "wrong keys"; one row "skipped" where the method cannot run here.
+    Image attacks are tried on so many single `pictures`; the seed is of the key, and attacks have streams of their own.
+    ``what`` of a row is "embedding", "attack" or "wrong keys"; one row "skipped" where the method cannot run here.
     """
     chosen, about = find_method(method), {"scene": Path(path).name, "method": method, "seed": seed}
     if reason := chosen.missing():

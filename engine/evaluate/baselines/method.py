@@ -19,43 +19,21 @@ CLOSE_DB = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the owner keeps of a marking: all that reading may use; each method takes what its class needs.
+    """What the owner keeps of a marking: all that reading may use; each method takes what its class needs."""
 
-    Parameters
-    ----------
-    key : OwnerKey
-        Replace it to see what a wrong key reads.
-    bits : int
-        Length of the message.
-    strength : float
-        At which it was marked, in the method's own unit.
-    original : GaussianModel
-        Unmarked. Blind methods take no attribute of a Gaussian from it, only the frame of the scene.
-    """
-
-    key: OwnerKey
-    bits: int
-    strength: float
-    original: GaussianModel
+    key: OwnerKey  # replace it to see what a wrong key reads
+    bits: int  # of the message
+    strength: float  # at which it was marked, in the method's own unit
+    original: GaussianModel  # blind methods take no attribute of a Gaussian from it, only the frame of the scene
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to mark models. Everything is a function of its arguments: the same input gives the same bytes.
+    """A way to mark models. Everything is a function of its arguments: the same input gives the same bytes."""
 
-    Parameters
-    ----------
-    name : str
-        In tables.
-    stands_for : str
-        Which published class this is, and what of it is not.
-    keyed : bool
-        Whether another key reads something else.
-    """
-
-    name: str
-    stands_for: str
-    keyed: bool = True
+    name: str  # in tables
+    stands_for: str  # which published class this is, and what of it is not
+    keyed: bool = True  # whether another key reads something else
 
     def missing(self) -> str:
         """Why it cannot run here; empty when it can."""

@@ -162,25 +162,13 @@ def _chips(key: OwnerKey, bits: int) -> tuple[Float64, Int64]:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedPictures(Method):
-    """A picture mark in every training view, and a model whose colours were fitted to them.
-
-    Parameters
-    ----------
-    views : int
-        Training views, a regular rig about the original.
-    size : int
-        Pixels a side.
-    epochs : int
-        Rounds of the fit over all views.
-    read_views : int
-        Of the training views, how many a model is read at; their scores are summed.
-    """
+    """A picture mark in every training view, and a model whose colours were fitted to them."""
 
     mark: PictureMark
-    views: int = 12
-    size: int = 512
-    epochs: int = 20
-    read_views: int = 4
+    views: int = 12  # training views, a regular rig about the original
+    size: int = 512  # pixels a side
+    epochs: int = 20  # rounds of the fit over all views
+    read_views: int = 4  # of the training views, how many a model is read at; their scores are summed
 
     def missing(self) -> str:
         """What the picture mark lacks."""

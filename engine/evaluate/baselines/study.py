@@ -4,26 +4,20 @@ Full: 3 keys of ours and of each method, 16 attacks on the model and 9 on each o
 and a scene of 100k Gaussians about 20 minutes, 35 where RivaGAN is installed. Quick: one key, few attacks, small views.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from engine.evaluate.baselines.measuring import BITS, LEAST_MATCHES, attack_baseline, attack_ours
 from engine.evaluate.baselines.methods import METHODS
-from engine.evaluate.drawing import SEQUENTIAL, figure
+from engine.evaluate.drawing import SEQUENTIAL, Figure, figure
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.published import read_published
 from engine.evaluate.rows import as_named, distinct, grouped, listed, picked, tabled
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
 from engine.watermark.statistics import log10_binomial_tail
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["STUDY"]
 

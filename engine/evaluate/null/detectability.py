@@ -57,26 +57,16 @@ def squared_distances(a: Float64, b: Float64) -> Float64:
 
 
 def transport_cost(cost: Float64, epsilon: float, *, tolerance: float = 1e-6, rounds: int = 500) -> float:
-    """Entropic optimal transport between two uniform samples, iterated on the dual; in logarithms where needed.
+    """Entropic optimal transport between two uniform samples: the value of the dual, sum of the mean potentials.
+
+    Iterated on the dual, in logarithms where needed (Cuturi, "Sinkhorn distances", NIPS 2013; symmetrised steps as in
+    Feydy et al., AISTATS 2019), until no potential changes by more than `tolerance` times epsilon.
 
     Parameters
     ----------
     cost : (n, m) float64
     epsilon : float
         Weight of the entropy (relative to the product measure), in the unit of the cost, > 0.
-    tolerance : float
-        Largest change of a dual potential, relative to epsilon, that ends the iteration.
-    rounds : int
-        At most.
-
-    Returns
-    -------
-    float
-        Value of the dual: sum of the mean potentials.
-
-    Notes
-    -----
-    Cuturi, "Sinkhorn distances", NIPS 2013; symmetrised steps as in Feydy et al., AISTATS 2019.
     """
     kernel = np.exp(-cost / epsilon)
     n, m = cost.shape
@@ -109,23 +99,10 @@ def divergence(cost: Float64, first: int, epsilon: float) -> float:
 def permutation_test(
     a: Float64, b: Float64, *, draws: int, epsilon_share: float = 0.1, seed: int = 0
 ) -> tuple[float, float, list[float]]:
-    """Whether two samples, (n, d) and (m, d), look drawn from one distribution.
+    """Whether two samples, (n, d) and (m, d), look drawn from one distribution: their divergence, p, and the null.
 
-    Parameters
-    ----------
-    draws : int
-        Random divisions of the joint sample.
-    epsilon_share : float
-        Entropy's weight, of the median cost.
-
-    Returns
-    -------
-    distance : float
-        Sinkhorn divergence of the samples.
-    p : float
-        Share of divisions, this one counted, at least as far apart: exact under the null.
-    null : list of float
-        Divergences of the random divisions.
+    The null are divergences of as many random divisions of the joint sample as there are `draws`; p is the share of
+    divisions, this one counted, at least as far apart: exact. The entropy weighs `epsilon_share` of the median cost.
     """
     joint = np.concatenate([a, b])
     cost = squared_distances(joint, joint)

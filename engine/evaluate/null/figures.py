@@ -1,22 +1,16 @@
 """Figures of the calibration: false claims, ROC, power, detectability, and the oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import norm
 
-from engine.evaluate.drawing import FAINT, INK, figure, label_line, spread_curve, styles
+from engine.evaluate.drawing import FAINT, INK, Figure, figure, label_line, spread_curve, styles
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.null.rates import CLAIM, LOG10_THRESHOLDS, Rates, share_claimed
 from engine.evaluate.rows import distinct, grouped, picked
 from engine.evaluate.study import Row
 from engine.watermark.statistics import z_threshold
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["draw_detectability", "draw_false_claims", "draw_oracle", "draw_power", "draw_roc"]
 

@@ -38,19 +38,8 @@ def look_at_mark(
 ) -> list[Row]:
     """Mark a scene and measure how it looks against the unmarked renders.
 
-    Parameters
-    ----------
-    views : int
-        Views outside the pose key.
-    size : int
-        Of those views, pixels a side, at least 176.
-    seed : int
-        Of key and views.
-
-    Returns
-    -------
-    list of dict
-        One row a view (``kind`` "key" or "free"), and one with the worst view as pictures.
+    At the key views and at `views` outside the pose key, of `size` pixels a side (at least 176): one row a view
+    (``kind`` "key" or "free"), and one with the worst view as pictures.
     """
     perceived = None if lpips_weights is None else load_lpips(lpips_weights)
     config = profile(profile_name, landmark_views=0)
@@ -96,22 +85,10 @@ def _perception(plain: Float32, marked: Float32, perceived: Distance | None) -> 
 
 
 def flip_map(a: Float32, b: Float32) -> Float32:
-    """FLIP of each pixel at 67 pixels a degree, a desktop screen from 70 cm (Andersson et al., HPG 2020).
+    """(H, W) FLIP at 67 pixels a degree, a desktop screen from 70 cm (Andersson et al., HPG 2020).
 
-    Parameters
-    ----------
-    a, b : (H, W, 3) float32
-        sRGB, 0 to 1, clipped first.
-
-    Returns
-    -------
-    (H, W) float32
-        0 where nothing is seen to differ, at most 1.
-
-    Raises
-    ------
-    InputError
-        If the package flip-evaluator is not installed.
+    0 where nothing is seen to differ, at most 1. The pictures, (H, W, 3) sRGB, are clipped to 0..1. An InputError where
+    the package flip-evaluator is not installed.
     """
     try:
         import flip_evaluator
@@ -123,23 +100,11 @@ def flip_map(a: Float32, b: Float32) -> Float32:
 
 
 def load_lpips(weights: str) -> Distance:
-    """LPIPS, the distance of Zhang et al. (CVPR 2018), version 0.1 on AlexNet, where its weights can be had.
+    """LPIPS, the distance of Zhang et al. (CVPR 2018), version 0.1 on AlexNet, of pictures (H, W, 3) in 0..1.
 
-    Parameters
-    ----------
-    weights : str
-        File with torchvision's AlexNet state dict (``features.0.weight``, ...), as ``torch.save`` writes it. The
-        linear layers come with the optional package `lpips`.
-
-    Returns
-    -------
-    callable
-        Two pictures (H, W, 3) in 0..1 -> distance, 0 for equal ones.
-
-    Raises
-    ------
-    InputError
-        If the package is not installed, or the file is missing or holds something else.
+    The file holds torchvision's AlexNet state dict (``features.0.weight``, ...), as ``torch.save`` writes it; the
+    linear layers come with the optional package `lpips`. An InputError where the package is not installed, or the file
+    is missing or holds something else.
     """
     try:
         import lpips

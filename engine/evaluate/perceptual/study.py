@@ -4,25 +4,20 @@ Full: 3 profiles x 24 views of 800 pixels; about 3.5 minutes a scene of 100k Gau
 two views of 400 pixels.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from engine.evaluate.drawing import FAINT, figure, styles
+from engine.evaluate.drawing import FAINT, Figure, figure, styles
 from engine.evaluate.intervals import bootstrap
 from engine.evaluate.perceptual.measuring import COMPARED_QUALITIES, look_at_mark
 from engine.evaluate.rows import grouped, listed, picked
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["STUDY"]
 

@@ -62,21 +62,19 @@ def compare_machines(path: str, quick: bool, seed: int) -> list[Row]:
     if not quick:
         settings["two threads, and two of BLAS"] = {"NUMBA_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
         settings["processor without AVX"] = {**one, **PLAIN}
+    return _compared({name: _in_child(path, quick, seed, variables) for name, variables in settings.items()})
+
+
+def _compared(answers: dict[str, Row]) -> list[Row]:
+    """Each beside the first: the same bytes; or the same verdict and bits, and nearly the same z."""
+    first = next(iter(answers.values()))
     rows: list[Row] = []
-    for name, variables in settings.items():
-        said = _in_child(path, quick, seed, variables)
-        first = rows[0] if rows else said
+    for name, said in answers.items():
         exact = all(first[key] == value for key, value in said.items() if key.endswith("digest"))
-        close = _alike(first, said, "model") and _alike(first, said, "image")
-        rows.append({"what": "same", "how": name, "exact": exact, "close": close, **said})
+        same = all(first[key] == value for key, value in said.items() if key.startswith(("verdicts", "bits")))
+        near = all(abs(first[k] - z) <= CLOSE * abs(first[k]) for k, z in said.items() if k.startswith("z_"))
+        rows.append({"what": "same", "how": name, "exact": exact, "close": same and near, **said})
     return rows
-
-
-def _alike(first: Row, said: Row, route: str) -> bool:
-    """The same verdict and bits, and nearly the same z."""
-    z, bits = f"z_{route}", f"bits_{route}"
-    same = (first["verdicts"], first[bits]) == (said["verdicts"], said[bits])
-    return bool(same and abs(first[z] - said[z]) <= CLOSE * abs(first[z]))
 
 
 def _in_child(path: str, quick: bool, seed: int, variables: dict[str, str]) -> Row:
@@ -103,14 +101,12 @@ def compare_precision(path: str, quick: bool, seed: int) -> list[Row]:
         "every number one float32 step off": (_nudged(plain, rng), 0),
         **{f"seed {k} of the registration": (plain, k) for k in range(1, 2 if quick else 5)},
     }
-    rows: list[Row] = []
+    answers: dict[str, Row] = {}
     for name, (suspect, number) in variants.items():
         claim = verify_model(suspect, scene.opened, VerifyConfig(route="model", seed=number)).claim
-        said = {"z_model": claim.z, "bits_model": claim.message, "verdicts": [claim.verdict.value]}
-        digest, first = claim_digest(claim), rows[0] if rows else said
-        row = {"what": "same", "how": name, "exact": digest == first.get("model_digest", digest)}
-        rows.append({**row, "model_digest": digest, "close": _alike(first, said, "model"), **said})
-    return rows
+        answers[name] = {"model_digest": claim_digest(claim), "z_model": claim.z, "bits_model": claim.message}
+        answers[name]["verdicts"] = [claim.verdict.value]
+    return _compared(answers)
 
 
 def _nudged(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:

@@ -11,8 +11,7 @@ from functools import partial
 
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.rows import as_named, listed, picked, tabled
-from engine.evaluate.stability.curves import Break, Swept, failing_first, sum_up
-from engine.evaluate.stability.figures import draw_costs, draw_map
+from engine.evaluate.stability.curves import Break, Swept, draw_costs, draw_map, failing_first, sum_up
 from engine.evaluate.stability.odd_inputs import ODD, QUICK, stress
 from engine.evaluate.stability.sameness import compare_machines, compare_precision
 from engine.evaluate.stability.sweeps import PICTURE_SIZE, all_sweeps, sweep, thinned

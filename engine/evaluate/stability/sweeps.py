@@ -54,23 +54,13 @@ MOVES_ONLY = {
 
 @dataclass(frozen=True)
 class Sweep:
-    """One attack, in one reading and one direction, over its strengths.
-
-    Parameters
-    ----------
-    attack : str
-        Of `engine.sim.attacks`.
-    direction : {"", "down", "up"}
-        Which side of the neutral strength, for attacks that have two.
-    strengths : tuple of float or str
-        From harmless to ruinous; names are kinds and have no order.
-    """
+    """One attack of `engine.sim.attacks`, in one reading and one direction, over its strengths."""
 
     attack: str
     kind: Kind
     reading: Label
-    direction: str
-    strengths: tuple[Strength, ...]
+    direction: str  # "", or "down" and "up": which side of the neutral strength, for attacks that have two
+    strengths: tuple[Strength, ...]  # from harmless to ruinous; names are kinds and have no order
 
     @property
     def name(self) -> str:

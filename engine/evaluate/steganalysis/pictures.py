@@ -162,21 +162,10 @@ def _smaller_root(a: float, b: float, c: float) -> float:
 
 
 def look_at_renders(path: str, profile_name: str, views: int, checked_views: int, size: int, seed: int) -> list[Row]:
-    """Every detector on 8-bit renders of one scene: the same views unmarked and marked.
+    """Every detector on 8-bit renders of one scene, `size` pixels a side: the same views unmarked and marked.
 
-    Parameters
-    ----------
-    checked_views : int
-        Of these, how many unmarked ones also get replaced bits, to check the detectors.
-    size : int
-        Pixels a side.
-    seed : int
-        Of key, views and bits.
-
-    Returns
-    -------
-    list of dict
-        One row a picture: ``kind`` "unmarked", "marked" or "lsb", its ``rate``, and each detector's estimate.
+    Of the first `checked_views` the unmarked ones also get replaced bits, to check the detectors. One row a picture:
+    ``kind`` "unmarked", "marked" or "lsb", its ``rate``, and each detector's estimate.
     """
     scene = mark_scene(path, profile(profile_name, landmark_views=0), seed=seed)
     rng = np.random.default_rng((seed, 9))

@@ -5,24 +5,18 @@ about 1 minute for each of the three forms and two baselines. With several scene
 24 renders, one key and one form, about half a minute.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from engine.evaluate.drawing import FAINT, figure, label_line, styles
+from engine.evaluate.drawing import FAINT, Figure, figure, label_line, styles
 from engine.evaluate.intervals import area, area_interval
 from engine.evaluate.rows import as_named, distinct, grouped, picked, tabled
 from engine.evaluate.steganalysis.learned import FORMS, detect_as_insider, detect_as_stranger
 from engine.evaluate.steganalysis.pictures import DETECTORS, look_at_renders
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
 from engine.model import Float64
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["STUDY"]
 
