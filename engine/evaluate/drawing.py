@@ -3,27 +3,19 @@
 Reports draw in `house_style`. Axes take their words and scales by matplotlib's own ``axes.set(...)``.
 """
 
-from __future__ import annotations
-
 import io
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-else:
-    Figure = Any  # matplotlib is loaded by what draws
+from typing import Any
 
 __all__ = [
     "FAINT",
     "INK",
     "MARKERS",
     "SEQUENTIAL",
+    "Axes",
     "Figure",
     "figure",
     "house_style",
@@ -33,6 +25,10 @@ __all__ = [
     "styles",
     "svg",
 ]
+
+Axes = Any
+Figure = Any
+"""matplotlib's own, loaded only by what draws; mypy takes them for this anyway."""
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
@@ -152,7 +148,7 @@ def _wrap_titles(drawn: Figure) -> None:
         _wrap(axes, axes.get_title("left"), inches / columns)
 
 
-def _wrap(holder: Artist, title: str, inches: float) -> None:
+def _wrap(holder: Figure | Axes, title: str, inches: float) -> None:
     """Break a title of a figure or of axes where it is longer than the room it has."""
     from matplotlib.text import Text
 
