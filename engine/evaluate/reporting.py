@@ -21,13 +21,23 @@ INFORMED = (
     "harder problem."
 )
 
+
+def cell_text(value: Any) -> str:
+    """A value as a table shows it: four digits of a float, nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
 TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
     autoescape=True,
     trim_blocks=True,
     lstrip_blocks=True,
     undefined=StrictUndefined,
+    keep_trailing_newline=True,
 )
+TEMPLATES.filters["cell_text"] = cell_text
 
 
 def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Path) -> dict[str, Any]:
@@ -74,13 +84,3 @@ def _drawn(drawing: Drawing, folder: Path) -> str:
     write_whole(folder / f"{drawing.name}.svg", vector)
     write_whole(folder / f"{drawing.name}.png", png(figure))
     return base64.b64encode(vector).decode()
-
-
-def cell_text(value: Any) -> str:
-    """A value as a table shows it: four digits of a float, nothing for None."""
-    if value is None:
-        return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-TEMPLATES.filters["cell_text"] = cell_text
