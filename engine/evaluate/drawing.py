@@ -97,21 +97,14 @@ def styles() -> Iterator[dict[str, Any]]:
 
 def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None:
     """A thin line for a threshold or bar, named where it stands."""
-    draw = axes.axhline if along == "x" else axes.axvline
-    draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-    x, y = (0.99, value) if along == "x" else (value, 0.99)
-    transform = axes.get_yaxis_transform() if along == "x" else axes.get_xaxis_transform()
-    axes.text(
-        x,
-        y,
-        text,
-        transform=transform,
-        ha="right",
-        va="bottom" if along == "x" else "top",
-        rotation=0 if along == "x" else 90,
-        fontsize=7.5,
-        color="#6a6a6a",
+    level = along == "x"
+    draw, transform = (
+        (axes.axhline, axes.get_yaxis_transform()) if level else (axes.axvline, axes.get_xaxis_transform())
     )
+    draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
+    place = (0.99, value) if level else (value, 0.99)
+    turned = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
+    axes.text(*place, text, transform=transform, ha="right", fontsize=7.5, color="#6a6a6a", **turned)
 
 
 def spread_curve(axes: Axes, x: Any, y: Any, low: Any, high: Any, *, thin: float = 1.0, **style: Any) -> None:

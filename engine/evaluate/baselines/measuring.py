@@ -25,7 +25,6 @@ from engine.pipeline.verification import VerifyConfig, verify_images, verify_mod
 from engine.raster import render
 from engine.sim.attacks import image_attack
 from engine.sim.suite import Trial, apply_chain
-from engine.watermark.claim import Claim
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.messages import Signs, derive_message
 
@@ -55,9 +54,9 @@ def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys
     seconds = time.perf_counter() - began
     rows = [_embedding(seconds, kept.strength, original, marked, views)]
     for name, suspect in _attacked_models(marked, quick):
-        rows.append(_attack("model", name, **_bits(chosen.read_model(suspect, kept), message)))
+        rows.append(_read("model", name, chosen.read_model(suspect, kept), message))
     for name, picture in _attacked_pictures(marked, chosen.cameras(original)[:pictures], quick):
-        rows.append(_attack("picture", name, **_bits(chosen.read_picture(picture, kept), message)))
+        rows.append(_read("picture", name, chosen.read_picture(picture, kept), message))
     rows.append({"what": "wrong keys", **_wrong_keys(chosen, original, marked, kept, message, wrong_keys)})
     return [{**about, **row} for row in rows]
 
@@ -72,11 +71,11 @@ def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
     rows = [_embedding(scene.report["seconds"], opened.strength, scene.original, scene.marked, opened.cameras)]
     for name, suspect in _attacked_models(scene.marked, quick):
         claim = verify_model(suspect, opened, VerifyConfig(route="model")).claim
-        rows.append(_attack("model", name, **_claimed(claim)))
+        rows.append(_attack("model", name, claim.matching_bits, claim.verdict.value == "marked"))
     for camera in opened.cameras[:pictures]:
         for name, picture in _attacked_pictures(scene.marked, [camera], quick):
             claim = verify_images([picture], opened, VerifyConfig(), cameras=[camera]).claim
-            rows.append(_attack("picture", name, **_claimed(claim)))
+            rows.append(_attack("picture", name, claim.matching_bits, claim.verdict.value == "marked"))
     for rates in wrong_key_rates(scene, 1_000 if quick else 10_000, seed):
         told = {field: rates[field] for field in ("route", "keys", "largest_z")}
         rows.append({"what": "wrong keys", **told, "accepted": rates["claims_at_1e-9"]})
@@ -95,13 +94,9 @@ def _attack(on: str, name: str, right: int | None, claimed: bool | None) -> Row:
     return {"what": "attack", "on": on, "attack": name, "right": right, "claimed": claimed}
 
 
-def _claimed(claim: Claim) -> dict[str, Any]:
-    return {"right": claim.matching_bits, "claimed": claim.verdict.value == "marked"}
-
-
-def _bits(scores: Float64 | None, message: Signs) -> dict[str, Any]:
+def _read(on: str, name: str, scores: Float64 | None, message: Signs) -> Row:
     right = _matching(scores, message)
-    return {"right": right, "claimed": None if right is None else right >= LEAST_MATCHES}
+    return _attack(on, name, right, None if right is None else right >= LEAST_MATCHES)
 
 
 def _matching(scores: Float64 | None, message: Signs) -> int | None:
