@@ -1,27 +1,41 @@
-"""One look for all figures: readable in grey, by colour-blind people, and on paper; the same bytes every time."""
+"""One look for all figures: readable in grey, by colour-blind people, and on paper; the same bytes every time.
 
-from __future__ import annotations
+Reports draw in `house_style`. Axes take their words and scales by matplotlib's own ``axes.set(...)``.
+"""
 
 import io
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+__all__ = [
+    "FAINT",
+    "INK",
+    "MARKERS",
+    "SEQUENTIAL",
+    "Axes",
+    "Figure",
+    "figure",
+    "house_style",
+    "label_line",
+    "png",
+    "spread_curve",
+    "styles",
+    "svg",
+]
 
-__all__ = ["DIVERGING", "INK", "MARKERS", "SEQUENTIAL", "figure", "house_style", "label_line", "png", "styles", "svg"]
+Axes = Any
+Figure = Any
+"""matplotlib's own, loaded only by what draws; mypy takes them for this anyway."""
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
-SEQUENTIAL, DIVERGING = "cividis", "PuOr"
-"""Colour maps whose lightness says what their colour says."""
+SEQUENTIAL = "cividis"
+"""A colour map whose lightness says what its colour says."""
 TITLE_LETTERS = 11.5
 """Of a bold title of 10 points, an inch."""
 INK, FAINT = "#1a1a1a", "#9a9a9a"
@@ -59,14 +73,19 @@ def house_style() -> Iterator[None]:
 
 
 def figure(
-    rows: int = 1, columns: int = 1, *, width: float = 6.4, height: float = 3.8, **options: Any
+    rows: int = 1, columns: int = 1, *, width: float = 6.4, height: float = 3.8, title: str = "", **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure and its axes in the house style; sizes in inches. It belongs to no window and no global state."""
+    """A figure and its axes in the house style; sizes in inches. It belongs to no window and no global state.
+
+    The title stands above all axes.
+    """
     from matplotlib.figure import Figure
 
     with house_style():
         made = Figure(figsize=(width, height), layout="constrained")
         axes = made.subplots(rows, columns, **options)
+        if title:
+            made.suptitle(title, x=0.01, ha="left", fontsize=10.0, fontweight="bold")
     return made, axes
 
 
@@ -78,21 +97,20 @@ def styles() -> Iterator[dict[str, Any]]:
 
 def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None:
     """A thin line for a threshold or bar, named where it stands."""
-    draw = axes.axhline if along == "x" else axes.axvline
-    draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-    x, y = (0.99, value) if along == "x" else (value, 0.99)
-    transform = axes.get_yaxis_transform() if along == "x" else axes.get_xaxis_transform()
-    axes.text(
-        x,
-        y,
-        text,
-        transform=transform,
-        ha="right",
-        va="bottom" if along == "x" else "top",
-        rotation=0 if along == "x" else 90,
-        fontsize=7.5,
-        color="#6a6a6a",
+    level = along == "x"
+    draw, transform = (
+        (axes.axhline, axes.get_yaxis_transform()) if level else (axes.axvline, axes.get_xaxis_transform())
     )
+    draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
+    place = (0.99, value) if level else (value, 0.99)
+    turned = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
+    axes.text(*place, text, transform=transform, ha="right", fontsize=7.5, color="#6a6a6a", **turned)
+
+
+def spread_curve(axes: Axes, x: Any, y: Any, low: Any, high: Any, *, thin: float = 1.0, **style: Any) -> None:
+    """A line through measured points, and a thin upright one through each: its interval."""
+    axes.plot(x, y, **style)
+    axes.vlines(x, low, high, color=style["color"], linewidth=thin)
 
 
 def svg(drawn: Figure) -> bytes:
@@ -123,7 +141,7 @@ def _wrap_titles(drawn: Figure) -> None:
         _wrap(axes, axes.get_title("left"), inches / columns)
 
 
-def _wrap(holder: Artist, title: str, inches: float) -> None:
+def _wrap(holder: Figure | Axes, title: str, inches: float) -> None:
     """Break a title of a figure or of axes where it is longer than the room it has."""
     from matplotlib.text import Text
 

@@ -1,13 +1,16 @@
-"""Intervals around what was measured: shares of trials, and anything with repeats."""
+"""Intervals around what was measured: shares of trials, anything with repeats, and how well scores tell two kinds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, mannwhitneyu
 
-__all__ = ["bootstrap", "share_interval"]
+from engine.model import Float64
+
+__all__ = ["area", "area_interval", "bootstrap", "share_interval"]
 
 CONFIDENCE = 0.95
+TAILS = ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0)
 
 
 def share_interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -17,30 +20,40 @@ def share_interval(hits: int, trials: int, confidence: float = CONFIDENCE) -> tu
     """
     if not 0 <= hits <= trials:
         raise ValueError(f"{hits} hits of {trials} trials")
-    if trials == 0:
-        return 0.0, 1.0
     tail = (1.0 - confidence) / 2.0
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, trials - hits + 1))
-    high = 1.0 if hits == trials else float(beta.ppf(1.0 - tail, hits + 1, trials - hits))
+    low = float(beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(1.0 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
     return low, high
 
 
-def bootstrap(
-    values: Sequence[float],
-    statistic: Callable[[np.ndarray], np.ndarray] | None = None,
-    *,
-    draws: int = 2_000,
-    seed: int = 0,
-    confidence: float = CONFIDENCE,
-) -> tuple[float, float]:
-    """Percentile interval of a statistic (along axis 1 of a (draws, n) array; default: the mean) under resampling.
+def bootstrap(values: Sequence[float], *, draws: int = 2_000, seed: int = 0) -> tuple[float, float]:
+    """95 % percentile interval of the mean under resampling.
 
     With one value, that value twice: nothing is known about its spread, and the caller should say so.
     """
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or len(sample) == 0:
-        raise ValueError(f"a statistic needs a list of values, got shape {sample.shape}")
-    statistic = statistic or (lambda drawn: drawn.mean(axis=1))
+        raise ValueError(f"a mean needs a list of values, got shape {sample.shape}")
     drawn = sample[np.random.default_rng(seed).integers(len(sample), size=(draws, len(sample)))]
-    low, high = np.quantile(statistic(drawn), [(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0])
+    low, high = np.quantile(drawn.mean(axis=1), TAILS)
+    return float(low), float(high)
+
+
+def area(negative: Float64, positive: Float64) -> float:
+    """Area below the ROC: probability that a positive scores above a negative, ties counted half."""
+    above = mannwhitneyu(positive, negative, method="asymptotic").statistic
+    return float(above / (len(positive) * len(negative)))
+
+
+def area_interval(places: Sequence[tuple[Float64, Float64]], *, draws: int = 500, seed: int = 0) -> tuple[float, float]:
+    """95 % interval of `area` by resampling what was seen once.
+
+    `places` are views or regions, each with its negative and positive scores, drawn together: they are alike.
+    """
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(draws):
+        chosen = [places[k] for k in rng.integers(len(places), size=len(places))]
+        found.append(area(np.concatenate([a for a, _ in chosen]), np.concatenate([b for _, b in chosen])))
+    low, high = np.quantile(found, TAILS)
     return float(low), float(high)

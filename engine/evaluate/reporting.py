@@ -1,15 +1,16 @@
 """Reports of studies: results.json, figures as SVG and PNG, and one self-contained HTML page; misses come first."""
 
 import base64
-import html
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
 from engine.evaluate.drawing import house_style, png, svg
-from engine.evaluate.study import Bar, Options, Report, Row, Section, Study, Table
+from engine.evaluate.running import write_whole
+from engine.evaluate.study import Drawing, Options, Row, Study
 from engine.numerics.machine import machine_info
 from engine.numerics.plain import plain
 
@@ -19,17 +20,24 @@ INFORMED = (
     "Extraction is informed: it uses the owner's record, which holds the unmarked original. Blind systems solve a "
     "harder problem."
 )
-CSS = """
-:root { color-scheme: light dark; --ink: #1a1a1a; --faint: #6a6a6a; --line: #ddd; --miss: #b00020; --met: #00694a; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #eee; --faint: #aaa; --line: #444; --miss: #ff8a80; --met: #7fd8be; } img { background: white; } }
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { margin-bottom: 0 } h2 { margin-top: 2.5rem } .question, figcaption, footer { color: var(--faint) }
-.wide { overflow-x: auto } table { border-collapse: collapse; font-size: .85rem; margin: 1rem 0 }
-caption { text-align: left; font-weight: 600 } td, th { padding: .2rem .7rem; border-bottom: 1px solid var(--line);
-text-align: left } td.n { text-align: right; font-variant-numeric: tabular-nums } figure { margin: 1.5rem 0 }
-img { max-width: 100%; height: auto } .miss { color: var(--miss) } .met { color: var(--met) }
-"""
+
+
+def cell_text(value: Any) -> str:
+    """A value as a table shows it: four digits of a float, nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    undefined=StrictUndefined,
+    keep_trailing_newline=True,
+)
+TEMPLATES.filters["cell_text"] = cell_text
 
 
 def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Path) -> dict[str, Any]:
@@ -57,91 +65,22 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
         "summary": made.summary,
         "rows": rows,
     }
-    _write(folder / "results.json", (json.dumps(plain(results), indent=1) + "\n").encode())
-    parts: list[str] = []
-    names: list[str] = []
-    for section in made.sections:
-        parts.append(_section(section, folder, names))
-    page = _page(study, made, bars, parts, options)
-    _write(folder / "report.html", page.encode())
-    return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": names}
+    write_whole(folder / "results.json", (json.dumps(plain(results), indent=1) + "\n").encode())
+    drawings = [drawing for section in made.sections for drawing in section.drawings]
+    pictures = {drawing.name: _drawn(drawing, folder / "figures") for drawing in drawings}
+    figures = [f"figures/{name}.{ending}" for name in pictures for ending in ("svg", "png")]
+    shown = {"study": study, "made": made, "bars": bars, "options": options, "results": results, "pictures": pictures}
+    page = TEMPLATES.get_template("report.html").render(shown)
+    write_whole(folder / "report.html", page.encode())
+    return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": figures}
 
 
-def _section(section: Section, folder: Path, names: list[str]) -> str:
-    parts = [f"<h2>{_safe(section.title)}</h2>", *(f"<p>{_safe(text)}</p>" for text in section.text)]
-    for drawing in section.drawings:
-        with house_style():
-            figure = drawing.make()
-        vector = svg(figure)
-        (folder / "figures").mkdir(exist_ok=True)
-        for ending, content in (("svg", vector), ("png", png(figure))):
-            _write(folder / "figures" / f"{drawing.name}.{ending}", content)
-            names.append(f"figures/{drawing.name}.{ending}")
-        source = "data:image/svg+xml;base64," + base64.b64encode(vector).decode()
-        caption = _safe(drawing.caption)
-        parts.append(f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>')
-    return "\n".join(parts + [_table(table) for table in section.tables])
-
-
-def _page(study: Study, made: Report, bars: Sequence[Bar], sections: Sequence[str], options: Options) -> str:
-    machine = ", ".join(f"{name} {value}" for name, value in machine_info().items())
-    quick = ["<p><strong>A quick run: it shows that everything works, not how well.</strong></p>"]
-    body = [
-        f'<h1>{_safe(study.title)}</h1><p class="question">{_safe(study.question)}</p>',
-        *(quick if options.quick else []),
-        *(f"<p>{_safe(text)}</p>" for text in made.answer),
-        _bars(bars) if bars else "",
-        *sections,
-        f"<footer><p>{_safe(INFORMED)}</p><p>Scenes: {_safe(', '.join(Path(s).name for s in options.scenes))}. "
-        f"Seed {options.seed}. Made by: mark3dgs evaluate --suite {study.name}"
-        f"{' --quick' if options.quick else ''}. {_safe(machine)}.</p></footer>",
-    ]
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
-        f'content="width=device-width"><title>{_safe(study.title)}</title><style>{CSS}</style></head>\n<body>\n'
-        + "\n".join(body)
-        + "\n</body></html>\n"
-    )
-
-
-def _bars(bars: Sequence[Bar]) -> str:
-    words = {False: '<b class="miss">missed</b>', None: "not measured", True: '<span class="met">met</span>'}
-    rows = "".join(
-        f"<tr><td>{words[bar.met]}</td><td>{_safe(bar.what)}</td><td>{_safe(bar.wanted)}</td>"
-        f"<td>{_safe(bar.measured)}</td></tr>"
-        for bar in bars
-    )
-    head = "<tr><th></th><th>what</th><th>wanted</th><th>measured</th></tr>"
-    return f'<h2>What was promised</h2><div class="wide"><table>{head}{rows}</table></div>'
-
-
-def _table(table: Table) -> str:
-    head = "".join(f"<th>{_safe(column)}</th>" for column in table.columns)
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f"<td{' class=n' if isinstance(value, (int, float)) else ''}>{_safe(cell_text(value))}</td>"
-            for value in row
-        )
-        + "</tr>"
-        for row in table.rows
-    )
-    caption = f"<caption>{_safe(table.title)}</caption>" if table.title else ""
-    return f'<div class="wide"><table>{caption}<tr>{head}</tr>{body}</table></div>'
-
-
-def cell_text(value: Any) -> str:
-    """A value as a table shows it: four digits of a float, nothing for None."""
-    if value is None:
-        return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _safe(text: str) -> str:
-    return html.escape(text)
-
-
-def _write(path: Path, content: bytes) -> None:
-    part = path.with_name(f".{path.name}.part")
-    part.write_bytes(content)
-    os.replace(part, path)
+def _drawn(drawing: Drawing, folder: Path) -> str:
+    """The figure, written to its two files, as base64 of its SVG."""
+    with house_style():
+        figure = drawing.make()
+    folder.mkdir(exist_ok=True)
+    vector = svg(figure)
+    write_whole(folder / f"{drawing.name}.svg", vector)
+    write_whole(folder / f"{drawing.name}.png", png(figure))
+    return base64.b64encode(vector).decode()

@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,7 +15,7 @@ from engine.evaluate.study import Cell, Row
 from engine.numerics.machine import machine_info, peak_memory_mb
 from engine.numerics.plain import plain
 
-__all__ = ["run_cells"]
+__all__ = ["run_cells", "write_whole"]
 
 Tell = Callable[[str, float], None]
 
@@ -23,12 +23,10 @@ Tell = Callable[[str, float], None]
 def run_cells(
     cells: Sequence[Cell], folder: Path, *, workers: int = 1, dask: str | None = None, tell: Tell | None = None
 ) -> list[Row]:
-    """Rows of all cells, in the order of the cells; what a folder already holds is not measured again.
+    """Rows of all cells, each with its ``"cell"``, in their order; what a folder already holds is not measured again.
 
     Parameters
     ----------
-    cells : sequence of Cell
-        Names must be unique.
     folder : Path
         Gets one ``<cell>.json`` for each, complete or not at all.
     workers : int
@@ -37,11 +35,6 @@ def run_cells(
         Address of a scheduler whose workers see the same files under the same paths.
     tell : callable, optional
         Told a cell's name and the fraction done.
-
-    Returns
-    -------
-    list of dict
-        Each row with its ``"cell"``.
 
     Raises
     ------
@@ -53,13 +46,20 @@ def run_cells(
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"two cells are called {twice!r}")
     folder.mkdir(parents=True, exist_ok=True)
+    tell = tell or (lambda name, done: None)
     done = {cell.name: rows for cell in cells if (rows := _stored(cell, folder)) is not None}
+
+    def starts(cell: Cell) -> Cell:
+        tell(cell.name, len(done) / len(cells))
+        return cell
+
     left = [cell for cell in cells if cell.name not in done]
-    for cell, result in _results(left, workers, dask, tell, len(done), len(cells)):
-        _store(cell, result, folder)
+    here = dask is None and workers == 1
+    results = ((cell, measure(starts(cell))) for cell in left) if here else _elsewhere(left, workers, dask)
+    for cell, result in results:
+        write_whole(folder / f"{cell.name}.json", (json.dumps(result, indent=1) + "\n").encode())
         done[cell.name] = result["rows"]
-        if tell is not None:
-            tell(cell.name, len(done) / len(cells))
+        tell(cell.name, len(done) / len(cells))
     return [{"cell": name, **row} for name in names for row in done[name]]
 
 
@@ -81,17 +81,17 @@ def measure(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _results(
-    cells: Sequence[Cell], workers: int, dask: str | None, tell: Tell | None, before: int, total: int
-) -> Iterator[tuple[Cell, dict[str, Any]]]:
-    if dask is None and workers == 1:
-        for number, cell in enumerate(cells):
-            if tell is not None:
-                tell(cell.name, (before + number) / total)
-            yield cell, measure(cell)
-        return
+def write_whole(path: Path, content: bytes) -> None:
+    """A file is complete or as it was before."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_bytes(content)
+    os.replace(part, path)
+
+
+def _elsewhere(cells: Sequence[Cell], workers: int, dask: str | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
+    """Results of other processes, as they come."""
     with _executor(workers, dask) as executor:
-        waiting: dict[Future[dict[str, Any]], Cell] = {executor.submit(measure, cell): cell for cell in cells}
+        waiting = {executor.submit(measure, cell): cell for cell in cells}
         try:
             for future in as_completed(waiting):
                 yield waiting[future], future.result()
@@ -127,9 +127,3 @@ def _stored(cell: Cell, folder: Path) -> list[Row] | None:
         return None
     rows: list[Row] | None = result["rows"] if result.get("digest") == cell.digest else None
     return rows
-
-
-def _store(cell: Cell, result: dict[str, Any], folder: Path) -> None:
-    part = folder / f".{cell.name}.part"
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    os.replace(part, folder / f"{cell.name}.json")

@@ -2,22 +2,18 @@
 
 A study is a list of cells. A cell names a function and plain arguments, so that it can run in any process, on any
 machine, and be looked up when a study goes on after a break. What cells return is plain rows; the report is made of
-all rows together and of nothing else.
+all rows together and of nothing else (`engine.evaluate.rows` picks, groups and tabulates them).
 """
-
-from __future__ import annotations
 
 import importlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from engine.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from engine.evaluate.drawing import Figure
 
 Row = dict[str, Any]
 """Plain JSON values."""
@@ -27,45 +23,30 @@ __all__ = ["Bar", "Cell", "Drawing", "Options", "Report", "Row", "Section", "Stu
 
 @dataclass(frozen=True)
 class Options:
-    """What a study may be asked for.
+    """What a study may be asked for."""
 
-    Parameters
-    ----------
-    scenes : tuple of str
-        Paths of models; the first one is the study's main scene.
-    quick : bool
-        A few cells of each kind: tells in a minute or so that everything runs, not how well.
-    lpips_weights : str or None
-        File with the weights of LPIPS, for studies that can use them.
-    """
-
-    scenes: tuple[str, ...]
-    quick: bool = False
+    scenes: tuple[str, ...]  # paths of models; the first one is the study's main scene
+    quick: bool = False  # a few cells of each kind: tells in a minute or so that everything runs, not how well
     seed: int = 0
-    lpips_weights: str | None = None
+    lpips_weights: str | None = None  # file with the weights of LPIPS, for studies that can use them
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One measurement, the unit that is run, stored and resumed.
+    """One measurement, the unit that is run, stored and resumed."""
 
-    Parameters
-    ----------
-    name : str
-        Unique in the study; letters, digits, ``. - _``.
-    work : str
-        ``"package.module:function"``; called with the arguments, returns a list of rows.
-    arguments : dict
-        JSON values.
-    """
-
-    name: str
-    work: str
-    arguments: dict[str, Any]
+    name: str  # unique in the study; letters, digits, . - _
+    work: str  # "package.module:function"; called with the arguments, returns a list of rows
+    arguments: dict[str, Any]  # JSON values
 
     def __post_init__(self) -> None:
         if not self.name or not all(c.isalnum() or c in ".-_" for c in self.name):
             raise InputError(f"the name of a cell is made of letters, digits, '.', '-' and '_', got {self.name!r}")
+
+    @classmethod
+    def of(cls, name: str, work: Callable[..., list[Row]], /, **arguments: Any) -> Self:
+        """The cell that calls a function of a module with these arguments."""
+        return cls(name, f"{work.__module__}:{work.__qualname__}", arguments)
 
     @property
     def digest(self) -> str:
@@ -82,33 +63,22 @@ class Cell:
 
 @dataclass(frozen=True)
 class Bar:
-    """Something that was promised, and what was measured.
-
-    Parameters
-    ----------
-    wanted : str
-        In words and numbers: ``">= 99.9 %"``.
-    measured : str
-        With its interval.
-    met : bool or None
-        None: could not be measured in this run.
-    """
+    """Something that was promised, and what was measured."""
 
     what: str
-    wanted: str
-    measured: str
-    met: bool | None
+    wanted: str  # in words and numbers: ">= 99.9 %"
+    measured: str  # with its interval
+    met: bool | None  # None: could not be measured in this run
+
+    @classmethod
+    def without(cls, what: str, wanted: str, measured: str, faults: Sequence[str]) -> Self:
+        """Met where there are no faults; they are listed behind what was measured."""
+        return cls(what, wanted, "; ".join([measured, *faults]), not faults)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns and rows of text or numbers, shown as they are.
-
-    Parameters
-    ----------
-    columns : sequence of str
-    rows : sequence of sequence
-    """
+    """Columns and rows of text or numbers, shown as they are."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -117,15 +87,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure by name; made only when a report is written.
-
-    Parameters
-    ----------
-    name : str
-        Of its files.
-    make : callable
-        Gives a matplotlib Figure (see `engine.evaluate.drawing`).
-    """
+    """A figure by the name of its files; made only when a report is written, in the house style."""
 
     name: str
     make: Callable[[], Figure]
@@ -134,7 +96,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it: paragraphs, then tables and drawings."""
+    """A heading and what stands below it: paragraphs, then drawings and tables."""
 
     title: str
     text: Sequence[str] = ()
@@ -144,41 +106,20 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """What all rows together say.
+    """What all rows together say."""
 
-    Parameters
-    ----------
-    bars : sequence of Bar
-        The report lists those that were missed first.
-    sections : sequence of Section
-    answer : sequence of str
-        Paragraphs before everything else: what a reader came for.
-    summary : dict
-        Further results as JSON values.
-    """
-
-    bars: Sequence[Bar]
+    bars: Sequence[Bar]  # those that were missed are shown first
     sections: Sequence[Section]
-    answer: Sequence[str] = ()
-    summary: dict[str, Any] = field(default_factory=dict)
+    answer: Sequence[str] = ()  # paragraphs before everything else: what a reader came for
+    summary: dict[str, Any] = field(default_factory=dict)  # further results as JSON values
 
 
 @dataclass(frozen=True)
 class Study:
-    """One of `mark3dgs evaluate`'s suites.
-
-    Parameters
-    ----------
-    name, title, question : str
-        The question is what the study answers, in one sentence.
-    cells : callable
-        Options -> list of Cell, in the order they are best run.
-    report : callable
-        (rows, options) -> Report; rows are those of all cells, each with its ``"cell"``.
-    """
+    """One of `mark3dgs evaluate`'s suites; it answers one question."""
 
     name: str
     title: str
     question: str
-    cells: Callable[[Options], list[Cell]]
-    report: Callable[[list[Row], Options], Report]
+    cells: Callable[[Options], list[Cell]]  # in the order they are best run
+    report: Callable[[list[Row], Options], Report]  # rows are those of all cells, each with its "cell"

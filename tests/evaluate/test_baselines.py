@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.evaluate.baselines.fitted import FittedPictures
-from engine.evaluate.baselines.kept import Kept
+from engine.evaluate.baselines.method import Kept
 from engine.evaluate.baselines.methods import METHODS, find_method
-from engine.evaluate.baselines.picture_marks import DctSpreadSpectrum, RivaGan
+from engine.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
 from engine.evaluate.baselines.study import STUDY
 from engine.evaluate.marked_scene import bench_key
 from engine.evaluate.published import read_published

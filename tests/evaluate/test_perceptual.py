@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from engine.errors import InputError
-from engine.evaluate.perceptual.lpips_distance import load_lpips
-from engine.evaluate.perceptual.measuring import flip_map, picture_text
+from engine.evaluate.perceptual.measuring import flip_map, load_lpips, picture_text
 from engine.evaluate.perceptual.study import STUDY
 from engine.evaluate.reporting import write_report
 from engine.evaluate.running import run_cells

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
+from engine.evaluate.intervals import area, area_interval
 from engine.evaluate.reporting import write_report
 from engine.evaluate.running import run_cells
-from engine.evaluate.steganalysis.attributes import divide, float_born, measure_regions
-from engine.evaluate.steganalysis.learned import detect_as_stranger
-from engine.evaluate.steganalysis.lsb import DETECTORS, chi_square, fuse, replace_lsb
-from engine.evaluate.steganalysis.roc import area, area_interval, rates
+from engine.evaluate.steganalysis.learned import detect_as_stranger, divide, float_born, measure_regions
+from engine.evaluate.steganalysis.pictures import DETECTORS, chi_square, fuse, replace_lsb
 from engine.evaluate.steganalysis.study import STUDY
 from engine.evaluate.study import Options
 from engine.formats import read_model
@@ -76,13 +75,13 @@ def test_area_is_the_probability_of_the_right_order() -> None:
     assert area(np.array([0.0, 1.0]), np.array([2.0, 3.0])) == 1.0
     assert area(np.array([0.0, 1.0]), np.array([0.0, 1.0])) == 0.5
     assert area(np.array([2.0]), np.array([1.0])) == 0.0
-    assert rates(np.array([0.1, 0.3]), np.array([0.2, 0.4]), [0.2]) == [(0.2, 0.5, 1.0)]
 
 
 def test_the_interval_covers_the_area() -> None:
     rng, covered = np.random.default_rng(4), 0
     for trial in range(60):
-        low, high = area_interval(rng.normal(0, 1, 40), rng.normal(0.5, 1, 40), draws=150, seed=trial)
+        scores = zip(rng.normal(0, 1, (40, 1)), rng.normal(0.5, 1, (40, 1)), strict=True)
+        low, high = area_interval(list(scores), draws=150, seed=trial)
         covered += low <= 0.638 <= high  # Phi(0.5 / sqrt 2)
     assert covered >= 52
 

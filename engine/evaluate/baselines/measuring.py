@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from engine.evaluate.baselines.fitted import FittedPictures
-from engine.evaluate.baselines.methods import Kept, Method, find_method
+from engine.evaluate.baselines.method import Kept, Method
+from engine.evaluate.baselines.methods import find_method
+from engine.evaluate.baselines.picture_marks import FittedPictures
 from engine.evaluate.bench.attacks import IMAGE_BARS, MODEL_BARS, to_8_bit
 from engine.evaluate.bench.truth import wrong_key_rates
-from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.evaluate.marked_scene import bench_key
 from engine.evaluate.study import Row
+from engine.evaluate.subjects import fast_config, fast_mark, picture_of
 from engine.formats import read_model
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
-from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
 from engine.raster import render
 from engine.sim.attacks import image_attack
 from engine.sim.suite import Trial, apply_chain
-from engine.watermark.claim import Claim
 from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.messages import Signs, derive_message
 
-__all__ = ["BITS", "LEAST_MATCHES", "QUICK_ATTACKS", "attack_baseline", "attack_ours"]
+__all__ = ["BITS", "LEAST_MATCHES", "attack_baseline", "attack_ours"]
 
 BITS = 32
 LEAST_MATCHES = 26
@@ -38,23 +38,8 @@ QUICK_ATTACKS = ("none", "prune random 20 %", "similarity x10 + shuffle", "JPEG 
 def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys: int, quick: bool) -> list[Row]:
     """Mark a scene by another method at our PSNR, in the views where ours would have been measured, and attack it.
 
-    Parameters
-    ----------
-    path : str
-        Of a model.
-    method : str
-        Short name.
-    seed : int
-        Of the key; attacks have streams of their own that do not depend on it.
-    pictures : int
-        Single pictures under each image attack.
-    quick : bool
-        Few attacks, small views.
-
-    Returns
-    -------
-    list of dict
-        ``what`` is "embedding", "attack" or "wrong keys"; one row "skipped" where the method cannot run here.
+    Image attacks are tried on so many single `pictures`; the seed is of the key, and attacks have streams of their own.
+    ``what`` of a row is "embedding", "attack" or "wrong keys"; one row "skipped" where the method cannot run here.
     """
     chosen, about = find_method(method), {"scene": Path(path).name, "method": method, "seed": seed}
     if reason := chosen.missing():
@@ -64,22 +49,15 @@ def attack_baseline(path: str, method: str, seed: int, pictures: int, wrong_keys
     original, key = read_model(path).model, bench_key(seed)
     message, views = derive_message(key, BITS, method.encode()), _views(original, key, quick)
     began = time.perf_counter()
-    marked, kept = chosen.embed(original, key, message, _config(quick).psnr_db, views)
-    rows: list[Row] = [
-        {
-            **about,
-            "what": "embedding",
-            "seconds": time.perf_counter() - began,
-            "strength": kept.strength,
-            **_fidelity(original, marked, views),
-        }
-    ]
+    marked, kept = chosen.embed(original, key, message, fast_config(quick).psnr_db, views)
+    seconds = time.perf_counter() - began
+    rows = [_embedding(seconds, kept.strength, original, marked, views)]
     for name, suspect in _attacked_models(marked, quick):
-        rows.append({**about, **_bits("model", name, chosen.read_model(suspect, kept), message)})
+        rows.append(_read("model", name, chosen.read_model(suspect, kept), message))
     for name, picture in _attacked_pictures(marked, chosen.cameras(original)[:pictures], quick):
-        rows.append({**about, **_bits("picture", name, chosen.read_picture(picture, kept), message)})
-    rows.append({**about, "what": "wrong keys", **_wrong_keys(chosen, original, marked, kept, message, wrong_keys)})
-    return rows
+        rows.append(_read("picture", name, chosen.read_picture(picture, kept), message))
+    rows.append({"what": "wrong keys", **_wrong_keys(chosen, original, marked, kept, message, wrong_keys)})
+    return [{**about, **row} for row in rows]
 
 
 def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
@@ -87,56 +65,49 @@ def attack_ours(path: str, seed: int, pictures: int, quick: bool) -> list[Row]:
 
     Parameters and rows as for `attack_baseline`; rows of attacks also tell whether the claim held.
     """
-    about = {"scene": Path(path).name, "method": "ours", "seed": seed}
-    scene: MarkedScene = mark_scene(path, _config(quick), bits=BITS, seed=seed)
-    cameras = scene.opened.cameras
-    rows: list[Row] = [
-        {
-            **about,
-            "what": "embedding",
-            "seconds": scene.report["seconds"],
-            "strength": scene.opened.strength,
-            **_fidelity(scene.original, scene.marked, cameras),
-        }
-    ]
+    scene = fast_mark(path, quick, seed)
+    opened = scene.opened
+    rows = [_embedding(scene.report["seconds"], opened.strength, scene.original, scene.marked, opened.cameras)]
     for name, suspect in _attacked_models(scene.marked, quick):
-        claim = verify_model(suspect, scene.opened, VerifyConfig(route="model")).claim
-        rows.append({**about, "what": "attack", "on": "model", "attack": name, **_claimed(claim)})
-    for camera in cameras[:pictures]:
+        claim = verify_model(suspect, opened, VerifyConfig(route="model")).claim
+        rows.append(_attack("model", name, claim.matching_bits, claim.verdict.value == "marked"))
+    for camera in opened.cameras[:pictures]:
         for name, picture in _attacked_pictures(scene.marked, [camera], quick):
-            claim = verify_images([picture], scene.opened, VerifyConfig(), cameras=[camera]).claim
-            rows.append({**about, "what": "attack", "on": "picture", "attack": name, **_claimed(claim)})
-    rates = wrong_key_rates(scene, 1_000 if quick else 10_000, seed)
-    rows += [
-        {
-            **about,
-            "what": "wrong keys",
-            **{k: r[k] for k in ("route", "keys", "largest_z")},
-            "accepted": r["claims_at_1e-9"],
-        }
-        for r in rates
-    ]
-    return rows
+            claim = verify_images([picture], opened, VerifyConfig(), cameras=[camera]).claim
+            rows.append(_attack("picture", name, claim.matching_bits, claim.verdict.value == "marked"))
+    for rates in wrong_key_rates(scene, 1_000 if quick else 10_000, seed):
+        told = {field: rates[field] for field in ("route", "keys", "largest_z")}
+        rows.append({"what": "wrong keys", **told, "accepted": rates["claims_at_1e-9"]})
+    return [{"scene": Path(path).name, "method": "ours", "seed": seed, **row} for row in rows]
 
 
-def _claimed(claim: Claim) -> dict[str, Any]:
-    return {"right": claim.matching_bits, "claimed": claim.verdict.value == "marked"}
+def _embedding(
+    seconds: float, strength: float, original: GaussianModel, marked: GaussianModel, cameras: Sequence[Camera]
+) -> Row:
+    pairs = [(render(original, camera), render(marked, camera)) for camera in cameras]
+    fidelity = {"psnr": min(psnr(a, b) for a, b in pairs), "ssim": min(ssim(a, b) for a, b in pairs)}
+    return {"what": "embedding", "seconds": seconds, "strength": strength, **fidelity}
 
 
-def _config(quick: bool) -> EmbedConfig:
-    return profile("fast", landmark_views=0, **({"views": 3, "view_size": 400} if quick else {}))
+def _attack(on: str, name: str, right: int | None, claimed: bool | None) -> Row:
+    return {"what": "attack", "on": on, "attack": name, "right": right, "claimed": claimed}
+
+
+def _read(on: str, name: str, scores: Float64 | None, message: Signs) -> Row:
+    right = _matching(scores, message)
+    return _attack(on, name, right, None if right is None else right >= LEAST_MATCHES)
+
+
+def _matching(scores: Float64 | None, message: Signs) -> int | None:
+    """Bits read right; None for a method that cannot read such a thing."""
+    return None if scores is None else int((np.where(scores >= 0, 1, -1) == message).sum())
 
 
 def _views(model: GaussianModel, key: OwnerKey, quick: bool) -> list[Camera]:
     """Key views drawn as ours are: the PSNR of all methods is that of the worst of such views."""
-    config = _config(quick)
+    config = fast_config(quick)
     jitter = uniform(key.derive(POSE, b"baseline"), 4 * config.views).reshape(config.views, 4)
     return make_rig(model, config.views, config.view_size, config.view_size, jitter=jitter)
-
-
-def _fidelity(original: GaussianModel, marked: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
-    pairs = [(render(original, camera), render(marked, camera)) for camera in cameras]
-    return {"psnr": min(psnr(a, b) for a, b in pairs), "ssim": min(ssim(a, b) for a, b in pairs)}
 
 
 def _attacked_models(marked: GaussianModel, quick: bool) -> Iterator[tuple[str, GaussianModel]]:
@@ -147,18 +118,12 @@ def _attacked_models(marked: GaussianModel, quick: bool) -> Iterator[tuple[str, 
 
 def _attacked_pictures(marked: GaussianModel, cameras: Sequence[Camera], quick: bool) -> Iterator[tuple[str, Float32]]:
     for number, camera in enumerate(cameras):
-        picture = to_8_bit(render(marked, camera))
+        picture = picture_of(marked, camera)
         for name, attack, strength in (("none", "", 0.0), *IMAGE_BARS):
             if quick and name not in QUICK_ATTACKS:
                 continue
             rng = np.random.default_rng((0, number))
-            yield (name, to_8_bit(image_attack(attack).apply(picture, strength, rng=rng)) if attack else picture)
-
-
-def _bits(on: str, name: str, scores: Float64 | None, message: Signs) -> dict[str, Any]:
-    right = _matching(scores, message)
-    claimed = None if right is None else right >= LEAST_MATCHES
-    return {"what": "attack", "on": on, "attack": name, "right": right, "claimed": claimed}
+            yield name, to_8_bit(image_attack(attack).apply(picture, strength, rng=rng)) if attack else picture
 
 
 def _wrong_keys(
@@ -178,8 +143,3 @@ def _wrong_keys(
         "accepted": sum(value >= LEAST_MATCHES for value in matches),
         "unmarked_matches": _matching(method.read_model(original, kept), message),
     }
-
-
-def _matching(scores: Float64 | None, message: Signs) -> int | None:
-    """Bits read right; None for a method that cannot read such a thing."""
-    return None if scores is None else int((np.where(scores >= 0, 1, -1) == message).sum())

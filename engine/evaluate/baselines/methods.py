@@ -1,78 +1,34 @@
-"""The runnable methods, behind one small interface, so that any study can put them beside ours."""
-
-from collections.abc import Sequence
-from typing import Protocol
+"""The runnable methods by name, so that any study can put them beside ours."""
 
 from engine.errors import InputError
-from engine.evaluate.baselines.fitted import FittedPictures
-from engine.evaluate.baselines.kept import Kept
-from engine.evaluate.baselines.picture_marks import DctSpreadSpectrum, RivaGan
-from engine.evaluate.baselines.qim import DitheredQim
-from engine.evaluate.baselines.spread_spectrum import FileOrderSpreadSpectrum
-from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.watermark.keys import OwnerKey
-from engine.watermark.messages import Signs
+from engine.evaluate.baselines.method import Method
+from engine.evaluate.baselines.model_marks import DitheredQim, FileOrderSpreadSpectrum
+from engine.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
 
-__all__ = ["METHODS", "Kept", "Method", "find_method"]
-
-
-class Method(Protocol):
-    """A way to mark models. Everything is a function of its arguments: the same input gives the same bytes."""
-
-    @property
-    def name(self) -> str:
-        """In tables."""
-
-    @property
-    def blind(self) -> bool:
-        """Whether reading goes without the unmarked original."""
-
-    @property
-    def keyed(self) -> bool:
-        """Whether another key reads something else."""
-
-    @property
-    def stands_for(self) -> str:
-        """Which published class this is, and what of it is not."""
-
-    def missing(self) -> str:
-        """Why it cannot run here; empty when it can."""
-
-    def cameras(self, original: GaussianModel) -> list[Camera]:
-        """The owner's views at which pictures are read best; none for a reader of models."""
-
-    def embed(
-        self, model: GaussianModel, key: OwnerKey, message: Signs, psnr_db: float, cameras: Sequence[Camera]
-    ) -> tuple[GaussianModel, Kept]:
-        """Mark a model as strongly as a PSNR in the worst of some views allows.
-
-        Returns
-        -------
-        marked : GaussianModel
-        kept : Kept
-            What the owner keeps for reading.
-        """
-
-    def read_model(self, suspect: GaussianModel, kept: Kept) -> Float64 | None:
-        """(B,) scores whose signs are the bits; None for a method that reads no models."""
-
-    def read_picture(self, picture: Float32, kept: Kept) -> Float64 | None:
-        """(B,) scores from one picture (H, W, 3) in 0..1; None for a method that reads no pictures."""
-
+__all__ = ["METHODS", "find_method"]
 
 METHODS: dict[str, Method] = {
-    "qim": DitheredQim(),
-    "spread": FileOrderSpreadSpectrum(),
+    "qim": DitheredQim(
+        "QIM on DC colour",
+        "the class of FlyMark (2026): dithered QIM on DC colour, keyed by quantised position. Its own choice of "
+        "carriers is not public; all Gaussians carry here, and votes are soft",
+    ),
+    "spread": FileOrderSpreadSpectrum(
+        "spread spectrum over the file index",
+        "the position paper of Deng, Nakra and Wu (2026): DCT along the file's order, keyed signs, read by "
+        "subtracting the original. Additive, where the paper's is multiplicative",
+    ),
     "dct": FittedPictures(
         "DCT mark in renders, fitted",
-        DctSpreadSpectrum(),
         "the class HiDDeN+3DGS: a mark in every training picture, the model fitted to them. HiDDeN's weights cannot "
         "be had; a classic blind DCT mark stands in",
+        mark=DctSpreadSpectrum(),
     ),
     "rivagan": FittedPictures(
         "RivaGAN in renders, fitted",
-        RivaGan(),
         "the class HiDDeN+3DGS with a trained network: RivaGAN of invisible-watermark",
+        keyed=False,
+        mark=RivaGan(),
     ),
 }
 """By short name; the first two mark models at once, the others need half a minute and more."""

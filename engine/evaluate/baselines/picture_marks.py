@@ -1,24 +1,34 @@
-"""Marks in pictures, put there before a model is fitted to them: RivaGAN, and a classic one in the DCT of blocks.
+"""Image mark, then fit: mark the renders of a model and fit its colours to them; read any render again.
 
-Both are blind and read a picture alone. HiDDeN, which the field fits models to, has no public weights of 32 bits; the
-DCT mark stands in for its class, RivaGAN is a trained network of the same kind.
+The recipe of HiDDeN+3DGS in the tables of the field. One fit gives a direction in the space of colours; its length is
+then set by the PSNR, so that all methods stand at the same fidelity. Both picture marks here are blind and read a
+picture alone: HiDDeN, which the field fits models to, has no public weights of 32 bits; a classic mark in the DCT of
+blocks stands in for its class, RivaGAN is a trained network of the same kind.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.fft import dctn, idctn
+from skimage.util import view_as_blocks
 
 from engine.errors import InputError
-from engine.model import Float32, Float64
+from engine.evaluate.baselines.method import Kept, Method
+from engine.evaluate.baselines.model_marks import bit_scores
+from engine.evaluate.subjects import picture_of
+from engine.model import Camera, Float32, Float64, GaussianModel, Int64
+from engine.pipeline.rigs import make_rig
+from engine.raster import render
+from engine.sim.fine_tuning import fine_tune
 from engine.watermark.keys import OwnerKey, permutation, signs
 from engine.watermark.messages import Signs
 
-__all__ = ["DctSpreadSpectrum", "PictureMark", "RivaGan"]
+__all__ = ["DctSpreadSpectrum", "FittedPictures", "PictureMark", "RivaGan"]
 
 BLOCK = 8
 TILE = 8
@@ -32,32 +42,24 @@ LIMIT = 2.0
 """Whitened coefficients saturate here: edges of the picture must not drown the rest."""
 
 
-class PictureMark(Protocol):
+class PictureMark:
     """A blind mark in pictures (H, W, 3) in 0..1."""
-
-    @property
-    def keyed(self) -> bool:
-        """Whether another key reads something else."""
 
     def missing(self) -> str:
         """Why it cannot run here; empty when it can."""
+        return ""
 
     def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
         """The picture with a message."""
+        raise NotImplementedError
 
     def decode(self, picture: Float32, key: OwnerKey, bits: int) -> Float64:
         """(bits,) scores whose signs are the bits."""
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class DctSpreadSpectrum:
+class DctSpreadSpectrum(PictureMark):
     """Keyed signs on middle frequencies of 8x8 blocks of luma (Koch and Zhao 1995; Cox et al. 1997)."""
-
-    keyed: bool = True
-
-    def missing(self) -> str:
-        """Runs everywhere."""
-        return ""
 
     def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
         """See `PictureMark`; black, where a model shows nothing, stays black."""
@@ -79,29 +81,23 @@ class DctSpreadSpectrum:
         if not rows or not columns:
             return np.zeros(bits)
         luma = picture[: rows * BLOCK, : columns * BLOCK].astype(np.float64) @ LUMA
-        blocks = luma.reshape(rows, BLOCK, columns, BLOCK).transpose(0, 2, 1, 3)
-        spectrum = dctn(blocks, axes=(2, 3), norm="ortho")
+        spectrum = dctn(view_as_blocks(luma, (BLOCK, BLOCK)), axes=(2, 3), norm="ortho")
         found = np.stack([spectrum[..., u, v] for u, v in MIDDLE], axis=-1)  # (rows, columns, 18)
         white = found / np.maximum(np.sqrt((found**2).mean(axis=(0, 1))), 1e-9)
         white = np.clip(white, -LIMIT, LIMIT)
         chips, bit = _chips(key, bits)
-        row, column = np.arange(rows) % TILE, np.arange(columns) % TILE
-        place = np.ix_(row, column)
-        votes, whose = white * chips[place], bit[place]
-        sums = np.bincount(whose.reshape(-1), votes.reshape(-1), bits)
-        powers = np.bincount(whose.reshape(-1), votes.reshape(-1) ** 2, bits)
-        return sums / np.sqrt(np.maximum(powers, 1e-300))
+        place = np.ix_(np.arange(rows) % TILE, np.arange(columns) % TILE)
+        votes = (white * chips[place]).ravel()
+        return bit_scores(bit[place].ravel(), votes, votes**2, bits)
 
 
-@dataclass(frozen=True)
-class RivaGan:
+class RivaGan(PictureMark):
     """RivaGAN (Zhang et al. 2019) as the package invisible-watermark ships it: 32 bits, no key.
 
     The package itself is not imported, since it pulls in another OpenCV: its two networks are run by onnxruntime.
     """
 
-    bits: int = 32
-    keyed: bool = False
+    bits = 32
 
     def missing(self) -> str:
         """Both packages must be there; they are no dependencies of ours."""
@@ -155,10 +151,46 @@ def _frame(picture: Float32) -> Float32:
     return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None, :, None], dtype=np.float32)
 
 
-def _chips(key: OwnerKey, bits: int) -> tuple[Float64, np.ndarray]:
+def _chips(key: OwnerKey, bits: int) -> tuple[Float64, Int64]:
     """(TILE, TILE, 18) keyed signs, and the bit that each belongs to, evenly dealt."""
     subkey = key.derive("baseline dct", b"")
     shape = (TILE, TILE, len(MIDDLE))
     count = int(np.prod(shape))
     bit = permutation(subkey, count) % bits
     return signs(subkey, count).reshape(shape).astype(np.float64), bit.reshape(shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedPictures(Method):
+    """A picture mark in every training view, and a model whose colours were fitted to them."""
+
+    mark: PictureMark
+    views: int = 12  # training views, a regular rig about the original
+    size: int = 512  # pixels a side
+    epochs: int = 20  # rounds of the fit over all views
+    read_views: int = 4  # of the training views, how many a model is read at; their scores are summed
+
+    def missing(self) -> str:
+        """What the picture mark lacks."""
+        return self.mark.missing()
+
+    def cameras(self, original: GaussianModel) -> list[Camera]:
+        """The training views: where a picture is read best."""
+        return make_rig(original, self.views, self.size, self.size)
+
+    def colors(self, model: GaussianModel, key: OwnerKey, message: Signs) -> tuple[Callable[[float], Float32], float]:
+        """See `Method`; the strength is a factor on the fitted change of colours."""
+        training = self.cameras(model)
+        pictures = [self.mark.encode(np.clip(render(model, camera), 0.0, 1.0), key, message) for camera in training]
+        change = fine_tune(model, training, pictures, self.epochs, trained="colors").sh - model.sh
+
+        return (lambda factor: np.asarray(model.sh + np.float32(factor) * change)), 1.0
+
+    def read_model(self, suspect: GaussianModel, kept: Kept) -> Float64:
+        """See `Method`: 8-bit renders of the suspect at the owner's training views, wherever it was moved to."""
+        cameras = self.cameras(kept.original)[:: max(1, self.views // self.read_views)]
+        return np.asarray(np.sum([self.read_picture(picture_of(suspect, c), kept) for c in cameras], axis=0))
+
+    def read_picture(self, picture: Float32, kept: Kept) -> Float64:
+        """See `Method`."""
+        return self.mark.decode(picture, kept.key, kept.bits)

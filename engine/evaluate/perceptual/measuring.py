@@ -2,6 +2,7 @@
 
 import base64
 import io
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,9 @@ from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from engine.sim.attacks import image_attack
 
-__all__ = ["COMPARED_QUALITIES", "flip_map", "look_at_mark", "picture_text"]
+__all__ = ["COMPARED_QUALITIES", "flip_map", "load_lpips", "look_at_mark", "picture_text"]
+
+Distance = Callable[[Float32, Float32], float]
 
 GAIN = 20.0
 PICTURE_SIDE = 480
@@ -34,44 +37,24 @@ def look_at_mark(
 ) -> list[Row]:
     """Mark a scene and measure how it looks against the unmarked renders.
 
-    Parameters
-    ----------
-    path : str
-        Of a model.
-    views : int
-        Views outside the pose key.
-    size : int
-        Of those views, pixels a side, at least 176.
-    seed : int
-        Of key and views.
-
-    Returns
-    -------
-    list of dict
-        One row a view (``kind`` "key" or "free"), and one with the worst view as pictures.
+    At the key views and at `views` outside the pose key, of `size` pixels a side (at least 176): one row a view
+    (``kind`` "key" or "free"), and one with the worst view as pictures.
     """
-    perceived = None
-    if lpips_weights is not None:
-        from engine.evaluate.perceptual.lpips_distance import load_lpips
-
-        perceived = load_lpips(lpips_weights)
+    perceived = None if lpips_weights is None else load_lpips(lpips_weights)
     config = profile(profile_name, landmark_views=0)
     scene = mark_scene(path, config, seed=seed)
-    about = {"scene": Path(path).name, "profile": profile_name, "target_db": config.psnr_db}
-    about["target_ssim"] = config.ssim
+    about = {"scene": Path(path).name, "profile": profile_name, "target_db": config.psnr_db, "target_ssim": config.ssim}
     jitter = np.random.default_rng((seed, 8)).random((views, 4))
-    free = make_rig(scene.original, views, size, size, jitter=jitter)
+    cameras = {"key": scene.opened.cameras, "free": make_rig(scene.original, views, size, size, jitter=jitter)}
     rows: list[Row] = []
-    for kind, cameras in (("key", scene.opened.cameras), ("free", free)):
-        for number, camera in enumerate(cameras):
+    for kind, own in cameras.items():
+        for number, camera in enumerate(own):
             plain, marked = render(scene.original, camera), render(scene.marked, camera)
-            row = {"kind": kind, "view": number, **_fidelity(plain, marked)}
-            if kind == "free":
-                row |= _perception(plain, marked, perceived)
-            rows.append({**about, **row})
-    cameras = [*scene.opened.cameras, *free]
-    worst = int(np.argmin([row["psnr"] for row in rows]))
-    return [*rows, {**about, "kind": "picture", "of": rows[worst]["kind"], **_pictures(scene, cameras[worst])}]
+            row = {**about, "kind": kind, "view": number, **_fidelity(plain, marked)}
+            rows.append(row | (_perception(plain, marked, perceived) if kind == "free" else {}))
+    worst = min(rows, key=lambda row: float(row["psnr"]))
+    pictures = _pictures(scene, cameras[worst["kind"]][worst["view"]])
+    return [*rows, {**about, "kind": "picture", "of": worst["kind"], **pictures}]
 
 
 def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
@@ -84,9 +67,7 @@ def _fidelity(plain: Float32, marked: Float32) -> dict[str, Any]:
     }
 
 
-def _perception(
-    plain: Float32, marked: Float32, perceived: Callable[[Float32, Float32], float] | None
-) -> dict[str, Any]:
+def _perception(plain: Float32, marked: Float32, perceived: Distance | None) -> dict[str, Any]:
     errors = flip_map(plain, marked)
     row = {
         "ms_ssim": 1.0 - ms_ssim_distance(plain, marked),
@@ -103,22 +84,10 @@ def _perception(
 
 
 def flip_map(a: Float32, b: Float32) -> Float32:
-    """FLIP of each pixel at 67 pixels a degree, a desktop screen from 70 cm (Andersson et al., HPG 2020).
+    """(H, W) FLIP at 67 pixels a degree, a desktop screen from 70 cm (Andersson et al., HPG 2020).
 
-    Parameters
-    ----------
-    a, b : (H, W, 3) float32
-        sRGB, 0 to 1, clipped first.
-
-    Returns
-    -------
-    (H, W) float32
-        0 where nothing is seen to differ, at most 1.
-
-    Raises
-    ------
-    InputError
-        If the package flip-evaluator is not installed.
+    0 where nothing is seen to differ, at most 1. The pictures, (H, W, 3) sRGB, are clipped to 0..1. An InputError where
+    the package flip-evaluator is not installed.
     """
     try:
         import flip_evaluator
@@ -129,15 +98,43 @@ def flip_map(a: Float32, b: Float32) -> Float32:
     return errors
 
 
+def load_lpips(weights: str) -> Distance:
+    """LPIPS, the distance of Zhang et al. (CVPR 2018), version 0.1 on AlexNet, of pictures (H, W, 3) in 0..1.
+
+    The file holds torchvision's AlexNet state dict (``features.0.weight``, ...), as ``torch.save`` writes it; the
+    linear layers come with the optional package `lpips`. An InputError where the package is not installed, or the file
+    is missing or holds something else.
+    """
+    try:
+        import lpips
+        import torch
+    except ModuleNotFoundError as error:
+        raise InputError(f"--lpips-weights needs the packages lpips and torchvision: {error}") from None
+    network = lpips.LPIPS(net="alex", pnet_rand=True, verbose=False)
+    try:
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        # slice3.6.weight is features.6.weight
+        state = {name: stored["features." + name.split(".", 1)[1]] for name in network.net.state_dict()}
+        network.net.load_state_dict(state)
+    except FileNotFoundError:
+        raise InputError(f"{weights}: no such file") from None
+    except (KeyError, TypeError, RuntimeError, pickle.UnpicklingError, EOFError):
+        raise InputError(f"{weights}: not the weights of torchvision's AlexNet") from None
+
+    def distance(a: Float32, b: Float32) -> float:
+        images = (np.ascontiguousarray(np.clip(image, 0, 1).transpose(2, 0, 1)) for image in (a, b))
+        with torch.no_grad():
+            return float(network(*(torch.from_numpy(image)[None] for image in images), normalize=True))
+
+    return distance
+
+
 def _pictures(scene: MarkedScene, camera: Camera) -> dict[str, str]:
     """Original, marked and amplified difference at one view, rendered smaller."""
     small = camera.resized(PICTURE_SIDE, round(PICTURE_SIDE * camera.height / camera.width))
     plain, marked = render(scene.original, small), render(scene.marked, small)
-    return {
-        "original": picture_text(plain),
-        "marked": picture_text(marked),
-        "difference": picture_text(difference_picture(plain, marked, GAIN)),
-    }
+    pictures = {"original": plain, "marked": marked, "difference": difference_picture(plain, marked, GAIN)}
+    return {name: picture_text(picture) for name, picture in pictures.items()}
 
 
 def picture_text(image: Float32) -> str:

@@ -13,15 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.evaluate.bench.attacks import to_8_bit
-from engine.evaluate.marked_scene import mark_scene
-from engine.evaluate.stability.stressing import claim_digest
-from engine.evaluate.stability.subjects import config_of, subjects
+from engine.evaluate.stability.odd_inputs import claim_digest
+from engine.evaluate.stability.sweeps import picture_at_key_view
 from engine.evaluate.study import Row
+from engine.evaluate.subjects import fast_mark
 from engine.formats import encode_model, read_model
 from engine.model import Float32, GaussianModel
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
-from engine.raster import render
 from engine.sim.suite import Trial, apply_chain
 
 __all__ = ["compare_machines", "compare_precision", "write_claims"]
@@ -36,14 +34,12 @@ CLOSE = 1e-3
 
 def write_claims(path: str, quick: bool, seed: int, out: str) -> None:
     """Mark, steal, verify by model and by picture; write what came out, to the last digit, to a JSON file."""
-    scene = mark_scene(path, config_of(quick), seed=seed)
+    scene = fast_mark(path, quick, seed)
     model = verify_model(apply_chain(scene.marked, STOLEN, seed), scene.opened, VerifyConfig(route="model")).claim
-    camera = scene.opened.cameras[0].resized(400, 400)
-    picture = to_8_bit(render(scene.marked, camera))
+    camera, picture = picture_at_key_view(scene)
     image = verify_images([picture], scene.opened, cameras=[camera]).claim
-    marked = hashlib.sha256(scene.marked.sh.tobytes()).hexdigest()[:16]
     said = {
-        "marked_digest": marked,
+        "marked_digest": hashlib.sha256(scene.marked.sh.tobytes()).hexdigest()[:16],
         "record": scene.opened.header.record_id[:16],
         "model_digest": claim_digest(model),
         "image_digest": claim_digest(image),
@@ -62,44 +58,39 @@ def compare_machines(path: str, quick: bool, seed: int) -> list[Row]:
     Every child marks anew, so that records and marked models are compared, too.
     """
     one = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    settings: dict[str, dict[str, str]] = {"one thread": one, "two threads": {**one, "NUMBA_NUM_THREADS": "2"}}
+    settings = {"one thread": one, "two threads": {**one, "NUMBA_NUM_THREADS": "2"}}
     if not quick:
         settings["two threads, and two of BLAS"] = {"NUMBA_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
         settings["processor without AVX"] = {**one, **PLAIN}
+    return _compared({name: _in_child(path, quick, seed, variables) for name, variables in settings.items()})
+
+
+def _compared(answers: dict[str, Row]) -> list[Row]:
+    """Each beside the first: the same bytes; or the same verdict and bits, and nearly the same z."""
+    first = next(iter(answers.values()))
     rows: list[Row] = []
-    for name, variables in settings.items():
-        said = _in_child(path, quick, seed, variables)
-        first = rows[0] if rows else said
+    for name, said in answers.items():
         exact = all(first[key] == value for key, value in said.items() if key.endswith("digest"))
-        close = first["verdicts"] == said["verdicts"] and all(
-            first[f"bits_{route}"] == said[f"bits_{route}"]
-            and abs(first[f"z_{route}"] - said[f"z_{route}"]) <= CLOSE * abs(first[f"z_{route}"])
-            for route in ("model", "image")
-        )
-        rows.append({"what": "same", "how": name, "exact": exact, "close": close, **said})
+        same = all(first[key] == value for key, value in said.items() if key.startswith(("verdicts", "bits")))
+        near = all(abs(first[k] - z) <= CLOSE * abs(first[k]) for k, z in said.items() if k.startswith("z_"))
+        rows.append({"what": "same", "how": name, "exact": exact, "close": same and near, **said})
     return rows
 
 
 def _in_child(path: str, quick: bool, seed: int, variables: dict[str, str]) -> Row:
+    code = f"import sys, json; from {__name__} import write_claims; write_claims(*json.loads(sys.argv[1]))"
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "claims.json")
-        code = (
-            "import sys, json; from engine.evaluate.stability.sameness import write_claims; "
-            "write_claims(*json.loads(sys.argv[1]))"
-        )
         own = {"NUMBA_CACHE_DIR": str(Path(folder) / "numba")} if "NUMBA_CPU_NAME" in variables else {}
-        subprocess.run(
-            [sys.executable, "-c", code, json.dumps([path, quick, seed, out])],
-            check=True,
-            env={**os.environ, **variables, **own},
-        )
+        child = [sys.executable, "-c", code, json.dumps([path, quick, seed, out])]
+        subprocess.run(child, check=True, env={**os.environ, **variables, **own})
         said: Row = json.loads(Path(out).read_text())
         return said
 
 
 def compare_precision(path: str, quick: bool, seed: int) -> list[Row]:
     """Verified again, from a float64 file, one rounding step off in every number, and under other seeds."""
-    scene = subjects(path, 1, quick, seed).trials[0]
+    scene = fast_mark(path, quick, seed)
     stolen: GaussianModel = apply_chain(scene.marked, STOLEN, seed)
     rng = np.random.default_rng(seed)
     plain = read_model(encode_model(stolen, "ply"), name="stolen.ply").model
@@ -110,27 +101,12 @@ def compare_precision(path: str, quick: bool, seed: int) -> list[Row]:
         "every number one float32 step off": (_nudged(plain, rng), 0),
         **{f"seed {k} of the registration": (plain, k) for k in range(1, 2 if quick else 5)},
     }
-    rows: list[Row] = []
-    first: str | None = None
+    answers: dict[str, Row] = {}
     for name, (suspect, number) in variants.items():
         claim = verify_model(suspect, scene.opened, VerifyConfig(route="model", seed=number)).claim
-        digest = claim_digest(claim)
-        first = first or digest
-        z = rows[0]["z_model"] if rows else claim.z
-        alike = not rows or (rows[0]["bits_model"], rows[0]["verdicts"]) == (claim.message, [claim.verdict.value])
-        rows.append(
-            {
-                "what": "same",
-                "how": name,
-                "exact": digest == first,
-                "model_digest": digest,
-                "close": alike and abs(claim.z - z) <= CLOSE * abs(z),
-                "z_model": claim.z,
-                "bits_model": claim.message,
-                "verdicts": [claim.verdict.value],
-            }
-        )
-    return rows
+        answers[name] = {"model_digest": claim_digest(claim), "z_model": claim.z, "bits_model": claim.message}
+        answers[name]["verdicts"] = [claim.verdict.value]
+    return _compared(answers)
 
 
 def _nudged(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:
@@ -146,23 +122,9 @@ def double_ply(model: GaussianModel) -> bytes:
     """A PLY of the model whose properties are all float64, as some trainers write."""
     rest = model.sh[:, 1:].transpose(0, 2, 1).reshape(len(model), -1)  # channel-major
     columns = [model.means, model.sh[:, 0], rest, model.opacity_logits[:, None], model.log_scales, model.quats]
-    names = [
-        "x",
-        "y",
-        "z",
-        "f_dc_0",
-        "f_dc_1",
-        "f_dc_2",
-        *(f"f_rest_{k}" for k in range(rest.shape[1])),
-        "opacity",
-        "scale_0",
-        "scale_1",
-        "scale_2",
-        "rot_0",
-        "rot_1",
-        "rot_2",
-        "rot_3",
-    ]
+    rotations, scales = (f"rot_{k}" for k in range(4)), (f"scale_{k}" for k in range(3))
+    colors = [*(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
+    names = ["x", "y", "z", *colors, "opacity", *scales, *rotations]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
     header += [*(f"property double {name}" for name in names), "end_header", ""]
     return "\n".join(header).encode() + np.concatenate(columns, axis=1).astype("<f8").tobytes()

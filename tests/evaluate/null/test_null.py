@@ -8,8 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.evaluate.null.counting import LOG10_THRESHOLDS, above, count_wrong_keys, wrong_key_seed
-from engine.evaluate.null.rates import Rates, add_up, exceeding, share_claimed
+from engine.evaluate.null.rates import (
+    LOG10_THRESHOLDS,
+    Rates,
+    above,
+    add_up,
+    count_wrong_keys,
+    exceeding,
+    share_claimed,
+)
 from engine.evaluate.null.study import STUDY
 from engine.evaluate.reporting import write_report
 from engine.evaluate.running import run_cells
@@ -52,10 +59,10 @@ def test_counts_at_known_values() -> None:
 
 def test_wrong_keys_on_one_chip_and_on_many() -> None:
     """One chip: z is a coin of +-1, and P(z >= 1) = 1/2 lies below exp(-1/2)."""
-    counted = count_wrong_keys(np.array([3.0]), np.ones(1), 20_000, wrong_key_seed("one"))
+    counted = count_wrong_keys(np.array([3.0]), np.ones(1), 20_000, "one")
     assert counted["z_largest"] == pytest.approx(1.0)
     assert counted["z_std"] == pytest.approx(1.0, abs=0.01)
-    many = count_wrong_keys(np.random.default_rng(0).normal(size=500), np.ones(500), 20_000, wrong_key_seed(0))
+    many = count_wrong_keys(np.random.default_rng(0).normal(size=500), np.ones(500), 20_000, 0)
     assert many["z_mean"] == pytest.approx(0.0, abs=0.03)
     assert not exceeding(add_up([counted, many], "both"))
 

@@ -10,10 +10,10 @@ import pytest
 
 from engine.evaluate.reporting import write_report
 from engine.evaluate.running import run_cells
+from engine.evaluate.stability.curves import failing_first, sum_up
 from engine.evaluate.stability.odd_inputs import ODD, QUICK
 from engine.evaluate.stability.sameness import double_ply
 from engine.evaluate.stability.study import STUDY
-from engine.evaluate.stability.summing import failing_first, sum_up
 from engine.evaluate.study import Options, Row
 from engine.formats import encode_model, read_model
 from engine.model import GaussianModel

@@ -1,20 +1,38 @@
 """Steganalysis of 8-bit pictures: how much of a picture's least significant bits were replaced?
 
 StegExpose (Boehm 2014), which the paper's Figure 5 uses, averages four detectors; these are the same four, written from
-the works they come from. Each estimates the embedding rate: the share of the pixels that carry a message bit.
+the works they come from. Each takes a channel, (H, W) uint8 of at least 4 x 4, and estimates the embedding rate: the
+share of the pixels that carry a message bit, near 0 for a cover, near 1 where every pixel carries a bit; all but
+chi-square may leave that range a little.
 """
 
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
 from engine.errors import InputError
+from engine.evaluate.marked_scene import mark_scene
+from engine.evaluate.study import Row
+from engine.model import Float32
+from engine.pipeline.profiles import profile
+from engine.pipeline.rigs import make_rig
+from engine.raster import render
 
-__all__ = ["DETECTORS", "chi_square", "fuse", "primary_sets", "replace_lsb", "rs_analysis", "sample_pairs"]
+__all__ = [
+    "DETECTORS",
+    "chi_square",
+    "fuse",
+    "look_at_renders",
+    "primary_sets",
+    "replace_lsb",
+    "rs_analysis",
+    "sample_pairs",
+]
 
 Picture = npt.NDArray[np.uint8]
+Channel = npt.NDArray[np.int32]
 
 CHUNK = 1024
 """Pixels after which the chi-square attack looks again, as StegExpose does."""
@@ -22,25 +40,17 @@ LEAST_EXPECTED = 5.0
 """Pairs of values seen less often say nothing about chi-square."""
 LARGEST_TRACE = 30
 """Of sample pairs: differences up to 2 * 30 + 1, as in the work."""
-MASK = np.array([0, 1, 1, 0])
+MASK = np.array([False, True, True, False])
 """Of RS analysis, on groups of four pixels in a row."""
+CHECKED_RATES = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Embedding rates at which the detectors are checked."""
 
 
 def chi_square(channel: Picture) -> float:
     """Mean probability that pairs of values (2k, 2k + 1) are equally frequent, from the top to ever further down.
 
-    Parameters
-    ----------
-    channel : (H, W) uint8
-
-    Returns
-    -------
-    float
-        0 to 1; about the share of the picture that is filled when the message was written from the top.
-
-    References
-    ----------
-    Westfeld, Pfitzmann, "Attacks on steganographic systems", Information Hiding 1999.
+    About the share of the picture that is filled when the message was written from the top (Westfeld, Pfitzmann,
+    "Attacks on steganographic systems", Information Hiding 1999).
     """
     flat = _channel(channel).reshape(-1)
     chunks = np.arange(len(flat)) // CHUNK
@@ -57,17 +67,6 @@ def chi_square(channel: Picture) -> float:
 def primary_sets(channel: Picture) -> float:
     """Embedding rate by the sets X, Y, Z, W of neighbouring pixels.
 
-    Parameters
-    ----------
-    channel : (H, W) uint8
-
-    Returns
-    -------
-    float
-        Near 0 for a cover, near 1 where every pixel carries a bit; may leave that range a little.
-
-    References
-    ----------
     Dumitrescu, Wu, Memon, "On steganalysis of random LSB embedding in continuous-tone images", ICIP 2002.
     """
     u, v = _pairs(_channel(channel))
@@ -80,19 +79,8 @@ def primary_sets(channel: Picture) -> float:
 
 
 def sample_pairs(channel: Picture) -> float:
-    """Embedding rate by the trace sets of neighbouring pixels, differences up to 61.
+    """Embedding rate by the trace sets of neighbouring pixels, differences up to 61; of all, it is `primary_sets`.
 
-    Parameters
-    ----------
-    channel : (H, W) uint8
-
-    Returns
-    -------
-    float
-        As for `primary_sets`, which is the limit of all differences.
-
-    References
-    ----------
     Dumitrescu, Wu, Wang, "Detection of LSB steganography via sample pair analysis", IEEE TSP 51(7), 2003; equation 14.
     """
     u, v = _pairs(_channel(channel))
@@ -109,25 +97,11 @@ def sample_pairs(channel: Picture) -> float:
 def rs_analysis(channel: Picture) -> float:
     """Embedding rate by regular and singular groups of four pixels.
 
-    Parameters
-    ----------
-    channel : (H, W) uint8
-        At least four columns.
-
-    Returns
-    -------
-    float
-        As for `primary_sets`.
-
-    References
-    ----------
     Fridrich, Goljan, Du, "Reliable detection of LSB steganography in color and grayscale images", ACM 2001.
     """
     image = _channel(channel)
     groups = image[:, : image.shape[1] // 4 * 4].reshape(-1, 4)  # (n, 4)
-    flipped = groups ^ 1
-    d0, shifted_d0 = _regular_minus_singular(groups)
-    d1, shifted_d1 = _regular_minus_singular(flipped)
+    (d0, shifted_d0), (d1, shifted_d1) = _regular_minus_singular(groups), _regular_minus_singular(groups ^ 1)
     # The work solves a x^2 + b x + c = 0 and takes p = x / (x - 1/2), which is infinite at p = 1, where a and b vanish.
     # Put x = p / (2 (p - 1)) and solve for p itself: a double root at 1 there.
     a, b, c = 2.0 * (d1 + d0), shifted_d0 - shifted_d1 - d1 - 3.0 * d0, d0 - shifted_d0
@@ -139,16 +113,9 @@ DETECTORS = {"primary sets": primary_sets, "chi-square": chi_square, "sample pai
 
 
 def fuse(picture: Picture) -> dict[str, float]:
-    """All detectors on one picture, and StegExpose's standard fusion.
+    """Each detector's mean over a picture's (H, W, 3) channels, and StegExpose's standard ``fusion``.
 
-    Parameters
-    ----------
-    picture : (H, W, 3) uint8
-
-    Returns
-    -------
-    dict of str to float
-        Each detector's mean over the channels, and ``fusion``: the mean of the four, each clipped to 0..1.
+    The fusion is the mean of the four, each clipped to 0..1.
     """
     if picture.ndim != 3:
         raise InputError(f"expected a picture (H, W, C), got shape {picture.shape}")
@@ -164,31 +131,24 @@ def replace_lsb(picture: Picture, rate: float, rng: np.random.Generator) -> Pict
     return np.where(carries, (picture & 0xFE) | bits, picture).astype(np.uint8)
 
 
-def _channel(channel: Picture) -> npt.NDArray[np.int32]:
+def _channel(channel: Picture) -> Channel:
     if channel.ndim != 2 or channel.dtype != np.uint8 or min(channel.shape) < 4:
         raise InputError(f"expected a channel (H, W) of uint8, at least 4x4, got {channel.shape} of {channel.dtype}")
     return channel.astype(np.int32)
 
 
-def _pairs(image: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def _pairs(image: Channel) -> tuple[Channel, Channel]:
     """All neighbours in rows and columns, as two flat arrays."""
-    u = np.concatenate([image[:, :-1].reshape(-1), image[:-1].reshape(-1)])
-    v = np.concatenate([image[:, 1:].reshape(-1), image[1:].reshape(-1)])
-    return u, v
+    u = np.concatenate([image[:, :-1].ravel(), image[:-1].ravel()])
+    return u, np.concatenate([image[:, 1:].ravel(), image[1:].ravel()])
 
 
-def _regular_minus_singular(groups: npt.NDArray[np.int32]) -> tuple[float, float]:
-    """Share of regular minus singular groups under the mask, and under the shifted flip (the mask times -1)."""
-    plain = _variation(groups)
-    upward = np.where(MASK == 1, groups ^ 1, groups)  # 0 <-> 1, 2 <-> 3, ...
-    downward = np.where(MASK == 1, ((groups + 1) ^ 1) - 1, groups)  # -1 <-> 0, 1 <-> 2, ...
-    result = [float(np.sign(_variation(changed) - plain).mean()) for changed in (upward, downward)]
-    return result[0], result[1]
-
-
-def _variation(groups: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-    total: npt.NDArray[np.int64] = np.abs(np.diff(groups, axis=1)).sum(axis=1)
-    return total
+def _regular_minus_singular(groups: Channel) -> tuple[float, float]:
+    """Share of regular minus singular groups (n, 4) under the mask, and under the shifted flip (the mask times -1)."""
+    upward = np.where(MASK, groups ^ 1, groups)  # 0 <-> 1, 2 <-> 3, ...
+    downward = np.where(MASK, ((groups + 1) ^ 1) - 1, groups)  # -1 <-> 0, 1 <-> 2, ...
+    plain, up, down = (np.abs(np.diff(pixels, axis=1)).sum(axis=1) for pixels in (groups, upward, downward))
+    return float(np.sign(up - plain).mean()), float(np.sign(down - plain).mean())
 
 
 def _smaller_root(a: float, b: float, c: float) -> float:
@@ -198,5 +158,27 @@ def _smaller_root(a: float, b: float, c: float) -> float:
     inside = b * b - 4.0 * a * c
     if inside < 0.0:
         return -b / (2.0 * a)
-    roots: Any = (-b + np.array([1.0, -1.0]) * np.sqrt(inside)) / (2.0 * a)
-    return float(roots[np.argmin(np.abs(roots))])
+    return float(min(((-b + sign * np.sqrt(inside)) / (2.0 * a) for sign in (1.0, -1.0)), key=abs))
+
+
+def look_at_renders(path: str, profile_name: str, views: int, checked_views: int, size: int, seed: int) -> list[Row]:
+    """Every detector on 8-bit renders of one scene, `size` pixels a side: the same views unmarked and marked.
+
+    Of the first `checked_views` the unmarked ones also get replaced bits, to check the detectors. One row a picture:
+    ``kind`` "unmarked", "marked" or "lsb", its ``rate``, and each detector's estimate.
+    """
+    scene = mark_scene(path, profile(profile_name, landmark_views=0), seed=seed)
+    rng = np.random.default_rng((seed, 9))
+    rows: list[Row] = []
+    for number, camera in enumerate(make_rig(scene.original, views, size, size, jitter=rng.random((views, 4)))):
+        about = {"scene": Path(path).name, "seed": seed, "view": number}
+        plain, marked = (_stored(render(model, camera)) for model in (scene.original, scene.marked))
+        rows.append({**about, "kind": "unmarked", "rate": 0.0, **fuse(plain)})
+        rows.append({**about, "kind": "marked", "rate": 0.0, **fuse(marked)})
+        for rate in CHECKED_RATES if number < checked_views else ():
+            rows.append({**about, "kind": "lsb", "rate": rate, **fuse(replace_lsb(plain, rate, rng))})
+    return rows
+
+
+def _stored(image: Float32) -> Picture:
+    return np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.evaluate.null.sinkhorn import divergence, permutation_test, squared_distances, transport_cost
+from engine.evaluate.null.detectability import divergence, permutation_test, squared_distances, transport_cost
 
 
 @pytest.mark.parametrize("epsilon", [0.05, 0.3, 2.0])

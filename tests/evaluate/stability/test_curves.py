@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from engine.evaluate.stability.breaking import breaking_point, first_below, interpolate, strength_at
+from engine.evaluate.stability.curves import breaking_point, first_below, strength_at
 from engine.evaluate.stability.sweeps import all_sweeps, branches, thinned
 from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS
 
@@ -24,7 +24,7 @@ def test_strengths_between_those_tried() -> None:
     assert strength_at((-0.1, -0.3), 0.5) == pytest.approx(-0.2)
     assert strength_at((0.1, 1.0), math.inf) is None
     assert strength_at(("splat", "sog"), 0.5) is None
-    assert interpolate(np.array([10.0, 1.0]), 0.0) == pytest.approx(10.0)
+    assert strength_at((10.0, 1.0), 0.0) == pytest.approx(10.0)
 
 
 def test_intervals_span_the_trials() -> None:
