@@ -19,17 +19,28 @@ Column = str | tuple[str, str | Callable[[Any], Any]]
 """A key of the rows; or a heading with a key, a text with keys in braces, or a function of a row."""
 
 
-def of_kind(rows: Iterable[Row], **wanted: object) -> list[Row]:
-    """Rows that hold all these values."""
-    return [row for row in rows if all(name in row and row[name] == value for name, value in wanted.items())]
+def picked(rows: Iterable[Row], **wanted: object) -> list[Row]:
+    """Those rows whose fields have these values; a field that is not there is None."""
+    return [row for row in rows if all(row.get(name) == value for name, value in wanted.items())]
 
 
-def grouped(rows: Iterable[Row], name: str) -> dict[Any, list[Row]]:
-    """Rows by one of their values, in the order of its first appearance."""
+def grouped(rows: Iterable[Row], *fields: str) -> dict[Any, list[Row]]:
+    """Rows by the value of a field (of several: by the tuple of their values), groups in the order they appear."""
     groups: dict[Any, list[Row]] = {}
     for row in rows:
-        groups.setdefault(row[name], []).append(row)
+        key = tuple(row[name] for name in fields)
+        groups.setdefault(key if len(fields) > 1 else key[0], []).append(row)
     return groups
+
+
+def distinct(rows: Iterable[Row], *fields: str) -> list[Any]:
+    """Keys of `grouped`."""
+    return list(grouped(rows, *fields))
+
+
+def listed(lines: Sequence[Row], title: str = "") -> Table:
+    """A table of ready-made lines, all with the same headings as keys."""
+    return Table(list(lines[0]) if lines else [], [list(line.values()) for line in lines], title)
 
 
 def table(rows: Iterable[Any], *columns: Column, title: str = "") -> Table:
@@ -41,7 +52,7 @@ def table(rows: Iterable[Any], *columns: Column, title: str = "") -> Table:
 def _cell(row: Any, what: str | Callable[[Any], Any]) -> Any:
     if callable(what):
         return what(row)
-    return what.format_map(row) if "{" in what else row[what]
+    return what.format_map(row) if "{" in what else row.get(what)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The moves that reports are made of, and cells made of functions."""
 
-from engine.evaluate.rows import as_named, distinct, grouped, listed, picked, tabled
 from engine.evaluate.study import Bar, Cell
+from engine.evaluate.summing import distinct, grouped, listed, picked, table
 from tests.evaluate.cells import square
 
 ROWS = [
@@ -19,12 +19,10 @@ def test_rows_are_picked_and_grouped_in_their_order() -> None:
 
 
 def test_tables_of_fields_formats_and_functions() -> None:
-    table = tabled(
-        ROWS[:2], {**as_named("scene", "note"), "z": "{z:.1f} of {seed}", "twice": lambda r: 2 * r["z"]}, "T"
-    )
-    assert table.title == "T"
-    assert table.columns == ["scene", "note", "z", "twice"]
-    assert table.rows == [["a", None, "2.0 of 1", 4.0], ["b", "x", "3.0 of 1", 6.0]]
+    shown = table(ROWS[:2], "scene", "note", ("z", "{z:.1f} of {seed}"), ("twice", lambda r: 2 * r["z"]), title="T")
+    assert shown.title == "T"
+    assert shown.columns == ["scene", "note", "z", "twice"]
+    assert shown.rows == [["a", None, "2.0 of 1", 4.0], ["b", "x", "3.0 of 1", 6.0]]
     assert listed([{"a": 1, "b": 2}]).rows == [[1, 2]]
     assert listed([]).columns == []
 

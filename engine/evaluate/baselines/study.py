@@ -15,8 +15,8 @@ from engine.evaluate.baselines.methods import METHODS
 from engine.evaluate.drawing import SEQUENTIAL, Figure, figure
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.published import read_published
-from engine.evaluate.rows import as_named, distinct, grouped, listed, picked, tabled
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
+from engine.evaluate.summing import distinct, grouped, listed, picked, table
 from engine.watermark.statistics import log10_binomial_tail
 
 __all__ = ["STUDY"]
@@ -191,11 +191,20 @@ def _embedding_table(rows: Sequence[Row]) -> Table:
 
 
 def _published_section() -> Section:
-    columns = {"method": "method", "where": "{venue} {year}"}
-    columns |= as_named("what", "conditions", "value", "unit", "reading", "hardware", "source")
+    columns = (
+        "method",
+        ("where", "{venue} {year}"),
+        "what",
+        "conditions",
+        "value",
+        "unit",
+        "reading",
+        "hardware",
+        "source",
+    )
     points = [{**vars(point), "reading": "blind" if point.blind else "informed"} for point in read_published()]
     text = "Published, other hardware, other scenes; blind or informed as it says. Not measured here."
-    return Section("Published numbers", [text], [tabled(points, columns)])
+    return Section("Published numbers", [text], [table(points, "method", ("where", "{venue} {year}"), *columns)])
 
 
 def draw_matrix(

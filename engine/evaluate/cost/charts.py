@@ -1,19 +1,14 @@
 """Figures of cost: growth on log-log axes, the roofline, bytes by format."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from engine.evaluate.cost.growth import Growth
-from engine.evaluate.drawing import FAINT, INK, figure, styles
+from engine.evaluate.drawing import FAINT, INK, Figure, figure, styles
 from engine.evaluate.study import Row
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Curve = tuple[Sequence[float], Sequence[float], Growth]
 """Sizes, costs, and the growth fitted to them."""

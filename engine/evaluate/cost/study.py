@@ -12,7 +12,7 @@ from typing import Any
 from engine.evaluate.cost.charts import Curve, draw_formats, draw_growth, draw_roofline
 from engine.evaluate.cost.growth import Growth, fit_growth
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
-from engine.evaluate.summing import busy_words, of_kind, table
+from engine.evaluate.summing import busy_words, picked, table
 
 MODULE = "engine.evaluate.cost.measuring"
 GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 4_000_000)
@@ -78,7 +78,7 @@ def _report(rows: list[Row], options: Options) -> Report:
         own = [row for row in rows if row["scene"] == scene and "axis" in row]
         exponents: dict[str, dict[str, str]] = {}
         for axis, words in AXES.items():
-            found = sorted(of_kind(own, axis=axis), key=lambda row: row["size"])
+            found = sorted(picked(own, axis=axis), key=lambda row: row["size"])
             curves = _curves(found)
             exponents[axis] = {name: str(curve[2]) for name, curve in curves.items()}
             sections.append(_growth_section(scene, axis, words, found, curves))
@@ -150,7 +150,7 @@ def _growth_section(scene: str, axis: str, words: str, found: Sequence[Row], cur
 
 def _bars(scene: str, own: Sequence[Row]) -> list[Bar]:
     """Embedding and verifying 500,000 Gaussians, read off the fitted growth where no cell has just as many."""
-    found = of_kind(own, axis="gaussians")
+    found = picked(own, axis="gaussians")
     if max((row["size"] for row in found), default=0) < BAR_GAUSSIANS:
         return []
     near = [row for row in found if 100_000 <= row["size"] <= LARGE]

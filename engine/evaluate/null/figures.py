@@ -8,8 +8,8 @@ from scipy.stats import norm
 from engine.evaluate.drawing import FAINT, INK, Figure, figure, label_line, spread_curve, styles
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.null.rates import CLAIM, LOG10_THRESHOLDS, Rates, share_claimed
-from engine.evaluate.rows import distinct, grouped, picked
 from engine.evaluate.study import Row
+from engine.evaluate.summing import distinct, grouped, picked
 from engine.watermark.statistics import z_threshold
 
 __all__ = ["draw_detectability", "draw_false_claims", "draw_oracle", "draw_power", "draw_roc"]

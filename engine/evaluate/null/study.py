@@ -14,8 +14,8 @@ import numpy as np
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.null import detectability, figures, measuring
 from engine.evaluate.null.rates import CLAIM, LOG10_THRESHOLDS, Rates, add_up, exceeding, share_claimed
-from engine.evaluate.rows import as_named, distinct, grouped, listed, picked, tabled
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
+from engine.evaluate.summing import distinct, grouped, listed, picked, table
 
 __all__ = ["STUDY"]
 
@@ -151,30 +151,31 @@ def _null_section(tried: Sequence[Row], wrong: Sequence[Row], forged: Sequence[R
     def share_at(log10: float) -> Callable[[Row], str]:
         return lambda row: f"{row['hits'][LOG10_THRESHOLDS.index(log10)] / max(row['keys'], 1):.2g}"
 
-    table = tabled(
+    shown = table(
         sorted(tried, key=lambda row: -row["z_largest"]),
-        {
-            **as_named("scene", "suspect", "route"),
-            "keys": "{keys:,}",
-            "largest z": "z_largest",
-            "mean": "z_mean",
-            "std": "z_std",
-            "at 0.1": share_at(-1.0),
-            "at 1e-3": share_at(-3.0),
-            "at 1e-5": share_at(-5.0),
-            "claims": lambda row: row["hits"][-1],
-            "this record's own z and answer": lambda row: (
-                f"{row['z_own']:.2f}: {row['verdict']}" + (" (carries it)" if row["carries"] else "")
-            ),
-        },
-        "Largest z first",
+        "scene",
+        "suspect",
+        "route",
+        ("keys", "{keys:,}"),
+        ("largest z", "z_largest"),
+        ("mean", "z_mean"),
+        ("std", "z_std"),
+        ("at 0.1", share_at(-1.0)),
+        ("at 1e-3", share_at(-3.0)),
+        ("at 1e-5", share_at(-5.0)),
+        ("claims", lambda row: row["hits"][-1]),
+        (
+            "this record's own z and answer",
+            lambda row: f"{row['z_own']:.2f}: {row['verdict']}" + (" (carries it)" if row["carries"] else ""),
+        ),
+        title="Largest z first",
     )
     drawing = Drawing(
         "false-claims",
         partial(figures.draw_false_claims, groups, add_up(wrong, "wrong detector"), title),
         "Share of wrong keys that reach each stated bound. Where nothing is drawn no key came so far.",
     )
-    return Section("False claims", [text], [table], [drawing])
+    return Section("False claims", [text], [shown], [drawing])
 
 
 def _power_section(power: Sequence[Row]) -> Section:
@@ -264,22 +265,21 @@ def _detect_section(seen: Sequence[Row]) -> Section:
     title = f"In the numbers of the file the mark is within chance (smallest p {least:.2f})"
     if least <= SIGNIFICANT / max(tests, 1):
         title = f"The numbers of the file betray the mark (p {least:.3f})"
-    table = tabled(
+    shown = table(
         seen,
-        {
-            **as_named("scene", "key"),
-            "attributes": "features",
-            "unmarked sample against": "against",
-            "divergence": "distance",
-            "median of chance": "null_median",
-            "largest of chance": "null_highest",
-            "p": "p",
-        },
+        "scene",
+        "key",
+        ("attributes", "features"),
+        ("unmarked sample against", "against"),
+        ("divergence", "distance"),
+        ("median of chance", "null_median"),
+        ("largest of chance", "null_highest"),
+        "p",
     )
     drawing = Drawing(
         "detectability", partial(figures.draw_detectability, seen, title), "Each point is one key and scene."
     )
-    return Section("Can the mark be seen in the file's numbers?", [text], [table], [drawing])
+    return Section("Can the mark be seen in the file's numbers?", [text], [shown], [drawing])
 
 
 STUDY = Study(

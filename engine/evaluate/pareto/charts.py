@@ -1,18 +1,12 @@
 """Figures of speed against accuracy: ours beside what peers published, and what each knob of ours buys."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from engine.evaluate.drawing import INK, MARKERS, figure, label_line, styles
+from engine.evaluate.drawing import INK, MARKERS, Axes, Figure, figure, label_line, styles
 from engine.evaluate.pareto.summing import Result, pareto_front
 from engine.evaluate.published import Published
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NAMED = ("fast", "balanced", "strong", "auto")
 OTHERS = "#777777"

@@ -16,8 +16,8 @@ import numpy as np
 from engine.evaluate.drawing import FAINT, Figure, figure, styles
 from engine.evaluate.intervals import bootstrap
 from engine.evaluate.perceptual.measuring import COMPARED_QUALITIES, look_at_mark
-from engine.evaluate.rows import grouped, listed, picked
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
+from engine.evaluate.summing import grouped, listed, picked
 
 __all__ = ["STUDY"]
 

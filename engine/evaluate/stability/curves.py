@@ -9,8 +9,8 @@ import numpy as np
 
 from engine.evaluate.drawing import SEQUENTIAL, Figure, figure, label_line, spread_curve, styles
 from engine.evaluate.intervals import bootstrap, share_interval
-from engine.evaluate.rows import grouped, picked
 from engine.evaluate.study import Row
+from engine.evaluate.summing import grouped, picked
 from engine.model import Float64
 from engine.sim.attack import Strength
 from engine.sim.cost import CHEAP_DB

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from functools import partial
 
 from engine.evaluate.intervals import share_interval
-from engine.evaluate.rows import as_named, listed, picked, tabled
 from engine.evaluate.stability.curves import Break, Swept, draw_costs, draw_map, failing_first, sum_up
 from engine.evaluate.stability.odd_inputs import ODD, QUICK, stress
 from engine.evaluate.stability.sameness import compare_machines, compare_precision
 from engine.evaluate.stability.sweeps import PICTURE_SIZE, all_sweeps, sweep, thinned
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study
+from engine.evaluate.summing import listed, picked, table
 from engine.sim.cost import CHEAP_DB
 
 __all__ = ["STUDY"]
@@ -139,8 +139,8 @@ def _attack_section(own: Sequence[Swept], kind: str, refused: Sequence[Row]) -> 
             f"Attacks on {what} that come nearest to taking the claim: z against the look that is left.",
         ),
     ]
-    table = listed([_line(one) for one in own], "Failing first")
-    return Section(f"Attacks on {what}", text, [table], drawings if own else ())
+    shown = listed([_line(one) for one in own], "Failing first")
+    return Section(f"Attacks on {what}", text, [shown], drawings if own else ())
 
 
 def _line(one: Swept) -> Row:
@@ -186,17 +186,17 @@ def _odd_section(odd: Sequence[Row]) -> Section:
         "found or an unmarked model claimed."
     )
     outcomes = {"same": "answers", "refused": "refused", "fault": "FAULT"}
-    table = tabled(
+    shown = table(
         sorted(odd, key=lambda row: row["outcome"] != "fault"),
-        {
-            **as_named("input", "role"),
-            "what happened": lambda row: outcomes[row["outcome"]],
-            **as_named("verdict", "z"),
-            "without its mark": "unmarked_verdict",
-            "words": "words",
-        },
+        "input",
+        "role",
+        ("what happened", lambda row: outcomes[row["outcome"]]),
+        "verdict",
+        "z",
+        ("without its mark", "unmarked_verdict"),
+        "words",
     )
-    return Section("Odd inputs", [text], [table])
+    return Section("Odd inputs", [text], [shown])
 
 
 def _same_section(same: Sequence[Row]) -> Section:
@@ -204,20 +204,18 @@ def _same_section(same: Sequence[Row]) -> Section:
         "A suspect cut to half, moved, shuffled and noised is verified again and again; children mark anew as well. "
         "Only this machine was at hand: another processor is played by compiling without AVX."
     )
-    table = tabled(
+    shown = table(
         same,
-        {
-            "how": "how",
-            "same bytes": lambda row: "yes" if row["exact"] else "no",
-            "same answer": lambda row: "yes" if row["close"] else "no",
-            "z of the model": "z_model",
-            "z of a picture": "z_image",
-            "claim, model": "model_digest",
-            "claim, picture": "image_digest",
-            "marked model": "marked_digest",
-        },
+        "how",
+        ("same bytes", lambda row: "yes" if row["exact"] else "no"),
+        ("same answer", lambda row: "yes" if row["close"] else "no"),
+        ("z of the model", "z_model"),
+        ("z of a picture", "z_image"),
+        ("claim, model", "model_digest"),
+        ("claim, picture", "image_digest"),
+        ("marked model", "marked_digest"),
     )
-    return Section("The same answer each time", [text], [table])
+    return Section("The same answer each time", [text], [shown])
 
 
 STUDY = Study(

@@ -12,10 +12,10 @@ import numpy as np
 
 from engine.evaluate.drawing import FAINT, Figure, figure, label_line, styles
 from engine.evaluate.intervals import area, area_interval
-from engine.evaluate.rows import as_named, distinct, grouped, picked, tabled
 from engine.evaluate.steganalysis.learned import FORMS, detect_as_insider, detect_as_stranger
 from engine.evaluate.steganalysis.pictures import DETECTORS, look_at_renders
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Section, Study, Table
+from engine.evaluate.summing import distinct, grouped, picked, table
 from engine.model import Float64
 
 __all__ = ["STUDY"]
@@ -151,7 +151,7 @@ def _pictures_section(rows: Sequence[Row], areas: Sequence[Row]) -> Section:
             "classic tools see nothing, not that nothing can. Intervals resample views."
         ],
         [
-            tabled(areas, columns, "Marked against unmarked"),
+            table(areas, *columns.items(), title="Marked against unmarked"),
             Table(["threshold", "unmarked called marked", "marked called marked"], lines, "Fusion by threshold"),
         ],
         [Drawing("roc", partial(draw_roc, rows, title), caption)],
@@ -169,15 +169,17 @@ def _check_section(rows: Sequence[Row]) -> Section:
 
 
 def _learned_section(rows: Sequence[Row]) -> Section:
-    table = tabled(
+    shown = table(
         rows,
-        as_named("method", "attacker", "form", "scene", "classifier")
-        | {
-            "AUC of a region": "{auc:.3f}",
-            "95 %": "{low:.3f} to {high:.3f}",
-            "shift of the mean score (std of regions)": "{shift:+.2f}",
-            "regions": "regions",
-        },
+        "method",
+        "attacker",
+        "form",
+        "scene",
+        "classifier",
+        ("AUC of a region", "{auc:.3f}"),
+        ("95 %", "{low:.3f} to {high:.3f}"),
+        ("shift of the mean score (std of regions)", "{shift:+.2f}"),
+        "regions",
     )
     worst = max((row for row in picked(rows, method="ours") if row["form"] != "lattice lost"), key=_off)
     title = "Learned detectors on attributes stay at chance"
@@ -199,7 +201,7 @@ def _learned_section(rows: Sequence[Row]) -> Section:
             "standard deviations to someone who knows the unmarked mean. Knowing that there is a mark removes none.",
             "An AUC well below 0.5 is a difference too, one that lies the other way round than what was learnt.",
         ],
-        [table],
+        [shown],
         [Drawing("learned", partial(draw_areas, rows, title), caption)],
     )
 

@@ -1,21 +1,15 @@
 """Settings side by side, paired so that only the setting differs; and curves over one knob at a time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import label_line, styles
+from engine.evaluate.drawing import Axes, label_line, styles
 from engine.evaluate.intervals import bootstrap
 from engine.evaluate.study import Row, Table
-from engine.evaluate.summing import accuracy, mean_text, of_kind, share_text, table
+from engine.evaluate.summing import accuracy, mean_text, picked, share_text, table
 from engine.evaluate.tables.part import CONDITIONS, Setting, rows_of_setting
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ def effect(rows: Sequence[Row], setting: str, base: str, condition: str) -> Effe
 
 def _by_place(rows: Sequence[Row], setting: str, condition: str) -> dict[tuple[object, ...], float]:
     wanted = {"kind": "marked"} if condition == "model" else {"kind": "picture", "attack": condition}
-    found = of_kind(rows, setting=setting, **wanted)
+    found = picked(rows, setting=setting, **wanted)
     return {(row["scene"], row["seed"], row.get("view")): float(row["z"]) for row in found}
 
 
@@ -79,7 +73,7 @@ def knob_table(knobs: Iterable[Knob], rows: Sequence[Row]) -> Table:
                 lines.append({**dict.fromkeys(columns), **about, "embed, s": of["refused"][0]["reason"]})
             if of["marked"]:
                 for name in CONDITIONS:
-                    pictures = of_kind(of["picture"], attack=name)
+                    pictures = picked(of["picture"], attack=name)
                     about[bits[name]] = share_text(accuracy(pictures))
                     about[z[name]] = mean_text([row["z"] for row in pictures])
                 about["PSNR to the original, dB"] = mean_text([row["psnr"] for row in of["view"]])
@@ -97,7 +91,7 @@ def draw_knob(axes: Axes, knob: Knob, rows: Sequence[Row], xs: Sequence[float] |
     for condition, style in zip(CONDITIONS, styles(), strict=False):
         drawn = []
         for value, setting in knob.points.items():
-            z = [row["z"] for row in of_kind(rows, setting=setting.name, kind="picture", attack=condition)]
+            z = [row["z"] for row in picked(rows, setting=setting.name, kind="picture", attack=condition)]
             if z:
                 mean, (low, high) = fmean(z), bootstrap(z)
                 drawn.append((places[value], mean, mean - low, high - mean))

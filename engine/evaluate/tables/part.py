@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
-from engine.evaluate.summing import Column, grouped, mean_text, of_kind, table
+from engine.evaluate.summing import Column, grouped, mean_text, picked, table
 
 MEASURING = "engine.evaluate.tables.measuring"
 """Module of the cells' functions, where no bench has the same."""
@@ -107,7 +107,7 @@ def setting_cells(options: Options, settings: Iterable[Setting], *, sweep: bool 
 
 def rows_of_setting(rows: Iterable[Row], name: str) -> dict[str, list[Row]]:
     """A setting's rows by kind (see `measuring.measure_setting`); lists are empty where there is none."""
-    found = grouped(of_kind(rows, setting=name), "kind")
+    found = grouped(picked(rows, setting=name), "kind")
     return {kind: found.get(kind, []) for kind in KINDS}
 
 

@@ -1,12 +1,9 @@
 """Ablation: each stage of the pipeline against the pipeline with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import INK, figure, styles
+from engine.evaluate.drawing import INK, Figure, figure, styles
 from engine.evaluate.study import Cell, Drawing, Options, Row, Section
 from engine.evaluate.summing import INTERVALS, accuracy, share_text, table
 from engine.evaluate.tables.curves import Effect, effect
@@ -14,9 +11,6 @@ from engine.evaluate.tables.part import CONDITIONS, DEFAULT, Part, Setting, rows
 from engine.evaluate.tables.sections.fig6 import compact
 from engine.evaluate.tables.sections.fig7 import BUDGET_DB, pruned, share_pruned
 from engine.evaluate.tables.sections.table6 import LOSSES, refined
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 NAMES = {"model": "the model", "none": "picture", **{name: f"picture, {name}" for name in CONDITIONS[1:]}}
 """What z is read from."""

@@ -1,19 +1,13 @@
 """Figure 6: bits over the hyper-parameters, the paper's where they exist here, and ours."""
 
-from __future__ import annotations
-
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import figure
+from engine.evaluate.drawing import Figure, figure
 from engine.evaluate.study import Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.summing import INTERVALS, grouped, of_kind
+from engine.evaluate.summing import INTERVALS, grouped, picked
 from engine.evaluate.tables.curves import Knob, draw_knob, knob_table
 from engine.evaluate.tables.part import DEFAULT, Part, Setting, printed, setting_cells
 from engine.evaluate.tables.sections.table6 import LOSSES, refined
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WEIGHTS = dict(zip(("lambda_msg", "lambda_rec", "lambda_wavelet"), LOSSES["loss-text"], strict=True))
 TEXT = refined("loss-text", *WEIGHTS.values())
@@ -117,7 +111,7 @@ def draw(rows: list[Row], panels: list[Knob]) -> Figure:
 def _finding(rows: list[Row], panels: list[Knob]) -> str:
     """How much the weakest kind of picture moves over all panels."""
     names = {setting.name for knob in panels for setting in knob.points.values()}
-    z = grouped([row for row in of_kind(rows, attack="JPEG 10") if row.get("setting") in names], "setting")
+    z = grouped([row for row in picked(rows, attack="JPEG 10") if row.get("setting") in names], "setting")
     if len(z) < 2:
         return "Hyper-parameters"
     means = [fmean(row["z"] for row in own) for own in z.values()]

@@ -1,19 +1,12 @@
 """Figure 7: bits and quality over pruning and over the strength of the mark."""
 
-from __future__ import annotations
-
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import figure, label_line, styles
+from engine.evaluate.drawing import Axes, Figure, figure, label_line, styles
 from engine.evaluate.study import Cell, Drawing, Options, Row, Section
-from engine.evaluate.summing import INTERVALS, of_kind, table
+from engine.evaluate.summing import INTERVALS, picked, table
 from engine.evaluate.tables.curves import Knob, draw_knob, knob_table
 from engine.evaluate.tables.part import DEFAULT, Part, Setting, setting_cells
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BUDGET_DB = 30.0
 """Budget at which gamma is turned, dB."""
@@ -100,7 +93,7 @@ def draw(rows: list[Row], panels: dict[str, Knob]) -> Figure:
     budget = panels["budget"]
     pruned_ = {value: share_pruned(of) for value, of in _marked(rows, budget).items()}
     with_share = Knob("Gaussians removed, %", {0.0: DEFAULT, **{v: budget.points[v] for v in pruned_}}, -1.0)
-    whole = of_kind(rows, setting=DEFAULT.name, kind="marked")
+    whole = picked(rows, setting=DEFAULT.name, kind="marked")
     draw_knob(axes[0], with_share, rows, [share_pruned(whole) if whole else 0.0, *pruned_.values()])
     for value, place in pruned_.items():
         look = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": "#6a6a6a"}
@@ -129,7 +122,7 @@ def _draw_gamma(axes: Axes, knob: Knob, rows: list[Row]) -> None:
 
 def _marked(rows: list[Row], knob: Knob) -> dict[float, list[Row]]:
     """Markings at each point that has any."""
-    found = {value: of_kind(rows, setting=setting.name, kind="marked") for value, setting in knob.points.items()}
+    found = {value: picked(rows, setting=setting.name, kind="marked") for value, setting in knob.points.items()}
     return {value: of for value, of in found.items() if of}
 
 

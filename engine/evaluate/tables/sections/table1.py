@@ -1,11 +1,8 @@
 """Table 1: bit accuracy and fidelity at every message length."""
 
-from __future__ import annotations
-
 from statistics import fmean
-from typing import TYPE_CHECKING
 
-from engine.evaluate.drawing import figure, styles
+from engine.evaluate.drawing import Figure, figure, styles
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section, Table
 from engine.evaluate.summing import INTERVALS, accuracy, grouped, mean_text, table
 from engine.evaluate.tables.part import (
@@ -19,9 +16,6 @@ from engine.evaluate.tables.part import (
     setting_cells,
     system,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LENGTHS = (16, 32, 48, 64, 128, 256)
 LEAST_DB, LEAST_SSIM = 47.0, 0.998

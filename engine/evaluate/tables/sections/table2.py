@@ -1,16 +1,11 @@
 """Table 2: 32 bits after each attack, in both readings of it, on pictures and on models."""
 
-from __future__ import annotations
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
-from engine.evaluate.drawing import figure, styles
+from engine.evaluate.drawing import Figure, figure, styles
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section, Table
-from engine.evaluate.summing import INTERVALS, Accuracy, accuracy, of_kind, range_text, table
+from engine.evaluate.summing import INTERVALS, Accuracy, accuracy, picked, range_text, table
 from engine.evaluate.tables.part import MEASURING, PUBLISHED, Part, changes_of, efforts, printed, scenes_of, system
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLUMNS = {
     "none": "no attack",
@@ -72,7 +67,7 @@ def section(rows: list[Row], options: Options) -> Section:
         {"attack": COLUMNS.get(column, column), "on": name, "of": of}
         for on, reading, name in WAYS
         for column in (*COLUMNS, *CUTS)
-        if (of := of_kind(rows, on=on, reading=reading, attack=column))
+        if (of := picked(rows, on=on, reading=reading, attack=column))
     ]
     ours = table(
         details,
@@ -110,7 +105,7 @@ def section(rows: list[Row], options: Options) -> Section:
 
 
 def _found(rows: list[Row], on: str, reading: str, column: str) -> Accuracy | None:
-    return accuracy(of_kind(rows, on=on, reading=reading, attack=column))
+    return accuracy(picked(rows, on=on, reading=reading, attack=column))
 
 
 def _by_eq10(rows: list[Row]) -> str:
@@ -137,7 +132,7 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
 def draw(rows: list[Row]) -> Figure:
     """One line an attack, one mark a system."""
     drawn, axes = figure(width=7.6, height=4.8)
-    ways = [(on, reading, name) for on, reading, name in WAYS if of_kind(rows, on=on, reading=reading)]
+    ways = [(on, reading, name) for on, reading, name in WAYS if picked(rows, on=on, reading=reading)]
     for slot, ((on, reading, name), look) in enumerate(zip(ways, styles(), strict=False)):
         points = [(n, found) for n, column in enumerate(COLUMNS) if (found := _found(rows, on, reading, column))]
         axes.errorbar(

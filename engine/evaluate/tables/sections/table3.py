@@ -3,7 +3,7 @@
 from typing import Any
 
 from engine.evaluate.study import Bar, Cell, Options, Row, Section
-from engine.evaluate.summing import of_kind, table
+from engine.evaluate.summing import picked, table
 from engine.evaluate.tables.part import MEASURING, PUBLISHED, Part, changes_of, printed_table, scenes_of
 
 LARGE = 400_000
@@ -47,7 +47,7 @@ def section(rows: list[Row], options: Options) -> Section:
         ("its worst view, dB", "{compact_psnr:.1f}"),
         title="Ours",
     )
-    fast = of_kind(of, profile="fast")
+    fast = picked(of, profile="fast")
     each = table(
         [{"scene": row["scene"], **{k: size / row["gaussians"] for k, size in row["bytes"].items()}} for row in fast],
         "scene",
@@ -85,10 +85,10 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
         return []
     made: list[Bar] = []
     for profile, most in EMBED_BARS.items():
-        if of_kind(of, profile=profile):
+        if picked(of, profile=profile):
             made.append(_timed(of, "embed", f"embed 500k Gaussians, {profile}", most, profile))
     made.append(_timed(of, "verify", "verify a model of 500k Gaussians", VERIFY_BAR, "fast"))
-    for row in of_kind(of, profile="fast"):
+    for row in picked(of, profile="fast"):
         what, size = f"file of {row['scene']}, compact, .sog", _compact(row)
         made.append(Bar(what, f"<= {BYTES_BAR:g} bytes a Gaussian", f"{size:.1f}", size <= BYTES_BAR))
     return made

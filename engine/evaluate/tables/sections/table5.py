@@ -1,18 +1,11 @@
 """Table 5: fine-tuning in four settings."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from engine.evaluate.drawing import figure, styles
+from engine.evaluate.drawing import Figure, figure, styles
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section
-from engine.evaluate.summing import of_kind, table
+from engine.evaluate.summing import picked, table
 from engine.evaluate.tables.measuring import PROFILE
 from engine.evaluate.tables.part import PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SETTINGS = {
     "key": "marked pictures, key poses",
@@ -87,7 +80,7 @@ def bars(rows: list[Row], options: Options) -> list[Bar]:
     made = []
     for setting, name in SETTINGS.items():
         what, wanted = f"{EPOCHS} epochs, {name}", f">= {100 * LEAST:g} %"
-        last = of_kind(_own(rows), setting=setting, epochs=EPOCHS)
+        last = picked(_own(rows), setting=setting, epochs=EPOCHS)
         if last:
             worst = min(last, key=lambda row: (row["bit_accuracy"], row["z"]))
             said = f"{_share(worst)}, z {worst['z']:.0f}, lowest of {len(last)} scenes"
@@ -102,7 +95,7 @@ def draw(rows: list[Row]) -> Figure:
     drawn, (left, right) = figure(1, 2, width=8.6, height=3.6)
     paper = {row["setting"]: row for row in printed("table5")}
     for (setting, name), look in zip(SETTINGS.items(), styles(), strict=False):
-        of = of_kind(rows, setting=setting)
+        of = picked(rows, setting=setting)
         epochs = sorted({row["epochs"] for row in of})
         worst = [min((row for row in of if row["epochs"] == e), key=lambda row: float(row["z"])) for e in epochs]
         stops = [int(name) for name in paper[setting] if name != "setting"]

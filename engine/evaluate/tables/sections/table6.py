@@ -3,7 +3,7 @@
 from statistics import fmean
 
 from engine.evaluate.study import Bar, Cell, Options, Row, Section
-from engine.evaluate.summing import INTERVALS, Column, accuracy, of_kind, table
+from engine.evaluate.summing import INTERVALS, Column, accuracy, picked, table
 from engine.evaluate.tables.curves import effect
 from engine.evaluate.tables.part import (
     CONDITIONS,
@@ -72,7 +72,7 @@ def section(rows: list[Row], options: Options) -> Section:
     ours = table(
         [of for of in lines if of["marked"]],
         ("losses", lambda of: ROWS[of["setting"]]),
-        ("bits, one picture", lambda of: str(accuracy(of_kind(of["picture"], attack="none")))),
+        ("bits, one picture", lambda of: str(accuracy(picked(of["picture"], attack="none")))),
         ("claims at 1e-9", claims),
         *FIDELITY,
         *(change(condition) for condition in ("model", *CONDITIONS)),
@@ -111,7 +111,7 @@ def _change(rows: list[Row], setting: str, condition: str) -> str:
 
 def bars(rows: list[Row], options: Options) -> list[Bar]:
     """No claim on the unmarked model."""
-    of = [row for row in of_kind(rows, setting=UNMARKED.name) if "claimed" in row]
+    of = [row for row in picked(rows, setting=UNMARKED.name) if "claimed" in row]
     if not of:
         return []
     claims = sum(row["claimed"] for row in of)
