@@ -18,13 +18,9 @@ DEMO_SCENE = "plant.splat"
 
 def format_for(path: Path) -> str:
     """Format that the ending of an output file names."""
-    from engine.formats import FORMATS
+    from engine.formats.kinds import kind_of
 
-    for name in sorted(FORMATS, key=len, reverse=True):  # .compressed.ply before .ply
-        if path.name.lower().endswith(f".{name}"):
-            return name
-    endings = ", ".join(f".{name}" for name in FORMATS)
-    raise InputError(f"{str(path)!r}: the ending must name a format: {endings}")
+    return kind_of(path.name).name
 
 
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:

@@ -4,19 +4,12 @@ import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import opening, read_regular
-from engine.formats.ply.compressed import is_compressed, read_compressed_ply
-from engine.formats.ply.gaussians import read_ply
-from engine.formats.ply.header import parse_header
+from engine.formats.kinds import FORMATS, KINDS, Kind
 from engine.formats.repairs import Repair
-from engine.formats.splat import looks_like_splat, read_splat
 from engine.model import GaussianModel
-
-FORMATS = ("ply", "compressed.ply", "splat", "spz", "sog")
-"""What is read and written; also the file name's ending of each."""
 
 _META = "meta.json"
 
@@ -86,26 +79,17 @@ def read_model(
 
 def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
     try:
-        kind, (model, repairs) = _dispatch(data, file, spz_frame)
+        kind = _told(data, file)
+        model, repairs = kind.read(data, file, spz_frame)
     except MemoryError:
         raise FormatError(f"needs more memory than there is ({len(data)} bytes)", file=file) from None
-    return LoadedModel(model, kind, repairs, len(data), hashlib.sha256(data).hexdigest())
+    return LoadedModel(model, kind.name, repairs, len(data), hashlib.sha256(data).hexdigest())
 
 
-def _dispatch(data: bytes, file: str, spz_frame: str) -> tuple[str, Any]:
-    if data.startswith((b"ply\n", b"ply\r")):
-        header = parse_header(data, file=file)
-        if is_compressed(header):
-            return "compressed.ply", read_compressed_ply(data, file=file, header=header)
-        return "ply", read_ply(data, file=file, header=header)
-    if data.startswith((b"\x1f\x8b", b"NGSP")):
-        from engine.formats.spz.stream import read_spz
-
-        return "spz", read_spz(data, file=file, frame=spz_frame)
-    if data.startswith(b"PK"):
-        from engine.formats.sog.bundle import read_sog
-
-        return "sog", read_sog(data, file=file)
+def _told(data: bytes, file: str) -> Kind:
+    for kind in KINDS:
+        if kind.told_by(data, file):
+            return kind
     if not data:
         raise FormatError("is empty", file=file)
     if file.lower().endswith(".ksplat"):
@@ -113,8 +97,6 @@ def _dispatch(data: bytes, file: str, spz_frame: str) -> tuple[str, Any]:
         raise UnsupportedFormatError(message, file=file)
     if data.startswith(b"glTF"):
         raise UnsupportedFormatError("is glTF, which is not read here; export the scene as .ply", file=file)
-    if looks_like_splat(data):
-        return "splat", read_splat(data, file=file)
     raise UnsupportedFormatError(f"is none of the formats read here: {', '.join(FORMATS)}", file=file)
 
 

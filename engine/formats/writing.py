@@ -7,10 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from engine.errors import InputError, UnsupportedFormatError
-from engine.formats.ply.compressed import write_compressed_ply
-from engine.formats.ply.gaussians import write_ply
-from engine.formats.reading import FORMATS
-from engine.formats.splat import write_splat
+from engine.formats.kinds import FORMATS, KINDS, kind_of
 from engine.model import GaussianModel
 
 
@@ -61,7 +58,7 @@ def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str 
     UnsupportedFormatError
         No such format.
     """
-    return write_whole(path, _encode(model, format or _format_of(Path(path).name)))
+    return write_whole(path, _encode(model, format or kind_of(Path(path).name).name))
 
 
 def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
@@ -91,26 +88,7 @@ def write_whole(path: str | os.PathLike[str], pieces: Iterable[bytes]) -> int:
 def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
     if len(model) == 0:
         raise InputError("the model holds no Gaussians: there is nothing to write")
-    if format == "ply":
-        return write_ply(model)
-    if format == "compressed.ply":
-        return [write_compressed_ply(model)]
-    if format == "splat":
-        return [write_splat(model)]
-    if format == "spz":
-        from engine.formats.spz.stream import write_spz
-
-        return [write_spz(model)]
-    if format == "sog":
-        from engine.formats.sog.bundle import write_sog
-
-        return [write_sog(model)]
+    for kind in KINDS:
+        if kind.name == format:
+            return kind.write(model)
     raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")
-
-
-def _format_of(name: str) -> str:
-    for format in sorted(FORMATS, key=len, reverse=True):  # .compressed.ply before .ply
-        if name.lower().endswith("." + format):
-            return format
-    endings = ", ".join("." + format for format in FORMATS)
-    raise UnsupportedFormatError(f"the name ends in none of {endings}", file=name)
