@@ -109,7 +109,8 @@ def _whiten(plane: Float32, coverage: list[Float32]) -> Float32:
         tuple(_weigh(band, share[: band.shape[0], : band.shape[1]]) for band in bands)
         for bands, share in zip(details, coverage, strict=True)
     ]
-    return np.asarray(idwt2(_weigh(approx, coverage[-1]), weighted))  # type: ignore[arg-type]  # three bands a level, which mypy cannot count
+    coarse = _weigh(approx, coverage[-1])
+    return np.asarray(idwt2(coarse, weighted))  # type: ignore[arg-type]  # mypy does not count the three bands
 
 
 def _weigh(band: npt.NDArray[Any], share: Float32) -> Float32:

@@ -97,7 +97,7 @@ def _operands(b: Any, sig: Any, args: Any) -> list[Any]:
 def _define(symbol: Any, result: Any, operands: tuple[tuple[Any, ...], ...], emit: Callable[..., Any]) -> None:
     @infer_global(symbol)
     class _Template(ConcreteTemplate):
-        cases = [signature(result, *types_) for types_ in operands]  # noqa: RUF012
+        cases = [signature(result, *types_) for types_ in operands]  # noqa: RUF012 (numba reads it so)
 
     for types_ in operands:
         lower_builtin(symbol, *types_)(lambda context, b, sig, args: emit(b, *_operands(b, sig, args)))
