@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.compress.impact import PRIOR
-from engine.compress.pruning import Pruned, PruneConfig, drop_unseen_bands
+from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline import delivery
