@@ -1,6 +1,6 @@
 # make install  -> .venv with everything; make demo -> the main job on a real scene; make test -> every check;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
-# make mutants -> breaks one line at a time and counts how often a test notices (an hour; MUTANTS="--file NAME" for part);
+# make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
 # make results -> the README's figure, measured anew on the shipped scene (about 10 minutes on two quiet cores);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3

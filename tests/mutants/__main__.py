@@ -30,9 +30,11 @@ HEAVY = ("tests.conftest", "numba", "numpy", "scipy.spatial", "scipy.ndimage", "
 def main() -> int:
     """Run the table; 1 where the score of a part is below what is wanted."""
     parser = argparse.ArgumentParser(prog="make mutants")
-    parser.add_argument("--file", default="", help="only mutants of files whose path holds this")
-    options = parser.parse_args()
-    chosen = [mutant for mutant in read_table() if options.file in str(mutant.path)]
+    parser.add_argument(
+        "--only", action="append", help="only mutants whose file or line holds this text; may be repeated"
+    )
+    only = parser.parse_args().only or [""]
+    chosen = [mutant for mutant in read_table() if any(text in f"{mutant.path} {mutant.line}" for text in only)]
     for name in HEAVY:
         importlib.import_module(name)
     fates: dict[str, Counter[str]] = defaultdict(Counter)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.compress.impact import PRIOR
-from engine.compress.pruning import PruneConfig, Pruned
+from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline import delivery
@@ -56,8 +56,16 @@ def test_what_goes_is_what_the_rank_says(ball: Ball, rank: str) -> None:
 
 
 def test_bands_spend_their_share_of_the_error_at_most(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    allowed: list[tuple[int, float]] = []
+
+    def spy(model: GaussianModel, curvature: np.ndarray, pixels: int, error: float) -> tuple[GaussianModel, int]:
+        allowed.append((pixels, -10 * np.log10(error)))
+        return drop_unseen_bands(model, curvature, pixels, error)
+
+    monkeypatch.setattr(delivery, "drop_unseen_bands", spy)
     monkeypatch.setattr(delivery, "prune", lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0))
     thin, report = slim(ball, 30.0)
+    assert allowed == [(3 * 64 * 64, pytest.approx(30.0 - 10 * np.log10(BAND_SHARE)))]
     assert report["sh_bands_dropped"] > 0  # type: ignore[operator]
     assert worst_psnr(ball, thin) >= 30.0 - 10 * np.log10(BAND_SHARE)
 
