@@ -8,7 +8,11 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
 
 __all__ = [
     "FAINT",
@@ -26,9 +30,9 @@ __all__ = [
     "svg",
 ]
 
-Axes = Any
-Figure = Any
-"""matplotlib's own, loaded only by what draws; mypy takes them for this anyway."""
+Axes: TypeAlias = "matplotlib.axes.Axes"
+Figure: TypeAlias = "matplotlib.figure.Figure"
+"""matplotlib's own, which is loaded only by what draws."""
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito (2008); neighbours in the list also differ in lightness."""
@@ -103,7 +107,7 @@ def label_line(axes: Axes, value: float, text: str, *, along: str = "x") -> None
     )
     draw(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
     place = (0.99, value) if level else (value, 0.99)
-    turned = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
+    turned: Any = {"va": "bottom", "rotation": 0} if level else {"va": "top", "rotation": 90}
     axes.text(*place, text, transform=transform, ha="right", fontsize=7.5, color="#6a6a6a", **turned)
 
 
@@ -141,7 +145,7 @@ def _wrap_titles(drawn: Figure) -> None:
         _wrap(axes, axes.get_title("left"), inches / columns)
 
 
-def _wrap(holder: Figure | Axes, title: str, inches: float) -> None:
+def _wrap(holder: Any, title: str, inches: float) -> None:
     """Break a title of a figure or of axes where it is longer than the room it has."""
     from matplotlib.text import Text
 
