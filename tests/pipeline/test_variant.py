@@ -96,7 +96,7 @@ def test_amplitudes_fall_with_the_root_of_what_a_code_covers() -> None:
     """Then its energy, coverage times the amplitude's square, is everybody's."""
     labels = np.array([0, 1, 2, 3, 3, 3, 3], np.int32)
     coverage = np.ones(7)
-    impact = Impact(coverage, coverage[None].astype(np.float32), coverage, coverage, coverage)
+    impact = Impact(coverage, coverage[None].astype(np.float32), coverage, coverage)
     even = Variant(labels=labels).emphasis_on(impact)
     assert even is not None
     np.testing.assert_allclose(even, [1, 1, 1, 0.5, 0.5, 0.5, 0.5])

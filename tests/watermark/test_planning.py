@@ -118,9 +118,7 @@ def test_the_rarely_seen_carry_more() -> None:
     rare = stages[0].labels % 2 == 0
     factor = np.where(rare, 0.2, 1.0)
     coverage = np.full(6000, 5.0) * factor
-    seen = Impact(
-        coverage, (coverage / 3)[None].repeat(3, axis=0).astype(np.float32), 0.05 * coverage, coverage, coverage
-    )
+    seen = Impact(coverage, (coverage / 3)[None].repeat(3, axis=0).astype(np.float32), 0.05 * coverage, coverage)
     luma = make_plan(stages, seen, PlanConfig(balance_rounds=0)).layout.amplitudes.reshape(-1, 3)
     assert luma[::2].mean() > 1.1 * luma[1::2].mean()
 
