@@ -25,15 +25,12 @@ _PART_ENDING = ".part"
 def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """A path to write to beside the target; it becomes the target when the block ends without an error.
 
+    InputError if the folder does not exist, or the target does and must not be replaced.
+
     Parameters
     ----------
     overwrite : bool
         With False, an existing target makes it fail.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or the target does and must not be replaced.
     """
     check_target(target, overwrite=overwrite)
     part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")

@@ -21,24 +21,12 @@ PRIOR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """Contributions summed over the views.
+    """Contributions summed over the views."""
 
-    Parameters
-    ----------
-    coverage : (N,) float64
-        Sum over views and pixels of w = alpha T: pixels covered.
-    per_view : (V, N) float32
-        The same, view by view.
-    busy : (N,) float64
-        Sum of w times the high-frequency DWT energy of the pixel (first two factors of Eq 4).
-    squared : (N,) float64
-        Sum over views and pixels of w^2.
-    """
-
-    coverage: Float64
-    per_view: Float32
-    busy: Float64
-    squared: Float64
+    coverage: Float64  # (N,) sum over views and pixels of w = alpha T: pixels covered
+    per_view: Float32  # (V, N) the same, view by view
+    busy: Float64  # (N,) sum of w times the high-frequency DWT energy of the pixel (first two factors of Eq 4)
+    squared: Float64  # (N,) sum over views and pixels of w^2
 
 
 def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence[Float32]) -> Impact:

@@ -16,34 +16,20 @@ from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 
 @dataclass(frozen=True)
 class PruneConfig:
-    """Knobs of pruning.
+    """Knobs of pruning."""
 
-    Parameters
-    ----------
-    budget_db : float or None
-        Wanted PSNR of the pruned model's worst view against the original renders; None leaves the count alone.
-    gamma : float
-        Aggressiveness of Eq 5. The paper's 0.2 leaves 1 to 6 % more Gaussians at the same PSNR than 0 does.
-    clusters : int
-        Spatial clusters with a threshold of their own.
-    merge_distance : float
-        Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing.
-    rank : str
-        What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper"
-        (Eq 4). Eq 4 calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
-    steps : int
-        Most candidates rendered.
-    tolerance_db : float
-        How close to the budget is close enough (never below it).
-    """
-
+    # Wanted PSNR of the pruned model's worst view against the original renders; None leaves the count alone
     budget_db: float | None = None
+    # Aggressiveness of Eq 5. The paper's 0.2 leaves 1 to 6 % more Gaussians at the same PSNR than 0 does.
     gamma: float = 0.0
-    clusters: int = 256
+    clusters: int = 256  # spatial clusters with a threshold of their own
+    # Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing
     merge_distance: float = 0.05
+    # What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper" (Eq 4). Eq 4
+    # calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
     rank: str = "error"
-    steps: int = 12
-    tolerance_db: float = 0.15
+    steps: int = 12  # most candidates rendered
+    tolerance_db: float = 0.15  # how close to the budget is close enough (never below it)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +67,7 @@ def prune(
     radius: float,
     config: PruneConfig,
 ) -> Pruned:
-    """Remove what the budget says is not needed.
+    """Remove what the budget says is not needed; rows keep their order. With `budget_db=None` the model itself.
 
     Parameters
     ----------
@@ -91,11 +77,6 @@ def prune(
         Worst view's PSNR of a candidate against the original renders, dB.
     radius : float
         Scene radius, for the clusters.
-
-    Returns
-    -------
-    Pruned
-        Rows keep their order. With `budget_db=None` the model itself.
     """
     n = len(model)
     everything = np.arange(n, dtype=np.int32)

@@ -42,24 +42,12 @@ LANDMARK_SIZE = (640, 480)
 
 @dataclass(frozen=True, eq=False)
 class Embedding:
-    """What an embedding gives back.
+    """What an embedding gives back."""
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The marked model to deliver.
-    record : Record
-        What the owner keeps.
-    config : EmbedConfig
-        The settings used: the chosen ones, where that was left open.
-    report : dict
-        Measurements for people and machines (`embed --json`).
-    """
-
-    model: GaussianModel
-    record: Record
-    config: EmbedConfig
-    report: dict[str, Any]
+    model: GaussianModel  # the marked model to deliver
+    record: Record  # what the owner keeps
+    config: EmbedConfig  # the settings used: the chosen ones, where that was left open
+    report: dict[str, Any]  # measurements for people and machines (`embed --json`)
 
 
 @one_blas_thread
@@ -79,6 +67,9 @@ def embed(
 ) -> Embedding:
     """Mark a model.
 
+    CapacityError if the scene cannot carry the message at the asked fidelity; InputError if the model or the options
+    are unusable.
+
     Parameters
     ----------
     original_sha256 : str
@@ -97,13 +88,6 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
-
-    Raises
-    ------
-    CapacityError
-        If the scene cannot carry the message at the asked fidelity.
-    InputError
-        If the model or the options are unusable.
     """
     clock = Clock(progress)
     bits = len(message) if message is not None else bits

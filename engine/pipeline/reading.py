@@ -35,21 +35,11 @@ LEAST_CORRELATION = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What renders of a suspect model say.
+    """What renders of a suspect model say."""
 
-    Parameters
-    ----------
-    evidence : Evidence
-        All zero where no view could be read.
-    notes : tuple of str
-        How the model was placed, where not by its Gaussians.
-    shown : bool
-        Whether the suspect shows the asset.
-    """
-
-    evidence: Evidence
-    notes: tuple[str, ...]
-    shown: bool
+    evidence: Evidence  # all zero where no view could be read
+    notes: tuple[str, ...]  # how the model was placed, where not by its Gaussians
+    shown: bool  # whether the suspect shows the asset
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
@@ -118,6 +108,8 @@ def read_pictures(
 ) -> tuple[Evidence, tuple[str, ...]]:
     """What pictures say about each chip, all together.
 
+    InputError if there is no picture, the cameras are not as many, or a camera must be found without landmarks.
+
     Parameters
     ----------
     images : sequence of (h, w, 3) float32
@@ -131,11 +123,6 @@ def read_pictures(
         All zero where no picture could be read.
     notes : tuple of str
         Why a picture could not be read.
-
-    Raises
-    ------
-    InputError
-        If there is no picture, the cameras are not as many, or a camera must be found without landmarks.
     """
     if not images:
         raise InputError("no picture was given")

@@ -13,23 +13,13 @@ from engine.raster import View, prepare_view, render, sh_colors
 
 @dataclass(frozen=True, eq=False)
 class ViewSet:
-    """Prepared views of one geometry.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    views : sequence of View
-    frames : sequence of GaussianModel
-        The model as each view sees it: itself, unless it moves.
-    images : sequence of (H, W, 3) float32
-        Renders of the model itself.
-    """
+    """Prepared views of one geometry."""
 
     model: GaussianModel
     cameras: Sequence[Camera]
     views: Sequence[View]
-    frames: Sequence[GaussianModel]
-    images: Sequence[Float32]
+    frames: Sequence[GaussianModel]  # the model as each view sees it: itself, unless it moves
+    images: Sequence[Float32]  # (H, W, 3) each: renders of the model itself
 
     def render(self, index: int, sh: Float32) -> Float32:
         """(H, W, 3) one view with other colours, sh (N, K, 3)."""

@@ -49,6 +49,8 @@ def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) ->
 def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float) -> Strength:
     """Largest factor at which the worst view keeps both targets.
 
+    Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM limits.
+
     Parameters
     ----------
     views : ViewSet
@@ -59,12 +61,6 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
         Targets against the unmarked render.
     start : float
         First guess of the factor.
-
-    Returns
-    -------
-    Strength
-        Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM
-        limits.
     """
     factor, above, best = start, np.inf, None
     for number in range(ROUNDS):

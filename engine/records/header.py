@@ -65,39 +65,17 @@ def chip_context(reference: bytes, record_id: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class RecordHeader:
-    """The public part of a record. All digests in lower-case hexadecimal.
+    """The public part of a record. All digests in lower-case hexadecimal."""
 
-    Parameters
-    ----------
-    record_id : str
-        32 digits, see `make_record_id`.
-    owner : str
-        Fingerprint of the owner key, 16 digits.
-    reference_digest : str
-        SHA-256 of the canonical reference.
-    original_digest : str
-        SHA-256 of the file the owner registered.
-    registered_at : str
-        As the caller gave it, up to 64 printable ASCII characters; may be empty. No clock is read.
-    copy_digest : str
-        32 digits: keyed hash of the copy's name.
-    tool_version : str
-        Version of the program that made the record.
-    key_check : str
-        32 digits that only the right key reproduces.
-    format_version : int
-        Version of the file format.
-    """
-
-    record_id: str
-    owner: str
-    reference_digest: str
-    original_digest: str
-    registered_at: str
-    copy_digest: str
-    tool_version: str
-    key_check: str
-    format_version: int = FORMAT_VERSION
+    record_id: str  # 32 digits, see `make_record_id`
+    owner: str  # fingerprint of the owner key, 16 digits
+    reference_digest: str  # SHA-256 of the canonical reference
+    original_digest: str  # SHA-256 of the file the owner registered
+    registered_at: str  # as the caller gave it, up to 64 printable ASCII characters; may be empty. No clock is read
+    copy_digest: str  # 32 digits: keyed hash of the copy's name
+    tool_version: str  # version of the program that made the record
+    key_check: str  # 32 digits that only the right key reproduces
+    format_version: int = FORMAT_VERSION  # version of the file format
 
     def __post_init__(self) -> None:
         for name, length in HEX_LENGTHS.items():

@@ -24,21 +24,11 @@ _BATCH = 256  # copies at a time: their signs as float64 stay below 100 MB
 
 @dataclass(frozen=True, eq=False)
 class CopyMark:
-    """What tells one copy from its sisters.
+    """What tells one copy from its sisters."""
 
-    Parameters
-    ----------
-    record_id : str
-        Of its record, hexadecimal.
-    copy : str
-        Name of the recipient.
-    signs : (C,) int8
-        Chip times bit of the registered message: +-1.
-    """
-
-    record_id: str
-    copy: str
-    signs: Signs
+    record_id: str  # of its record, hexadecimal
+    copy: str  # name of the recipient
+    signs: Signs  # (C,) chip times bit of the registered message: +-1
 
 
 def copy_mark(record_id: str, copy: str, spreading: Spreading, message: Signs) -> CopyMark:

@@ -18,21 +18,11 @@ PASSES = 2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one suspect says about each chip; made without looking at any chip (DESIGN 4.9).
+    """What one suspect says about each chip; made without looking at any chip (DESIGN 4.9)."""
 
-    Parameters
-    ----------
-    y : (C,) float64
-        Estimated displacement of each code vector along each carrier.
-    weights : (C,) float64
-        Non-negative weights: expected displacement over variance, less where |y| stands out.
-    signal : (C,) float64
-        Size of y to expect if the mark is there, in the units of y.
-    """
-
-    y: Float64
-    weights: Float64
-    signal: Float64
+    y: Float64  # (C,) estimated displacement of each code vector along each carrier
+    weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
+    signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:

@@ -48,10 +48,7 @@ _WRONG_KEY_BATCH = 1 << 15  # keys at a time: partial sums and key bytes stay in
 def weighted_evidence(y: Float64, w: Float64) -> Float64:
     """(C,) c = w * y in float64, scaled so that its largest magnitude is 1 (Z does not depend on scale).
 
-    Raises
-    ------
-    ValueError
-        If shapes differ, a value is not finite, or a weight is negative.
+    ValueError if shapes differ, a value is not finite, or a weight is negative.
     """
     y, w = np.asarray(y, dtype=np.float64), np.asarray(w, dtype=np.float64)
     if y.ndim != 1 or y.shape != w.shape:
@@ -73,6 +70,8 @@ def _to_unit(values: Float64) -> Float64:
 def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, message: Signs) -> float:
     """The claim statistic Z of this module's theorem.
 
+    Between -sqrt(C) and sqrt(C); 0 where there is no evidence.
+
     Parameters
     ----------
     y, w : (C,)
@@ -81,11 +80,6 @@ def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Sign
     chips : (C,) +-1
     message : (B,) +-1
         The *registered* message, never the decoded one.
-
-    Returns
-    -------
-    float
-        Between -sqrt(C) and sqrt(C); 0 where there is no evidence.
     """
     c = weighted_evidence(y, w)
     norm = math.sqrt(float(c @ c))
@@ -184,14 +178,10 @@ def log10_binomial_tail(matches: int, bits: int) -> float:
 def combine(ys: list[Float64], ws: list[Float64]) -> tuple[Float64, Float64]:
     """One evidence out of several about the same chips (several images; a model and its renders).
 
-    Sums w * y per chip over the evidences, so each secret sign enters once and the theorem stands, provided
-    no evidence was weighted by how well the chips fit it. Weights must be in one unit (inverse variance of y
-    is best). Appending one list to another is sound only where their chips are different ones.
-
-    Returns
-    -------
-    y, w : (C,)
-        w = sum of weights, y = weighted mean (0 where all weights are 0).
+    Sums w * y per chip over the evidences, so each secret sign enters once and the theorem stands, provided no evidence
+    was weighted by how well the chips fit it. Weights must be in one unit (inverse variance of y is best). Appending
+    one list to another is sound only where their chips are different ones. Gives y, the weighted mean (0
+    where all weights are 0), and w, the sum of weights.
     """
     w: Float64 = np.sum(ws, axis=0, dtype=np.float64)
     total: Float64 = np.sum([a * b for a, b in zip(ys, ws, strict=True)], axis=0, dtype=np.float64)
