@@ -48,12 +48,8 @@ def quantize(
 ) -> tuple[Stage, ...]:
     """Learn all stages, stage 0 first.
 
-    Parameters
-    ----------
-    weights : (N,) float64
-        How much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty).
-    radius : float
-        Radius of the scene, scene units.
+    The weights (N,) say how much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty);
+    the radius is that of the scene, in scene units.
     """
     config = config or HvqConfig()
     colors = model.sh.reshape(len(model), -1)  # (N, 3K)

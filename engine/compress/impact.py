@@ -30,15 +30,7 @@ class Impact:
 
 
 def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence[Float32]) -> Impact:
-    """What every Gaussian contributes to some views.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Prepared views of this model.
-    images : sequence of (H, W, 3) float32
-        Renders of those views.
-    """
+    """What every Gaussian contributes to some prepared views of the model, and renders (H, W, 3) of them."""
     n = len(model)
     per_view = np.zeros((len(views), n), dtype=np.float32)
     busy, squared = np.zeros(n), np.zeros(n)

@@ -24,10 +24,7 @@ def covariances(model: GaussianModel) -> Float64:
 def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianModel, Int32, Int32]:
     """Merge mutual nearest neighbours that are one blob written twice.
 
-    Parameters
-    ----------
-    distance : float
-        Largest squared Mahalanobis distance (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
+    They lie within a squared Mahalanobis `distance`, (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
 
     Returns
     -------

@@ -43,17 +43,9 @@ class Pruned:
 
 
 def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float) -> Bool:
-    """Eq 5: keep what lies above tau = tau_base + gamma * (fraction of its cluster below tau_base).
+    """(N,) Eq 5: keep what lies above tau = tau_base + gamma * (fraction of its cluster below tau_base).
 
-    Parameters
-    ----------
-    rank : (N,) in (0, 1]
-        Impact as its rank, so that thresholds are fractions of the scene whatever its units.
-    clusters : (N,) int32
-
-    Returns
-    -------
-    (N,) bool
+    Impact enters as its rank (N,) in (0, 1], so that thresholds are fractions of the scene whatever its units.
     """
     below = np.bincount(clusters, rank < tau_base) / np.maximum(np.bincount(clusters), 1)
     tau = tau_base + gamma * below  # a cluster that is mostly redundant is cut harder

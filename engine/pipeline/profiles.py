@@ -93,10 +93,7 @@ def compose(
 ) -> Settings:
     """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
 
-    Parameters
-    ----------
-    knobs : sequence of str
-        ``"quantize.cells=1024"``: any knob of `config_dict`.
+    `knobs` are texts like ``"quantize.cells=1024"``, any knob of `config_dict`.
     """
     asked = {"psnr_db": psnr_db, "output": output}
     changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}

@@ -111,12 +111,7 @@ def readings(
 ) -> Iterator[Reading]:
     """Read a suspect against one reference, a route at a time; who has heard enough stops asking.
 
-    Parameters
-    ----------
-    routes : sequence of str
-        Of `Suspect.routes`.
-    seed : int
-        Of the registration's trials.
+    The routes are those of `Suspect.routes`, the seed that of the registration's trials.
     """
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
@@ -141,10 +136,7 @@ def verify(
 ) -> Verification:
     """Does this suspect carry the record's mark?
 
-    Parameters
-    ----------
-    config : VerifyConfig, optional
-        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
+    Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)

@@ -102,14 +102,8 @@ def trace(
     """Which of these copies took part in making this suspect?
 
     InputError if there is no record, one is given twice, the suspect is empty, or the route takes another kind of
-    suspect.
-
-    Parameters
-    ----------
-    records : iterable of OpenedRecord
-        Any number; only one of each asset and layout is kept in memory.
-    config : VerifyConfig, optional
-        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only where they name nobody.
+    suspect. Of any number of records only one of each asset and layout is kept in memory. Route "auto" reads a model's
+    Gaussians, and looks at renders of the pose key only where they name nobody.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)

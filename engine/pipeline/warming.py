@@ -21,14 +21,7 @@ _Step = Callable[[Callable[[float], None]], None]
 
 
 def warm_up(work: Work, progress: Callable[[float], None] | None = None) -> None:
-    """Make the kernels of some work ready.
-
-    Parameters
-    ----------
-    work : {"embed", "model", "pictures", "everything"}
-    progress : callable, optional
-        Told the fraction done, 0 to 1.
-    """
+    """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1."""
     steps: list[_Step] = []
     if work in ("embed", "pictures", "everything"):
         steps.append(raster.warm_up)

@@ -48,16 +48,10 @@ def parse_json(data: bytes, what: str) -> Any:
 
 
 def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """Bytes of a container.
+    """Bytes of a container of JSON values (tuples come back as lists) and arrays.
 
-    ValueError or TypeError if an array has another type, or meta is no JSON.
-
-    Parameters
-    ----------
-    meta : mapping
-        JSON values only; tuples come back as lists.
-    arrays : mapping of str to ndarray
-        Types of `DTYPES` (any byte order), at most 8 dimensions.
+    The arrays are of the types of `DTYPES`, in any byte order, and have at most 8 dimensions. ValueError or TypeError
+    if one has another type, or meta is no JSON.
     """
     index, blobs = [], []
     for name in sorted(arrays):

@@ -98,13 +98,8 @@ class Record:
         """Open a record file.
 
         RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key
-        made it; MalformedRecordError if it is no record, was damaged, or its reference or plan is not the one its
-        header names.
-
-        Parameters
-        ----------
-        max_body_bytes : int
-            Refuse records that would unpack to more.
+        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `max_body_bytes`, or
+        its reference or plan is not the one its header names.
         """
         header, body = unseal(data, key, max_body_bytes)
         meta, arrays = unpack(body)

@@ -51,16 +51,9 @@ _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest",
 
 
 def encode_reference(model: GaussianModel) -> Arrays:
-    """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression,
-    about 57 after.
+    """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression, about 57 after.
 
-    Arrays for `decode_reference` and `reference_digest`. InputError if the model is empty or holds a NaN or an
-    infinity.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        N >= 1 rows, all values finite.
+    InputError if the model is empty or holds a NaN or an infinity.
     """
     if len(model) == 0:
         raise InputError("an empty model cannot be a reference")

@@ -39,12 +39,8 @@ def copy_mark(record_id: str, copy: str, spreading: Spreading, message: Signs) -
 def copies_z(y: Float64, w: Float64, marks: Sequence[CopyMark]) -> Float64:
     """(N,) claim statistic Z of each copy, as `statistics.claim_z` gives it one by one.
 
-    Parameters
-    ----------
-    y, w : (C,)
-        One reading of the suspect, blind to all chips; finite, weights >= 0.
-    marks : sequence of CopyMark
-        Each with C signs; ValueError otherwise.
+    y and w (C,) are one reading of the suspect, blind to all chips; finite, weights >= 0. ValueError if a mark has
+    other than C signs.
     """
     c = weighted_evidence(y, w)
     norm = math.sqrt(float(c @ c))

@@ -125,15 +125,7 @@ class OwnerKey:
 
     @classmethod
     def from_text(cls, text: str, name: str = "the key") -> OwnerKey:
-        """The key that the text of a key file holds.
-
-        KeyFileError as in `read`.
-
-        Parameters
-        ----------
-        name : str
-            What errors call it.
-        """
+        """The key that the text of a key file holds; KeyFileError as in `read`, under this name."""
         lines = [line.strip() for line in text.splitlines()]
         head = lines[0].split() if lines else []
         if head[:1] != _FILE_HEADER.split()[:1] or len(head) != 3:

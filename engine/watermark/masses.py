@@ -45,14 +45,7 @@ def spare_masses(
 
 
 def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
-    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would.
-
-    Parameters
-    ----------
-    dc : (N, 3) float32
-    share : float
-        0 to 1; at 1 nothing is a mass.
-    """
+    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would."""
     still = np.zeros(len(dc), dtype=bool)
     for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
         _, place, count = np.unique(channel, return_inverse=True, return_counts=True)

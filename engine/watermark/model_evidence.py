@@ -26,17 +26,9 @@ class Evidence:
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
-    """Residual minus its best global affine function of the reference colour (gain, tint, exposure).
+    """(n, 3) residual minus its best global affine function of the reference colour (gain, tint, exposure).
 
-    Parameters
-    ----------
-    reference, residual : (n, 3) float64
-        Reference DC and suspect minus reference DC.
-    weights : (n,) float64
-
-    Returns
-    -------
-    (n, 3) float64
+    The residual (n, 3) is the suspect's DC minus the reference's; weights (n,).
     """
     n = len(reference)
     if n < 16:

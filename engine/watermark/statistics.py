@@ -189,7 +189,7 @@ def combine(ys: list[Float64], ws: list[Float64]) -> tuple[Float64, Float64]:
 
 
 def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
-    """Z of `count` keys that had no part in the evidence: samples of the null distribution, given y and w.
+    """(count,) Z of keys that had no part in the evidence: samples of the null distribution, given y and w.
 
     The message and the dealing of bits only flip signs that are fair anyway, so neither is asked for. Eight
     chips at a time become one byte of keystream and one look-up of their 256 possible sums: 100,000 keys of
@@ -200,10 +200,6 @@ def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
     y, w : (C,)
     seed : bytes
         32 bytes; the same seed gives the same keys.
-
-    Returns
-    -------
-    (count,) float64
     """
     if len(seed) != SUBKEY_BYTES:
         raise ValueError(f"seed must have {SUBKEY_BYTES} bytes, got {len(seed)}")
