@@ -107,8 +107,7 @@ class Camera:
 
     viewmat: Float64  # (4, 4) world to camera
     K: Float64  # (3, 3) intrinsics in pixels
-    # Image size, pixels
-    width: int
+    width: int  # of the image, pixels; so is the height
     height: int
 
     def __post_init__(self) -> None:

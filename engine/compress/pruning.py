@@ -75,8 +75,7 @@ def prune(
     if config.budget_db is None or n < 16:
         return Pruned(model, everything, float("inf"), 0)
     goal = config.budget_db
-    merged = _merge_if_cheap(model, impact, worst_psnr, config)
-    base, rows, impact = merged
+    base, rows, impact = _merge_if_cheap(model, impact, worst_psnr, config)
     rank = np.empty(len(base))
     rank[np.argsort(impact, kind="stable")] = np.arange(1, len(base) + 1) / len(base)
     features = (base.means / radius).astype(np.float32)

@@ -19,10 +19,11 @@ import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.image_metrics import psnr
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import Auto, EmbedConfig
 from engine.pipeline.rigs import make_rig
-from engine.pipeline.scenes import look, psnr
+from engine.pipeline.scenes import look
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.keys import OwnerKey

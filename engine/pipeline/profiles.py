@@ -1,7 +1,7 @@
 """Settings of an embedding, and the three named points on one curve of speed against accuracy (DESIGN 10)."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from engine.compress.hvq import HvqConfig
@@ -93,7 +93,7 @@ def compose(
 ) -> Settings:
     """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
 
-    `knobs` are texts like ``"quantize.cells=1024"``, any knob of `config_dict`.
+    `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
     """
     asked = {"psnr_db": psnr_db, "output": output}
     changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
@@ -127,8 +127,3 @@ def _parsed(knob: str, text: str, now: Any) -> Any:
         return int(text) if isinstance(now, int) else float(text)
     except ValueError:
         raise InputError(f"{knob} is {now!r} and cannot be {text!r}") from None
-
-
-def config_dict(config: EmbedConfig) -> dict[str, Any]:
-    """The composed settings as plain values, as `mark3dgs config show` prints them."""
-    return asdict(config)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import psnr, ssim
+from engine.numerics.image_metrics import psnr
 from engine.pipeline.variant import AtView
 from engine.raster import View, prepare_view, render, sh_colors
 
@@ -59,6 +59,3 @@ def worst_psnr_against(
         )
 
     return measure
-
-
-__all__ = ["ViewSet", "look", "psnr", "ssim", "worst_psnr_against"]

@@ -76,30 +76,6 @@ def draw_spreading(
     return spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
 
 
-def make_record(
-    key: OwnerKey,
-    reference_arrays: Arrays,
-    plan: tuple[dict[str, Any], Arrays],
-    strength: float,
-    *,
-    original_sha256: str,
-    copy: str,
-    registered_at: str,
-    settings: dict[str, Any],
-) -> Record:
-    """The record of one embedding."""
-    return Record.make(
-        key,
-        reference_arrays,
-        original_digest=original_sha256,
-        plan=plan[0],
-        plan_arrays=plan[1],
-        extra={"strength": strength, "settings": settings},
-        copy=copy,
-        registered_at=registered_at,
-    )
-
-
 def open_record(data: bytes, key: OwnerKey) -> OpenedRecord:
     """Open a record file and draw its chips again.
 

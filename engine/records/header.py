@@ -32,13 +32,8 @@ FIELDS = (*HEX_LENGTHS, *TEXT_FIELDS, "format_version")
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def plan_digest(reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """SHA-256 of all that must be settled before a chip may be drawn: reference, copy and plan."""
-    return sha256(b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)).digest()
-
-
 def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """16-byte id of the record of one copy: a keyed hash of `plan_digest`.
+    """16-byte id of the record of one copy: a keyed hash of all that is settled before a chip is drawn.
 
     Parameters
     ----------
@@ -49,7 +44,8 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
     plan, arrays
         As given to `Record.make`, equal to the last bit.
     """
-    return key.derive(RECORD_ID, plan_digest(reference, copy, plan, arrays))[:16]
+    settled = b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)
+    return key.derive(RECORD_ID, sha256(settled).digest())[:16]
 
 
 def chip_context(reference: bytes, record_id: bytes) -> bytes:
