@@ -26,14 +26,8 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
 
     They lie within a squared Mahalanobis `distance`, (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
 
-    Returns
-    -------
-    merged : GaussianModel
-        Survivors in their old order; a merged pair has the pair's first two moments, and its joint opacity.
-    kept : (n,) int32
-        Old row of each survivor.
-    partner : (n,) int32
-        Old row of the Gaussian merged into it, or -1.
+    Gives the survivors in their old order (a merged pair has the pair's first two moments, and its joint opacity), the
+    old row of each (n,), and the old row of the Gaussian merged into each (n,), or -1.
     """
     n = len(model)
     rows = np.arange(n, dtype=np.int32)

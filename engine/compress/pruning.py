@@ -116,22 +116,10 @@ def _merge_if_cheap(
 def drop_unseen_bands(
     model: GaussianModel, curvature: Float32, pixels: int, error_budget: float
 ) -> tuple[GaussianModel, int]:
-    """Zero the SH bands, per Gaussian, that no view needs.
+    """Zero the SH bands, per Gaussian, that no view needs; also gives how many coefficients (triples) that were.
 
-    Parameters
-    ----------
-    curvature : (N, K) float32
-        H of `sh_curvature`: to second order, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2.
-    pixels : int
-        Pixels of all views together.
-    error_budget : float
-        Mean squared error per pixel and channel that may be spent.
-
-    Returns
-    -------
-    model : GaussianModel
-    dropped : int
-        Coefficients set to zero (triples).
+    With H (N, K) of `sh_curvature`, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2, to second order. The budget
+    is the mean squared error that may be spent per channel of all views' pixels together.
     """
     if model.sh_degree == 0:
         return model, 0

@@ -147,17 +147,7 @@ def choose(
 
 
 def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
-    """Plan a mark on small views, with chips from a fixed seed, and see what it promises.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        Before any pruning.
-    key : OwnerKey
-        Draws the key views.
-    original_sha256 : str
-        Hex digest of the owner's file.
-    """
+    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
     small = replace(config, view_size=VIEW_SIZE)
     return _Rehearsing(lay_groundwork(model, key, original_sha256, small), None).at(small)
 

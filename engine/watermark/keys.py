@@ -185,20 +185,9 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def keystream(subkey: bytes, n: int, use: str) -> npt.NDArray[np.uint8]:
-    """The first `n` bytes of ChaCha20 under a sub-key, in the stream of one use.
+    """(n,) uint8 the first bytes of ChaCha20 under a sub-key of 32 bytes, in the stream of one use.
 
-    Parameters
-    ----------
-    subkey : bytes
-        32 bytes from `OwnerKey.derive`.
-    n : int
-        Bytes, >= 0.
-    use : str
-        At most 12 ASCII letters; streams of different uses of one sub-key are unrelated.
-
-    Returns
-    -------
-    (n,) uint8
+    A use has at most 12 ASCII letters; streams of different uses of one sub-key are unrelated.
     """
     if len(subkey) != SUBKEY_BYTES:
         raise ValueError(f"a sub-key has {SUBKEY_BYTES} bytes, got {len(subkey)}")

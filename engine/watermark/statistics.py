@@ -127,7 +127,7 @@ def bit_statistics(
 
 
 def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> tuple[Signs, Float64]:
-    """Bits and how far to trust each.
+    """Bits (B,), +-1 or 0 where there is no evidence at all, and the probability (B,) in [0.5, 1] that each is right.
 
     Model: z_b = T_b / norm_b is standard normal noise around message_b * a * s_b, or around 0 with a prior
     probability of e = 0.05 (a bit whose signal alone was lost). s_b (`strength`) says how strong bit b is
@@ -144,13 +144,6 @@ def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> t
         From `bit_statistics`.
     strength : (B,) optional
         Expected T_b / norm_b up to a common factor, >= 0. Default: equal bits, as the assignment deals them.
-
-    Returns
-    -------
-    bits : (B,) int8
-        +-1, or 0 where there is no evidence at all.
-    reliability : (B,) float64
-        Probability in [0.5, 1] that the bit is right.
     """
     z = np.divide(T, norm, out=np.zeros_like(T), where=norm > 0)
     s = np.ones_like(z) if strength is None else np.asarray(strength, dtype=np.float64)
