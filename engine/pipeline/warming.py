@@ -1,6 +1,7 @@
 """Compile, or load from numba's disk cache, the kernels a job will need: on a scene too small to take time."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -30,13 +31,13 @@ def warm_up(work: Work, progress: _Advance | None = None) -> None:
     }
     steps = [step for step, works in needs.items() if work in (*works, "everything")]
 
-    def advance(done: float) -> None:
+    def advance(done: int, fraction: float) -> None:
         if progress is not None:
-            progress(done / len(steps))
+            progress((done + fraction) / len(steps))
 
     for number, step in enumerate(steps):
-        step(lambda fraction, number=number: advance(number + fraction))
-    advance(len(steps))
+        step(partial(advance, number))
+    advance(len(steps), 0.0)
 
 
 def _cells(advance: _Advance) -> None:
