@@ -25,18 +25,10 @@ class InputError(Mark3DGSError):
 
 
 class FormatError(InputError):
-    """A file cannot be read as what it claims to be.
+    """A file, named as the user gave it, cannot be read as what it claims to be.
 
-    Parameters
-    ----------
-    message : str
-        What is wrong, with the offending value.
-    file : str
-        Its name as the user gave it.
-    element, prop : str, optional
-        Element and property of the file format in which the fault lies.
-    row : int, optional
-        Row (Gaussian) at fault, counted from 0.
+    The message says what is wrong, with the offending value; element and property (of the file format) and row (a
+    Gaussian, counted from 0) say where.
     """
 
     def __init__(

@@ -30,28 +30,15 @@ _FLAT_SHARE = 0.99  # of a model's rows, so that a few absurd ones do not change
 
 @dataclass(frozen=True, eq=False)
 class GaussianModel:
-    """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute.
+    """N Gaussians as INRIA stores them (raw activations), one C-contiguous float32 array per attribute."""
 
-    Parameters
-    ----------
-    means : (N, 3)
-        Centres, scene units.
-    log_scales : (N, 3)
-        Natural logarithm of the standard deviations, scene units. A 2DGS disc has a third scale of
-        `DISC_THICKNESS` times the smaller of the others.
-    quats : (N, 4)
-        Rotation as unit quaternion w, x, y, z.
-    opacity_logits : (N,)
-        Logit of the opacity; finite.
-    sh : (N, K, 3)
-        Spherical-harmonic colour, coefficient-major, DC first, K = (degree + 1)^2 in {1, 4, 9, 16}.
-    """
-
-    means: Float32
+    means: Float32  # (N, 3) centres, scene units
+    # (N, 3) natural logarithm of the standard deviations, scene units. A 2DGS disc has a third scale of
+    # `DISC_THICKNESS` times the smaller of the others.
     log_scales: Float32
-    quats: Float32
-    opacity_logits: Float32
-    sh: Float32
+    quats: Float32  # (N, 4) rotation as unit quaternion w, x, y, z
+    opacity_logits: Float32  # (N,) logit of the opacity; finite
+    sh: Float32  # (N, K, 3) spherical-harmonic colour, coefficient-major, DC first, K = (degree + 1)^2 in {1, 4, 9, 16}
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -116,21 +103,11 @@ class GaussianModel:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera, OpenCV frame (x right, y down, z forward); pixel centres lie at half integers.
+    """A pinhole camera, OpenCV frame (x right, y down, z forward); pixel centres lie at half integers."""
 
-    Parameters
-    ----------
-    viewmat : (4, 4) float64
-        World to camera.
-    K : (3, 3) float64
-        Intrinsics in pixels.
-    width, height : int
-        Image size, pixels.
-    """
-
-    viewmat: Float64
-    K: Float64
-    width: int
+    viewmat: Float64  # (4, 4) world to camera
+    K: Float64  # (3, 3) intrinsics in pixels
+    width: int  # of the image, pixels; so is the height
     height: int
 
     def __post_init__(self) -> None:

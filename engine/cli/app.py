@@ -77,17 +77,9 @@ app.command("demo")(demo.demo)
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command line; every error ends here, as one line or one JSON object.
+    """Exit code of one command line (without the program's name).
 
-    Parameters
-    ----------
-    arguments : list of str
-        Without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code.
+    Every error ends here, as one line or one JSON object.
     """
     console = Console(machine="--json" in arguments)
     try:

@@ -1,5 +1,6 @@
 """`mark3dgs config`: the settings an embedding would run with."""
 
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
@@ -31,11 +32,11 @@ def show(
       mark3dgs config show --profile fast --set quantize.cells=1024
     """
     console = Console(json)
-    from engine.pipeline.profiles import PROFILES, Auto, compose, config_dict
+    from engine.pipeline.profiles import PROFILES, Auto, compose
 
     names = [profile] if profile is not None else list(PROFILES)
     composed = {name: compose(name, knobs=knobs or ()) for name in names}
-    settings = {name: config_dict(c.start if isinstance(c, Auto) else c) for name, c in composed.items()}
+    settings = {name: asdict(c.start if isinstance(c, Auto) else c) for name, c in composed.items()}
     flat = {name: _flatten(values) for name, values in settings.items()}
     knobs = list(flat[names[0]])
     width = max(len(knob) for knob in knobs)

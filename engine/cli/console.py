@@ -37,13 +37,7 @@ STAGES = {
 
 
 class Console:
-    """One command's output.
-
-    Parameters
-    ----------
-    machine : bool
-        `--json`: `say` and `note` are silent, `emit` prints; otherwise the other way round.
-    """
+    """One command's output. For a `machine` (--json) `say` and `note` are silent and `emit` prints, else not."""
 
     def __init__(self, machine: bool) -> None:
         self.machine = machine

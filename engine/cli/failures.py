@@ -29,11 +29,8 @@ def exit_code(error: BaseException) -> int:
 def describe(error: BaseException) -> dict[str, Any]:
     """The error as plain values: `type`, `message`, and the numbers and names it carries.
 
-    Returns
-    -------
-    dict
-        FormatError adds those of `file`, `element`, `row`, `property` that it knows; CapacityError adds
-        `wanted` and `capacity`, in bits.
+    FormatError adds those of `file`, `element`, `row`, `property` that it knows; CapacityError adds `wanted` and
+    `capacity`, in bits.
     """
     if isinstance(error, KeyboardInterrupt):
         return {"type": "Interrupted", "message": "interrupted; nothing was written"}

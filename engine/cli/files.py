@@ -25,15 +25,7 @@ _PART_ENDING = ".part"
 def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """A path to write to beside the target; it becomes the target when the block ends without an error.
 
-    Parameters
-    ----------
-    overwrite : bool
-        With False, an existing target makes it fail.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or the target does and must not be replaced.
+    InputError if the folder does not exist, or the target does and is not to be overwritten.
     """
     check_target(target, overwrite=overwrite)
     part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")
@@ -114,12 +106,7 @@ def are_pictures(suspects: Sequence[Path], cameras: Path | None) -> bool:
 def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_QUALITY) -> None:
     """Store a picture at `path`, in the format that the ending of `target` names.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-        Clipped to 0..1, stored with 8 bits.
-    quality : int
-        Of a JPEG; the other formats lose nothing.
+    The image (H, W, 3) is clipped to 0..1 and stored with 8 bits; `quality` is a JPEG's, other formats lose nothing.
     """
     import numpy as np
     from PIL import Image

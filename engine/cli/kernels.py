@@ -19,13 +19,7 @@ COMPILE_SECONDS = 30
 
 
 def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") -> float:
-    """Load the compiled kernels of some work; where they are not there yet, say what the wait is for.
-
-    Returns
-    -------
-    float
-        Seconds it took.
-    """
+    """Load the compiled kernels of some work, in so many seconds; where they are not there yet, say what is awaited."""
     from engine.pipeline.warming import warm_up
 
     began = time.perf_counter()

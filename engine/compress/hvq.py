@@ -17,37 +17,18 @@ Matrix = Float32 | Float64
 
 @dataclass(frozen=True)
 class HvqConfig:
-    """Knobs of the quantiser.
+    """Knobs of the quantiser."""
 
-    Parameters
-    ----------
-    cells : int
-        Code vectors of stage 0; a power of two, at most one for `min_members` Gaussians.
-    residual_codes : tuple of int
-        Code vectors of each residual stage.
-    min_members : int
-        Fewest Gaussians a cell should have on average.
-    decay : float
-        EMA decay lambda_d of the residual codebooks (paper: 0.8).
-    lambda_freq : float
-        Weight of the high-frequency part of the error (Eq 7; paper's appendix: 0.1). No profile uses it: it buys
-        nothing (docs/RESULTS.md, ablation).
-    rounds : int
-        EMA rounds over the sample.
-    sample : int
-        Gaussians that a residual codebook learns from.
-    seed : int
-        Of the sample and the first codes.
-    """
-
-    cells: int = 8192
-    residual_codes: tuple[int, ...] = ()
-    min_members: int = 8
-    decay: float = 0.8
+    cells: int = 8192  # code vectors of stage 0; a power of two, at most one for `min_members` Gaussians
+    residual_codes: tuple[int, ...] = ()  # code vectors of each residual stage
+    min_members: int = 8  # fewest Gaussians a cell should have on average
+    decay: float = 0.8  # EMA decay lambda_d of the residual codebooks (paper: 0.8)
+    # Weight of the high-frequency part of the error (Eq 7; paper's appendix: 0.1). No profile uses it: it buys nothing
+    # (docs/RESULTS.md, ablation).
     lambda_freq: float = 0.0
-    rounds: int = 12
-    sample: int = 32768
-    seed: int = 0
+    rounds: int = 12  # EMA rounds over the sample
+    sample: int = 32768  # Gaussians that a residual codebook learns from
+    seed: int = 0  # of the sample and the first codes
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +46,10 @@ class Stage:
 def quantize(
     model: GaussianModel, weights: Float64, radius: float, config: HvqConfig | None = None
 ) -> tuple[Stage, ...]:
-    """Learn all stages.
+    """Learn all stages, stage 0 first.
 
-    Parameters
-    ----------
-    weights : (N,) float64
-        How much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty).
-    radius : float
-        Radius of the scene, scene units.
-
-    Returns
-    -------
-    tuple of Stage
-        Stage 0 first.
+    The weights (N,) say how much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty);
+    the radius is that of the scene, in scene units.
     """
     config = config or HvqConfig()
     colors = model.sh.reshape(len(model), -1)  # (N, 3K)

@@ -21,36 +21,16 @@ PRIOR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """Contributions summed over the views.
+    """Contributions summed over the views."""
 
-    Parameters
-    ----------
-    coverage : (N,) float64
-        Sum over views and pixels of w = alpha T: pixels covered.
-    per_view : (V, N) float32
-        The same, view by view.
-    busy : (N,) float64
-        Sum of w times the high-frequency DWT energy of the pixel (first two factors of Eq 4).
-    squared : (N,) float64
-        Sum over views and pixels of w^2.
-    """
-
-    coverage: Float64
-    per_view: Float32
-    busy: Float64
-    squared: Float64
+    coverage: Float64  # (N,) sum over views and pixels of w = alpha T: pixels covered
+    per_view: Float32  # (V, N) the same, view by view
+    busy: Float64  # (N,) sum of w times the high-frequency DWT energy of the pixel (first two factors of Eq 4)
+    squared: Float64  # (N,) sum over views and pixels of w^2
 
 
 def measure_impact(model: GaussianModel, views: Sequence[View], images: Sequence[Float32]) -> Impact:
-    """What every Gaussian contributes to some views.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Prepared views of this model.
-    images : sequence of (H, W, 3) float32
-        Renders of those views.
-    """
+    """What every Gaussian contributes to some prepared views of the model, and renders (H, W, 3) of them."""
     n = len(model)
     per_view = np.zeros((len(views), n), dtype=np.float32)
     busy, squared = np.zeros(n), np.zeros(n)

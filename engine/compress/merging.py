@@ -24,19 +24,10 @@ def covariances(model: GaussianModel) -> Float64:
 def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianModel, Int32, Int32]:
     """Merge mutual nearest neighbours that are one blob written twice.
 
-    Parameters
-    ----------
-    distance : float
-        Largest squared Mahalanobis distance (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
+    They lie within a squared Mahalanobis `distance`, (mu_i - mu_j)^T ((S_i + S_j) / 2)^-1 (mu_i - mu_j).
 
-    Returns
-    -------
-    merged : GaussianModel
-        Survivors in their old order; a merged pair has the pair's first two moments, and its joint opacity.
-    kept : (n,) int32
-        Old row of each survivor.
-    partner : (n,) int32
-        Old row of the Gaussian merged into it, or -1.
+    Gives the survivors in their old order (a merged pair has the pair's first two moments, and its joint opacity), the
+    old row of each (n,), and the old row of the Gaussian merged into each (n,), or -1.
     """
     n = len(model)
     rows = np.arange(n, dtype=np.int32)

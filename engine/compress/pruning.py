@@ -16,34 +16,20 @@ from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 
 @dataclass(frozen=True)
 class PruneConfig:
-    """Knobs of pruning.
+    """Knobs of pruning."""
 
-    Parameters
-    ----------
-    budget_db : float or None
-        Wanted PSNR of the pruned model's worst view against the original renders; None leaves the count alone.
-    gamma : float
-        Aggressiveness of Eq 5. The paper's 0.2 leaves 1 to 6 % more Gaussians at the same PSNR than 0 does.
-    clusters : int
-        Spatial clusters with a threshold of their own.
-    merge_distance : float
-        Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing.
-    rank : str
-        What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper"
-        (Eq 4). Eq 4 calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
-    steps : int
-        Most candidates rendered.
-    tolerance_db : float
-        How close to the budget is close enough (never below it).
-    """
-
+    # Wanted PSNR of the pruned model's worst view against the original renders; None leaves the count alone
     budget_db: float | None = None
+    # Aggressiveness of Eq 5. The paper's 0.2 leaves 1 to 6 % more Gaussians at the same PSNR than 0 does.
     gamma: float = 0.0
-    clusters: int = 256
+    clusters: int = 256  # spatial clusters with a threshold of their own
+    # Squared Mahalanobis distance below which near-duplicates are merged; 0 merges nothing
     merge_distance: float = 0.05
+    # What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper" (Eq 4). Eq 4
+    # calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
     rank: str = "error"
-    steps: int = 12
-    tolerance_db: float = 0.15
+    steps: int = 12  # most candidates rendered
+    tolerance_db: float = 0.15  # how close to the budget is close enough (never below it)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +43,9 @@ class Pruned:
 
 
 def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float) -> Bool:
-    """Eq 5: keep what lies above tau = tau_base + gamma * (fraction of its cluster below tau_base).
+    """(N,) Eq 5: keep what lies above tau = tau_base + gamma * (fraction of its cluster below tau_base).
 
-    Parameters
-    ----------
-    rank : (N,) in (0, 1]
-        Impact as its rank, so that thresholds are fractions of the scene whatever its units.
-    clusters : (N,) int32
-
-    Returns
-    -------
-    (N,) bool
+    Impact enters as its rank (N,) in (0, 1], so that thresholds are fractions of the scene whatever its units.
     """
     below = np.bincount(clusters, rank < tau_base) / np.maximum(np.bincount(clusters), 1)
     tau = tau_base + gamma * below  # a cluster that is mostly redundant is cut harder
@@ -81,7 +59,7 @@ def prune(
     radius: float,
     config: PruneConfig,
 ) -> Pruned:
-    """Remove what the budget says is not needed.
+    """Remove what the budget says is not needed; rows keep their order. With `budget_db=None` the model itself.
 
     Parameters
     ----------
@@ -91,19 +69,13 @@ def prune(
         Worst view's PSNR of a candidate against the original renders, dB.
     radius : float
         Scene radius, for the clusters.
-
-    Returns
-    -------
-    Pruned
-        Rows keep their order. With `budget_db=None` the model itself.
     """
     n = len(model)
     everything = np.arange(n, dtype=np.int32)
     if config.budget_db is None or n < 16:
         return Pruned(model, everything, float("inf"), 0)
     goal = config.budget_db
-    merged = _merge_if_cheap(model, impact, worst_psnr, config)
-    base, rows, impact = merged
+    base, rows, impact = _merge_if_cheap(model, impact, worst_psnr, config)
     rank = np.empty(len(base))
     rank[np.argsort(impact, kind="stable")] = np.arange(1, len(base) + 1) / len(base)
     features = (base.means / radius).astype(np.float32)
@@ -144,22 +116,10 @@ def _merge_if_cheap(
 def drop_unseen_bands(
     model: GaussianModel, curvature: Float32, pixels: int, error_budget: float
 ) -> tuple[GaussianModel, int]:
-    """Zero the SH bands, per Gaussian, that no view needs.
+    """Zero the SH bands, per Gaussian, that no view needs; also gives how many coefficients (triples) that were.
 
-    Parameters
-    ----------
-    curvature : (N, K) float32
-        H of `sh_curvature`: to second order, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2.
-    pixels : int
-        Pixels of all views together.
-    error_budget : float
-        Mean squared error per pixel and channel that may be spent.
-
-    Returns
-    -------
-    model : GaussianModel
-    dropped : int
-        Coefficients set to zero (triples).
+    With H (N, K) of `sh_curvature`, dropping band l of Gaussian i costs sum_m H_lm sh_lm^2, to second order. The budget
+    is the mean squared error that may be spent per channel of all views' pixels together.
     """
     if model.sh_degree == 0:
         return model, 0

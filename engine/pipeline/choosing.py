@@ -19,10 +19,11 @@ import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.image_metrics import psnr
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import Auto, EmbedConfig
 from engine.pipeline.rigs import make_rig
-from engine.pipeline.scenes import look, psnr
+from engine.pipeline.scenes import look
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.keys import OwnerKey
@@ -58,47 +59,27 @@ that showed least before."""
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What a scene promises under some settings.
+    """What a scene promises under some settings."""
 
-    Parameters
-    ----------
-    predicted_z : float
-        Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise
-        of std 0.1, whichever is lower.
-    psnr_db : float
-        Of the mark, worst key view; above the one asked for where SSIM limits.
-    held_out_db : float
-        Of the mark, worst of some views that are not key views.
-    """
-
+    # Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise of
+    # std 0.1, whichever is lower
     predicted_z: float
-    psnr_db: float
-    held_out_db: float
+    psnr_db: float  # of the mark, worst key view; above the one asked for where SSIM limits
+    held_out_db: float  # of the mark, worst of some views that are not key views
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The settings chosen for a scene.
-
-    Parameters
-    ----------
-    rehearsal : Rehearsal
-        Of these settings.
-    met : bool
-        Whether one bad picture is predicted to show all bits and a claim. Where nothing meets that, the choice is the
-        strongest; better pictures, several, or the model itself may still show everything.
-    tried : int
-        Settings rehearsed.
-    ground : Groundwork
-        What was rehearsed on; `embed` goes on from it.
-    """
+    """The settings chosen for a scene."""
 
     config: EmbedConfig
-    rehearsal: Rehearsal
+    rehearsal: Rehearsal  # of these settings
     wanted_z: float
+    # Whether one bad picture is predicted to show all bits and a claim. Where nothing meets that, the choice is the
+    # strongest; better pictures, several, or the model itself may still show everything.
     met: bool
-    tried: int
-    ground: Groundwork
+    tried: int  # settings rehearsed
+    ground: Groundwork  # what was rehearsed on; `embed` goes on from it
 
     def report(self) -> dict[str, float | int | bool]:
         """Plain values for `embed --json`."""
@@ -132,7 +113,9 @@ def choose(
     original_sha256: str,
     cameras: Sequence[Camera] | None = None,
 ) -> Choice:
-    """The cheapest settings that are predicted to do.
+    """The cheapest settings that are predicted to do: the fewest views that do, then the highest fidelity that does.
+
+    Deterministic. InputError if no copy of the model could be registered.
 
     Parameters
     ----------
@@ -144,16 +127,6 @@ def choose(
         Hex digest of the owner's file.
     cameras : sequence of Camera, optional
         The owner's own.
-
-    Returns
-    -------
-    Choice
-        Deterministic. The fewest views that do, then the highest fidelity that does.
-
-    Raises
-    ------
-    InputError
-        If no copy of the model could be registered.
     """
     wanted, tried = wanted_z(bits), 0
     for views in VIEWS:
@@ -174,17 +147,7 @@ def choose(
 
 
 def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
-    """Plan a mark on small views, with chips from a fixed seed, and see what it promises.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        Before any pruning.
-    key : OwnerKey
-        Draws the key views.
-    original_sha256 : str
-        Hex digest of the owner's file.
-    """
+    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
     small = replace(config, view_size=VIEW_SIZE)
     return _Rehearsing(lay_groundwork(model, key, original_sha256, small), None).at(small)
 

@@ -21,13 +21,9 @@ MOST_STAGES = 5
 def slim_down(
     model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
 ) -> tuple[GaussianModel, dict[str, Any]]:
-    """Prune Gaussians and SH bands within the owner's budget; with no budget the model stays as it is.
+    """Prune Gaussians and SH bands within the owner's budget, and report on it.
 
-    Returns
-    -------
-    model : GaussianModel
-    report : dict
-        budget_db, psnr_pruned_worst_view, merged, sh_bands_dropped; empty without a budget.
+    With no budget the model stays as it is and the report is empty.
     """
     budget = config.prune.budget_db
     if budget is None:

@@ -8,7 +8,7 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,11 @@ from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import lay_groundwork
-from engine.pipeline.profiles import Auto, EmbedConfig, Settings, config_dict
+from engine.pipeline.profiles import Auto, EmbedConfig, Settings
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
-from engine.pipeline.sealing import draw_spreading, make_record, plan_of
+from engine.pipeline.sealing import draw_spreading, plan_of
 from engine.pipeline.strength import Strength, add_dc, first_guess, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
 from engine.records.record import Record
@@ -42,24 +42,12 @@ LANDMARK_SIZE = (640, 480)
 
 @dataclass(frozen=True, eq=False)
 class Embedding:
-    """What an embedding gives back.
+    """What an embedding gives back."""
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The marked model to deliver.
-    record : Record
-        What the owner keeps.
-    config : EmbedConfig
-        The settings used: the chosen ones, where that was left open.
-    report : dict
-        Measurements for people and machines (`embed --json`).
-    """
-
-    model: GaussianModel
-    record: Record
-    config: EmbedConfig
-    report: dict[str, Any]
+    model: GaussianModel  # the marked model to deliver
+    record: Record  # what the owner keeps
+    config: EmbedConfig  # the settings used: the chosen ones, where that was left open
+    report: dict[str, Any]  # measurements for people and machines (`embed --json`)
 
 
 @one_blas_thread
@@ -79,6 +67,9 @@ def embed(
 ) -> Embedding:
     """Mark a model.
 
+    CapacityError if the scene cannot carry the message at the asked fidelity; InputError if the model or the options
+    are unusable.
+
     Parameters
     ----------
     original_sha256 : str
@@ -97,13 +88,6 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
-
-    Raises
-    ------
-    CapacityError
-        If the scene cannot carry the message at the asked fidelity.
-    InputError
-        If the model or the options are unusable.
     """
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
@@ -177,15 +161,15 @@ def embed(
             strength = Strength(strength.factor, again.psnr_db, again.ssim)
     marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
     with clock.stage("record"):  # 8
-        record = make_record(
+        record = Record.make(
             key,
             reference_arrays,
-            committed,
-            strength.factor,
-            original_sha256=original_sha256,
+            original_digest=original_sha256,
+            plan=committed[0],
+            plan_arrays=committed[1],
+            extra={"strength": strength.factor, "settings": asdict(settings)},
             copy=copy,
             registered_at=registered_at,
-            settings=config_dict(settings),
         )
         total = strength.psnr_db
         if delivered is not model:

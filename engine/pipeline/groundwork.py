@@ -32,22 +32,12 @@ LEAST_WIDTH = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Groundwork:
-    """A model seen from its key views.
+    """A model seen from its key views."""
 
-    Parameters
-    ----------
-    extent : Extent
-        Of the model as it came.
-    views : ViewSet
-        With the model and the cameras.
-    config : EmbedConfig
-        Under which it was made.
-    """
-
-    extent: Extent
-    views: ViewSet
+    extent: Extent  # of the model as it came
+    views: ViewSet  # with the model and the cameras
     impact: Impact
-    config: EmbedConfig
+    config: EmbedConfig  # under which it was made
     variant: Variant
 
     @property
@@ -96,6 +86,8 @@ def lay_groundwork(
 ) -> Groundwork:
     """Look at a model from the views that the owner's key draws.
 
+    InputError if no copy of the model could be registered: too few Gaussians, or centres in a point or on a line.
+
     Parameters
     ----------
     original_sha256 : str
@@ -104,11 +96,6 @@ def lay_groundwork(
         Number and size of the key views; the quantiser.
     cameras : sequence of Camera, optional
         The owner's own; key views are chosen among them. Generated from the model otherwise.
-
-    Raises
-    ------
-    InputError
-        If no copy of the model could be registered: too few Gaussians, or centres in a point or on a line.
     """
     extent = measure_extent(model)
     _check_placeable(model, extent)

@@ -20,28 +20,14 @@ LEAST_PIECE = 64
 
 @dataclass(frozen=True)
 class VerifyConfig:
-    """What a verification can be told.
+    """What a verification can be told."""
 
-    Parameters
-    ----------
-    false_claim_rate : float
-        Largest acceptable probability of a false claim, against chance.
-    route : str
-        "auto", "model", "render" or "image".
-    decoder : str
-        "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours.
-    seed : int
-        Of the registration's trials.
-    tries : int, optional
-        Hypotheses (records times routes) of the whole question, where this verification is one part of it:
-        fixed before any evidence is seen, and counted in every claim. Default: those of this one record, as
-        they come.
-    """
-
-    false_claim_rate: float = 1e-9
-    route: str = "auto"
-    decoder: str = "ours"
-    seed: int = 0
+    false_claim_rate: float = 1e-9  # largest acceptable probability of a false claim, against chance
+    route: str = "auto"  # "auto", "model", "render" or "image"
+    decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
+    seed: int = 0  # of the registration's trials
+    # Hypotheses (records times routes) of the whole question, where this verification is one part of it: fixed before
+    # any evidence is seen, and counted in every claim. Default: those of this one record, as they come.
     tries: int | None = None
 
     def __post_init__(self) -> None:

@@ -46,23 +46,12 @@ SAME_TURN, SAME_PLACE = np.radians(3.0), 0.05
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A view of the suspect that was recognised.
+    """A view of the suspect that was recognised."""
 
-    Parameters
-    ----------
-    picture : (H, W, 3) float32
-        Render of the suspect, 0..1.
-    own : Camera
-        Where it was rendered from, in the suspect's frame.
-    found : Camera
-        The same camera in the reference's frame.
-    own_depth, found_depth : float
-        Median depth of what both models show in this view, each in its own scene units.
-    """
-
-    picture: Float32
-    own: Camera
-    found: Camera
+    picture: Float32  # (H, W, 3) render of the suspect, 0..1
+    own: Camera  # where it was rendered from, in the suspect's frame
+    found: Camera  # the same camera in the reference's frame
+    # Median depth of what both models show in this view, each in its own scene units
     own_depth: float
     found_depth: float
 
@@ -76,21 +65,11 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where the suspect is.
+    """Where the suspect is."""
 
-    Parameters
-    ----------
-    similarity : Similarity
-        x_reference = scale * R @ x_suspect + t.
-    sightings : tuple of Sighting
-        Those that agree with it.
-    views : int
-        Views rendered.
-    """
-
-    similarity: Similarity
-    sightings: tuple[Sighting, ...]
-    views: int
+    similarity: Similarity  # x_reference = scale * R @ x_suspect + t
+    sightings: tuple[Sighting, ...]  # those that agree with it
+    views: int  # views rendered
 
 
 def place_by_looking(
@@ -101,6 +80,8 @@ def place_by_looking(
 ) -> Place | None:
     """Find the similarity between two models from what they look like.
 
+    None when fewer than two views were recognised that agree: the suspect shows something else.
+
     Parameters
     ----------
     reference : GaussianModel
@@ -109,11 +90,6 @@ def place_by_looking(
         Of the reference, from its record.
     advance : callable, optional
         Told the fraction done, 0 to 1, after every view.
-
-    Returns
-    -------
-    Place or None
-        None when fewer than two views were recognised that agree: the suspect shows something else.
     """
     seen: list[Sighting] = []
     agreeing: list[Sighting] = []

@@ -1,7 +1,7 @@
 """Settings of an embedding, and the three named points on one curve of speed against accuracy (DESIGN 10)."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from engine.compress.hvq import HvqConfig
@@ -14,58 +14,29 @@ from engine.watermark.planning import PlanConfig
 class RefineConfig:
     """Knobs of the refinement (Eq 9). No profile uses it: the closed-form mark reads as well without
     (docs/RESULTS.md, ablation).
-
-    Parameters
-    ----------
-    steps : int
-        Adam steps; 0 leaves the closed-form mark as it is.
-    lambda_msg, lambda_rec, lambda_wavelet : float
-        Weights of the three losses (paper's text: 0.4, 1.0, 0.3; its appendix: 0.2, 0.5, 0.05).
-    rate : float
-        Adam step in SH units, before the uncertainty's scaling.
-    size : int
-        Side of the refined views, pixels.
     """
 
-    steps: int = 0
+    steps: int = 0  # Adam steps; 0 leaves the closed-form mark as it is
+    # Weights of the three losses (paper's text: 0.4, 1.0, 0.3; its appendix: 0.2, 0.5, 0.05)
     lambda_msg: float = 0.4
     lambda_rec: float = 1.0
     lambda_wavelet: float = 0.3
-    rate: float = 4e-4
-    size: int = 400
+    rate: float = 4e-4  # Adam step in SH units, before the uncertainty's scaling
+    size: int = 400  # side of the refined views, pixels
 
 
 @dataclass(frozen=True)
 class EmbedConfig:
-    """Everything an embedding can be told.
+    """Everything an embedding can be told."""
 
-    Parameters
-    ----------
-    psnr_db : float
-        Wanted PSNR of the mark in the worst view, against the unmarked render.
-    ssim : float
-        Wanted SSIM of the mark in the worst view.
-    output : str
-        "fidelity" keeps each Gaussian's own residual, "compact" drops it.
-    compact_db : float
-        With "compact": least PSNR of the delivered model against the original, worst view.
-    views : int
-        Key views at which the mark is shaped.
-    view_size : int
-        Side of a key view, pixels.
-    landmark_views : int
-        Views of the landmark bank by which the camera of a screenshot is found; 0 leaves it out.
-    quantize, prune, plan, refine
-        Knobs of those stages.
-    """
-
-    psnr_db: float = 47.0
-    ssim: float = 0.998
-    output: str = "fidelity"
-    compact_db: float = 40.0
-    views: int = 8
-    view_size: int = 800
-    landmark_views: int = 48
+    psnr_db: float = 47.0  # wanted PSNR of the mark in the worst view, against the unmarked render
+    ssim: float = 0.998  # wanted SSIM of the mark in the worst view
+    output: str = "fidelity"  # "fidelity" keeps each Gaussian's own residual, "compact" drops it
+    compact_db: float = 40.0  # with "compact": least PSNR of the delivered model against the original, worst view
+    views: int = 8  # key views at which the mark is shaped
+    view_size: int = 800  # side of a key view, pixels
+    landmark_views: int = 48  # views of the landmark bank by which the camera of a screenshot is found; 0 leaves it out
+    # Knobs of those stages
     quantize: HvqConfig = field(default_factory=HvqConfig)
     prune: PruneConfig = field(default_factory=PruneConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
@@ -94,18 +65,11 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class Auto:
-    """Settings that a rehearsal on the scene chooses (`engine.pipeline.choosing`).
+    """Settings that a rehearsal on the scene chooses (`engine.pipeline.choosing`)."""
 
-    Parameters
-    ----------
-    start : EmbedConfig
-        Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew.
-    keep_psnr : bool
-        The owner named this fidelity: evidence may not be bought with it.
-    """
-
+    # Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew
     start: EmbedConfig = PROFILES["fast"]
-    keep_psnr: bool = False
+    keep_psnr: bool = False  # the owner named this fidelity: evidence may not be bought with it
 
 
 Settings = EmbedConfig | Auto
@@ -129,10 +93,7 @@ def compose(
 ) -> Settings:
     """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
 
-    Parameters
-    ----------
-    knobs : sequence of str
-        ``"quantize.cells=1024"``: any knob of `config_dict`.
+    `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
     """
     asked = {"psnr_db": psnr_db, "output": output}
     changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
@@ -166,8 +127,3 @@ def _parsed(knob: str, text: str, now: Any) -> Any:
         return int(text) if isinstance(now, int) else float(text)
     except ValueError:
         raise InputError(f"{knob} is {now!r} and cannot be {text!r}") from None
-
-
-def config_dict(config: EmbedConfig) -> dict[str, Any]:
-    """The composed settings as plain values, as `mark3dgs config show` prints them."""
-    return asdict(config)

@@ -35,21 +35,11 @@ LEAST_CORRELATION = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What renders of a suspect model say.
+    """What renders of a suspect model say."""
 
-    Parameters
-    ----------
-    evidence : Evidence
-        All zero where no view could be read.
-    notes : tuple of str
-        How the model was placed, where not by its Gaussians.
-    shown : bool
-        Whether the suspect shows the asset.
-    """
-
-    evidence: Evidence
-    notes: tuple[str, ...]
-    shown: bool
+    evidence: Evidence  # all zero where no view could be read
+    notes: tuple[str, ...]  # how the model was placed, where not by its Gaussians
+    shown: bool  # whether the suspect shows the asset
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
@@ -116,26 +106,10 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
 def read_pictures(
     images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
 ) -> tuple[Evidence, tuple[str, ...]]:
-    """What pictures say about each chip, all together.
+    """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, and why one could not be read.
 
-    Parameters
-    ----------
-    images : sequence of (h, w, 3) float32
-        At least one; range 0 to 1.
-    cameras : sequence of Camera, optional
-        One for each picture; found from the record's landmarks where not given.
-
-    Returns
-    -------
-    evidence : Evidence
-        All zero where no picture could be read.
-    notes : tuple of str
-        Why a picture could not be read.
-
-    Raises
-    ------
-    InputError
-        If there is no picture, the cameras are not as many, or a camera must be found without landmarks.
+    Cameras that are not given are found from the record's landmarks. The evidence is all zero where no picture could
+    be read. InputError if there is no picture, the cameras are not as many, or one must be found without landmarks.
     """
     if not images:
         raise InputError("no picture was given")

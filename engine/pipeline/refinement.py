@@ -71,6 +71,8 @@ def refine(
 ) -> Float32:
     """Improve the displacement of every Gaussian's DC colour.
 
+    Gives (N, 3) float32; the caller solves its strength again.
+
     Parameters
     ----------
     model : GaussianModel
@@ -88,11 +90,6 @@ def refine(
         Told the fraction done.
     seed : int
         Of views and distortions.
-
-    Returns
-    -------
-    (N, 3) float32
-        Refined displacement; the caller solves its strength again.
     """
     rng = np.random.default_rng(seed)
     scale = config.size / max(cameras[0].width, cameras[0].height)

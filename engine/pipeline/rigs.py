@@ -25,24 +25,12 @@ ROOM_EMPTINESS = 0.03
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a model is, robust against floaters.
+    """Where a model is, robust against floaters."""
 
-    Parameters
-    ----------
-    center : (3,)
-        Weighted median of the centres, scene units.
-    radius : float
-        Weighted 90 % quantile of the distance from the centre.
-    axes : (3,)
-        Weighted 5 % to 95 % width along x, y, z.
-    is_room : bool
-        The middle is empty and the walls are all around.
-    """
-
-    center: Float64
-    radius: float
-    axes: Float64
-    is_room: bool
+    center: Float64  # (3,) weighted median of the centres, scene units
+    radius: float  # weighted 90 % quantile of the distance from the centre
+    axes: Float64  # (3,) weighted 5 % to 95 % width along x, y, z
+    is_room: bool  # the middle is empty and the walls are all around
 
 
 def _weighted_quantile(values: Float64, weights: Float64, q: float) -> float:

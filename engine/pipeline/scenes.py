@@ -6,30 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.image_metrics import psnr, ssim
+from engine.numerics.image_metrics import psnr
 from engine.pipeline.variant import AtView
 from engine.raster import View, prepare_view, render, sh_colors
 
 
 @dataclass(frozen=True, eq=False)
 class ViewSet:
-    """Prepared views of one geometry.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    views : sequence of View
-    frames : sequence of GaussianModel
-        The model as each view sees it: itself, unless it moves.
-    images : sequence of (H, W, 3) float32
-        Renders of the model itself.
-    """
+    """Prepared views of one geometry."""
 
     model: GaussianModel
     cameras: Sequence[Camera]
     views: Sequence[View]
-    frames: Sequence[GaussianModel]
-    images: Sequence[Float32]
+    frames: Sequence[GaussianModel]  # the model as each view sees it: itself, unless it moves
+    images: Sequence[Float32]  # (H, W, 3) each: renders of the model itself
 
     def render(self, index: int, sh: Float32) -> Float32:
         """(H, W, 3) one view with other colours, sh (N, K, 3)."""
@@ -69,6 +59,3 @@ def worst_psnr_against(
         )
 
     return measure
-
-
-__all__ = ["ViewSet", "look", "psnr", "ssim", "worst_psnr_against"]

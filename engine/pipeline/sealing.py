@@ -26,39 +26,19 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class OpenedRecord:
-    """A record opened with its key, in the terms of the flows.
-
-    Parameters
-    ----------
-    copy : str
-        Name of the recipient.
-    reference : GaussianModel
-        The unmarked reference.
-    layout : Layout
-        With the planned (relative) amplitudes.
-    strength : float
-        Factor from planned amplitudes to embedded displacements.
-    message : (B,) signs
-    spreading : Spreading
-        Bits and chips, drawn anew from the key and the digests of what was opened.
-    cameras : list of Camera
-        Key views.
-    settings : dict
-        Profile and configuration of the embedding.
-    commitments : dict of str to str
-        Digests of what verification relies on beside the record, such as a moving original.
-    """
+    """A record opened with its key, in the terms of the flows."""
 
     header: RecordHeader
-    copy: str
-    reference: GaussianModel
-    layout: Layout
-    strength: float
-    message: Signs
-    spreading: Spreading
-    cameras: list[Camera]
+    copy: str  # name of the recipient
+    reference: GaussianModel  # the unmarked reference
+    layout: Layout  # with the planned (relative) amplitudes
+    strength: float  # factor from planned amplitudes to embedded displacements
+    message: Signs  # (B,)
+    spreading: Spreading  # bits and chips, drawn anew from the key and the digests of what was opened
+    cameras: list[Camera]  # key views
     landmarks: Landmarks | None
-    settings: dict[str, Any]
+    settings: dict[str, Any]  # profile and configuration of the embedding
+    # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
 
 
@@ -96,37 +76,10 @@ def draw_spreading(
     return spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
 
 
-def make_record(
-    key: OwnerKey,
-    reference_arrays: Arrays,
-    plan: tuple[dict[str, Any], Arrays],
-    strength: float,
-    *,
-    original_sha256: str,
-    copy: str,
-    registered_at: str,
-    settings: dict[str, Any],
-) -> Record:
-    """The record of one embedding."""
-    return Record.make(
-        key,
-        reference_arrays,
-        original_digest=original_sha256,
-        plan=plan[0],
-        plan_arrays=plan[1],
-        extra={"strength": strength, "settings": settings},
-        copy=copy,
-        registered_at=registered_at,
-    )
-
-
 def open_record(data: bytes, key: OwnerKey) -> OpenedRecord:
     """Open a record file and draw its chips again.
 
-    Raises
-    ------
-    WrongKeyError, MalformedRecordError, RecordTooNewError
-        See `Record.from_bytes`; also when the inside does not fit together.
+    Errors are those of `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
     """
     record = Record.from_bytes(data, key)
     try:

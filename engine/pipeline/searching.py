@@ -44,27 +44,17 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Suspect:
-    """What is looked at: one model, or pictures of one.
-
-    Parameters
-    ----------
-    pictures : sequence of (h, w, 3) float32
-        Range 0 to 1; any size, possibly rotated, scaled or cropped.
-    cameras : sequence of Camera, optional
-        One for each picture, where known; found from a record's landmarks otherwise.
-    """
+    """What is looked at: one model, or pictures of one."""
 
     model: GaussianModel | None = None
-    pictures: Sequence[Float32] = ()
+    pictures: Sequence[Float32] = ()  # range 0 to 1; any size, possibly rotated, scaled or cropped
+    # One for each picture, where known; found from a record's landmarks otherwise
     cameras: Sequence[Camera] | None = None
 
     def routes(self, asked: str) -> tuple[str, ...]:
         """The routes along which it is read, in their order.
 
-        Raises
-        ------
-        InputError
-            If the route takes the other kind of suspect, or the model is empty.
+        InputError if the route takes the other kind of suspect, or the model is empty.
         """
         if self.model is None:
             if asked not in ("auto", "image"):
@@ -79,23 +69,13 @@ class Suspect:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a suspect says along one route, blind to all chips.
-
-    Parameters
-    ----------
-    registration : Registration or None
-        Of a model.
-    notes : tuple of str
-        For the reader of the claim.
-    shown : bool
-        Whether the asset was found in the suspect.
-    """
+    """What a suspect says along one route, blind to all chips."""
 
     route: str
     evidence: Evidence
-    registration: Registration | None
-    notes: tuple[str, ...]
-    shown: bool
+    registration: Registration | None  # of a model
+    notes: tuple[str, ...]  # for the reader of the claim
+    shown: bool  # whether the asset was found in the suspect
 
     @property
     def derived_fraction(self) -> float | None:
@@ -131,12 +111,7 @@ def readings(
 ) -> Iterator[Reading]:
     """Read a suspect against one reference, a route at a time; who has heard enough stops asking.
 
-    Parameters
-    ----------
-    routes : sequence of str
-        Of `Suspect.routes`.
-    seed : int
-        Of the registration's trials.
+    The routes are those of `Suspect.routes`, the seed that of the registration's trials.
     """
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
@@ -161,10 +136,7 @@ def verify(
 ) -> Verification:
     """Does this suspect carry the record's mark?
 
-    Parameters
-    ----------
-    config : VerifyConfig, optional
-        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
+    Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)

@@ -33,14 +33,7 @@ def add_dc(sh: Float32, displacement: Float32) -> Float32:
 
 
 def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) -> float:
-    """Factor at which the view of most energy would have this PSNR if chips did not meet in pixels.
-
-    Parameters
-    ----------
-    energies : (V, C)
-        Of `Plan`.
-    cameras : sequence of Camera
-    """
+    """Factor at which the view of most energy, of a `Plan`'s (V, C), would have this PSNR if no chips met in pixels."""
     pixels = 3.0 * cameras[0].width * cameras[0].height
     most = max(float(energies.sum(axis=1).max()), 1e-30)
     return 10 ** (-psnr_db / 20.0) * float(np.sqrt(pixels / most))
@@ -48,6 +41,8 @@ def first_guess(energies: Float64, cameras: Sequence[Camera], psnr_db: float) ->
 
 def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_ssim: float, start: float) -> Strength:
     """Largest factor at which the worst view keeps both targets.
+
+    Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM limits.
 
     Parameters
     ----------
@@ -59,12 +54,6 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
         Targets against the unmarked render.
     start : float
         First guess of the factor.
-
-    Returns
-    -------
-    Strength
-        Its measurements come from the final renders; PSNR lies within 0.05 dB above its target unless SSIM
-        limits.
     """
     factor, above, best = start, np.inf, None
     for number in range(ROUNDS):

@@ -29,55 +29,26 @@ __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
 
 @dataclass(frozen=True)
 class CopyFinding:
-    """What the suspect says about one copy.
+    """What the suspect says about one copy."""
 
-    Parameters
-    ----------
-    copy : str
-        Name of the recipient.
-    named : bool
-        The copy took part: its false-claim bound, all tries counted, is at most the rate asked for.
-    z : float
-        0 expected with a standard deviation of 1 for a copy that took no part.
-    log10_false_claim : float
-        log10 of that bound.
-    route : str
-        Kind of evidence.
-    derived_fraction : float or None
-        Share of the record's reference found in the suspect; None where the route does not measure it.
-    """
-
-    copy: str
+    copy: str  # name of the recipient
     record_id: str
-    named: bool
-    z: float
-    log10_false_claim: float
-    route: str
+    named: bool  # the copy took part: its false-claim bound, all tries counted, is at most the rate asked for
+    z: float  # 0 expected with a standard deviation of 1 for a copy that took no part
+    log10_false_claim: float  # log10 of that bound
+    route: str  # kind of evidence
+    # Share of the record's reference found in the suspect; None where the route does not measure it
     derived_fraction: float | None
 
 
 @dataclass(frozen=True)
 class Tracing:
-    """The answer of one tracing.
+    """The answer of one tracing."""
 
-    Parameters
-    ----------
-    findings : tuple of CopyFinding
-        One for each record, strongest first.
-    tries : int
-        Hypotheses counted: records times routes.
-    z_threshold : float
-        The z at which a copy is named.
-    false_claim_rate : float
-        Largest probability that any innocent copy is named, fixed before the evidence was seen.
-    notes : tuple of str
-    seconds_by_stage : dict of str to float
-    """
-
-    findings: tuple[CopyFinding, ...]
-    tries: int
-    z_threshold: float
-    false_claim_rate: float
+    findings: tuple[CopyFinding, ...]  # one for each record, strongest first
+    tries: int  # hypotheses counted: records times routes
+    z_threshold: float  # the z at which a copy is named
+    false_claim_rate: float  # largest probability that any innocent copy is named, fixed before the evidence was seen
     notes: tuple[str, ...]
     seconds: float
     seconds_by_stage: dict[str, float]
@@ -130,17 +101,9 @@ def trace(
 ) -> Tracing:
     """Which of these copies took part in making this suspect?
 
-    Parameters
-    ----------
-    records : iterable of OpenedRecord
-        Any number; only one of each asset and layout is kept in memory.
-    config : VerifyConfig, optional
-        Route "auto" reads a model's Gaussians, and looks at renders of the pose key only where they name nobody.
-
-    Raises
-    ------
-    InputError
-        If there is no record, one is given twice, the suspect is empty, or the route takes another kind of suspect.
+    InputError if there is no record, one is given twice, the suspect is empty, or the route takes another kind of
+    suspect. Of any number of records only one of each asset and layout is kept in memory. Route "auto" reads a model's
+    Gaussians, and looks at renders of the pose key only where they name nobody.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)

@@ -16,36 +16,25 @@ AtView = Callable[[GaussianModel, int], GaussianModel]
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """What an embedding does not do as it does with a plain model; the default is the plain model.
+    """What an embedding does not do as it does with a plain model; the default is the plain model."""
 
-    Parameters
-    ----------
-    labels : (N,) int32, optional
-        Colour code of each Gaussian, from 0 on, where the file has a codebook: its codes become the mark's code
-        vectors in place of cells of our own.
-    at_view : callable, optional
-        The model as key view k sees it, for instance at its moment: the same Gaussians in the same order,
-        elsewhere. Impact, strength and the report then follow what the views really show.
-    emphasis : (N,) float, optional
-        Factor on the displacement of each Gaussian's code vector (mean over the members), 0 exclusive to 1.
-    commitments : mapping of str to str
-        Digests of what verification will rely on beside the record. They enter its plan, so that the chips are
-        drawn after them (DESIGN 4.9).
-    """
-
+    # (N,) colour code of each Gaussian, from 0 on, where the file has a codebook: its codes become the mark's code
+    # vectors in place of cells of our own
     labels: Int32 | None = None
+    # The model as key view k sees it, for instance at its moment: the same Gaussians in the same order, elsewhere.
+    # Impact, strength and the report then follow what the views really show.
     at_view: AtView | None = None
+    # (N,) factor on the displacement of each Gaussian's code vector (mean over the members), 0 exclusive to 1
     emphasis: Float32 | Float64 | None = None
+    # Digests of what verification will rely on beside the record. They enter its plan, so that the chips are drawn
+    # after them (DESIGN 4.9).
     commitments: Mapping[str, str] = field(default_factory=dict)
 
     def check(self, model: GaussianModel, *, keeps_rows: bool, refines: bool) -> None:
         """Refuse what does not fit the model or the configuration.
 
-        Raises
-        ------
-        InputError
-            A length differs from the model's, a value is out of its range, the rows are to change (pruning, the
-            compact output), or a moving model is to be refined.
+        InputError: a length differs from the model's, a value is out of its range, the rows are to change (pruning, the
+        compact output), or a moving model is to be refined.
         """
         for name, values in (("labels", self.labels), ("emphasis", self.emphasis)):
             if values is not None and values.shape != (len(model),):

@@ -1,6 +1,7 @@
 """Compile, or load from numba's disk cache, the kernels a job will need: on a scene too small to take time."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -17,43 +18,34 @@ __all__ = ["Work", "warm_up"]
 Work = Literal["embed", "model", "pictures", "everything"]
 """Embedding; verifying a model; verifying pictures; all of it."""
 
-_Step = Callable[[Callable[[float], None]], None]
+_Advance = Callable[[float], None]
 
 
-def warm_up(work: Work, progress: Callable[[float], None] | None = None) -> None:
-    """Make the kernels of some work ready.
+def warm_up(work: Work, progress: _Advance | None = None) -> None:
+    """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1."""
+    needs: dict[Callable[[_Advance], None], tuple[Work, ...]] = {
+        raster.warm_up: ("embed", "pictures"),
+        _cells: ("embed",),
+        _registration: ("model",),
+        _alignment: ("pictures",),
+    }
+    steps = [step for step, works in needs.items() if work in (*works, "everything")]
 
-    Parameters
-    ----------
-    work : {"embed", "model", "pictures", "everything"}
-    progress : callable, optional
-        Told the fraction done, 0 to 1.
-    """
-    steps: list[_Step] = []
-    if work in ("embed", "pictures", "everything"):
-        steps.append(raster.warm_up)
-    if work in ("embed", "everything"):
-        steps.append(_cells)
-    if work in ("model", "everything"):
-        steps.append(_registration)
-    if work in ("pictures", "everything"):
-        steps.append(_alignment)
+    def advance(done: int, fraction: float) -> None:
+        if progress is not None:
+            progress((done + fraction) / len(steps))
+
     for number, step in enumerate(steps):
-        step(_part(progress, number, len(steps)))
-    if progress is not None:
-        progress(1.0)
+        step(partial(advance, number))
+    advance(len(steps), 0.0)
 
 
-def _part(progress: Callable[[float], None] | None, number: int, count: int) -> Callable[[float], None]:
-    return lambda fraction: progress((number + fraction) / count) if progress is not None else None
-
-
-def _cells(advance: Callable[[float], None]) -> None:
+def _cells(advance: _Advance) -> None:
     split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
     advance(1.0)
 
 
-def _registration(advance: Callable[[float], None]) -> None:
+def _registration(advance: _Advance) -> None:
     rng = np.random.default_rng(0)
     n = 600
     quats = rng.standard_normal((n, 4))
@@ -71,7 +63,7 @@ def _registration(advance: Callable[[float], None]) -> None:
         advance(share)
 
 
-def _alignment(advance: Callable[[float], None]) -> None:
+def _alignment(advance: _Advance) -> None:
     rng = np.random.default_rng(0)
     picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
     align_image(picture, picture[3:, 5:])

@@ -29,10 +29,7 @@ _MAX_DIMENSIONS = 8
 def canonical_json(value: Any) -> bytes:
     """The one JSON text of a value: sorted keys, no spaces, ASCII, finite numbers only.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If the value is no JSON, has keys that are not strings, or holds a NaN or an infinity.
+    TypeError or ValueError if the value is no JSON, has keys that are not strings, or holds a NaN or an infinity.
     """
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.encode("ascii")
@@ -51,19 +48,10 @@ def parse_json(data: bytes, what: str) -> Any:
 
 
 def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """Bytes of a container.
+    """Bytes of a container of JSON values (tuples come back as lists) and arrays.
 
-    Parameters
-    ----------
-    meta : mapping
-        JSON values only; tuples come back as lists.
-    arrays : mapping of str to ndarray
-        Types of `DTYPES` (any byte order), at most 8 dimensions.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If an array has another type, or meta is no JSON.
+    The arrays are of the types of `DTYPES`, in any byte order, and have at most 8 dimensions. ValueError or TypeError
+    if one has another type, or meta is no JSON.
     """
     index, blobs = [], []
     for name in sorted(arrays):
@@ -87,10 +75,7 @@ def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> byt
 def unpack(data: bytes) -> tuple[dict[str, Any], Arrays]:
     """Meta and arrays of a container; the arrays are read-only views of `data`.
 
-    Raises
-    ------
-    MalformedRecordError
-        If any byte is not as `pack` would have written it.
+    MalformedRecordError if any byte is not as `pack` would have written it.
     """
     if len(data) < 4:
         raise MalformedRecordError("the container is cut off")

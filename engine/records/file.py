@@ -39,12 +39,7 @@ _ZSTD_LEVEL = 1  # byte planes of near-random integers: higher levels gain 1 % a
 def seal(header: RecordHeader, body: bytes, key: OwnerKey) -> bytes:
     """The file of a header and a body.
 
-    Raises
-    ------
-    WrongKeyError
-        If the key is not the one the header names.
-    InputError
-        If the body exceeds `MAX_BODY_BYTES`.
+    WrongKeyError if the key is not the one the header names; InputError if the body exceeds `MAX_BODY_BYTES`.
     """
     check_key(header, key)
     if len(body) > MAX_BODY_BYTES:
@@ -60,14 +55,8 @@ def seal(header: RecordHeader, body: bytes, key: OwnerKey) -> bytes:
 def unseal(data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> tuple[RecordHeader, bytes]:
     """Header and body of a file.
 
-    Raises
-    ------
-    RecordTooNewError
-        If a later version of this program wrote it.
-    WrongKeyError
-        If it is whole, but another key made it.
-    MalformedRecordError
-        If it is no record, was damaged or altered, or would unpack to more than `max_body_bytes`.
+    RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key made
+    it; MalformedRecordError if it is no record, was damaged or altered, or would unpack to more than `max_body_bytes`.
     """
     public, header, body_length = _open_public(data)  # 1. Whole, and of this version?
     check_key(header, key)  # 2. This key's?
@@ -83,10 +72,7 @@ def unseal(data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> 
 def read_header(data: bytes) -> RecordHeader:
     """Public header of a record file; needs no key, and says nothing about who sealed it.
 
-    Raises
-    ------
-    RecordTooNewError, MalformedRecordError
-        As `unseal`.
+    RecordTooNewError and MalformedRecordError as in `unseal`.
     """
     return _open_public(data)[1]
 

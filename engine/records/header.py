@@ -32,13 +32,8 @@ FIELDS = (*HEX_LENGTHS, *TEXT_FIELDS, "format_version")
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def plan_digest(reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """SHA-256 of all that must be settled before a chip may be drawn: reference, copy and plan."""
-    return sha256(b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)).digest()
-
-
 def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str, Any], arrays: Arrays) -> bytes:
-    """16-byte id of the record of one copy: a keyed hash of `plan_digest`.
+    """16-byte id of the record of one copy: a keyed hash of all that is settled before a chip is drawn.
 
     Parameters
     ----------
@@ -49,7 +44,8 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
     plan, arrays
         As given to `Record.make`, equal to the last bit.
     """
-    return key.derive(RECORD_ID, plan_digest(reference, copy, plan, arrays))[:16]
+    settled = b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)
+    return key.derive(RECORD_ID, sha256(settled).digest())[:16]
 
 
 def chip_context(reference: bytes, record_id: bytes) -> bytes:
@@ -65,39 +61,17 @@ def chip_context(reference: bytes, record_id: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class RecordHeader:
-    """The public part of a record. All digests in lower-case hexadecimal.
+    """The public part of a record. All digests in lower-case hexadecimal."""
 
-    Parameters
-    ----------
-    record_id : str
-        32 digits, see `make_record_id`.
-    owner : str
-        Fingerprint of the owner key, 16 digits.
-    reference_digest : str
-        SHA-256 of the canonical reference.
-    original_digest : str
-        SHA-256 of the file the owner registered.
-    registered_at : str
-        As the caller gave it, up to 64 printable ASCII characters; may be empty. No clock is read.
-    copy_digest : str
-        32 digits: keyed hash of the copy's name.
-    tool_version : str
-        Version of the program that made the record.
-    key_check : str
-        32 digits that only the right key reproduces.
-    format_version : int
-        Version of the file format.
-    """
-
-    record_id: str
-    owner: str
-    reference_digest: str
-    original_digest: str
-    registered_at: str
-    copy_digest: str
-    tool_version: str
-    key_check: str
-    format_version: int = FORMAT_VERSION
+    record_id: str  # 32 digits, see `make_record_id`
+    owner: str  # fingerprint of the owner key, 16 digits
+    reference_digest: str  # SHA-256 of the canonical reference
+    original_digest: str  # SHA-256 of the file the owner registered
+    registered_at: str  # as the caller gave it, up to 64 printable ASCII characters; may be empty. No clock is read
+    copy_digest: str  # 32 digits: keyed hash of the copy's name
+    tool_version: str  # version of the program that made the record
+    key_check: str  # 32 digits that only the right key reproduces
+    format_version: int = FORMAT_VERSION  # version of the file format
 
     def __post_init__(self) -> None:
         for name, length in HEX_LENGTHS.items():

@@ -27,28 +27,14 @@ __all__ = ["MEDIA_TYPE", "Record", "RecordHeader", "chip_context", "make_record_
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A record, opened. Make one with `make` or `from_bytes`; arrays are read-only.
-
-    Parameters
-    ----------
-    copy : str
-        Name of the copy.
-    plan : mapping
-        JSON values settled before the chips were drawn (message, number of codes, commitments).
-    plan_arrays : mapping of str to ndarray
-        Arrays settled before the chips were drawn (labels, carriers, amplitudes, cameras, landmarks).
-    extra : mapping
-        JSON values that may follow from the mark (strength, settings).
-    reference_arrays : mapping of str to ndarray
-        The canonical reference, see `engine.records.reference`.
-    """
+    """A record, opened. Make one with `make` or `from_bytes`; arrays are read-only."""
 
     header: RecordHeader
-    copy: str
-    plan: Mapping[str, Any]
-    plan_arrays: Arrays
-    extra: Mapping[str, Any]
-    reference_arrays: Arrays
+    copy: str  # name of the copy
+    plan: Mapping[str, Any]  # JSON values settled before the chips were drawn (message, number of codes, commitments)
+    plan_arrays: Arrays  # arrays settled before the chips were drawn (labels, carriers, amplitudes, cameras, landmarks)
+    extra: Mapping[str, Any]  # JSON values that may follow from the mark (strength, settings)
+    reference_arrays: Arrays  # the canonical reference, see `engine.records.reference`
 
     def __post_init__(self) -> None:
         for name in ("plan", "extra"):  # as it will read back: tuples become lists
@@ -76,12 +62,8 @@ class Record:
     ) -> Record:
         """A record of one embedding; the header follows from the rest.
 
-        Raises
-        ------
-        MalformedRecordError
-            If a text or digest is not as `RecordHeader` wants it.
-        ValueError, TypeError
-            If plan or extra is no JSON, or an array is of a type that cannot be recorded.
+        MalformedRecordError if a text or digest is not as `RecordHeader` wants it; ValueError or TypeError if plan or
+        extra is no JSON, or an array is of a type that cannot be recorded.
         """
         digest = reference_digest(reference_arrays)
         record_id = make_record_id(key, digest, copy, plan, plan_arrays)
@@ -104,12 +86,7 @@ class Record:
     def to_bytes(self, key: OwnerKey) -> bytes:
         """The record file. The same record gives the same bytes (with one version of zstd).
 
-        Raises
-        ------
-        WrongKeyError
-            If the key is not the one that made the record.
-        InputError
-            If the record exceeds 2 GiB.
+        WrongKeyError if the key is not the one that made the record; InputError if the record exceeds 2 GiB.
         """
         groups = {"plan": self.plan_arrays, "reference": self.reference_arrays}
         arrays = {f"{group}/{name}": a for group, members in groups.items() for name, a in members.items()}
@@ -120,19 +97,9 @@ class Record:
     def from_bytes(cls, data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> Record:
         """Open a record file.
 
-        Parameters
-        ----------
-        max_body_bytes : int
-            Refuse records that would unpack to more.
-
-        Raises
-        ------
-        RecordTooNewError
-            If a later version of this program wrote it.
-        WrongKeyError
-            If it is whole, but another key made it.
-        MalformedRecordError
-            If it is no record, was damaged, or its reference or plan is not the one its header names.
+        RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key
+        made it; MalformedRecordError if it is no record, was damaged, would unpack to more than `max_body_bytes`, or
+        its reference or plan is not the one its header names.
         """
         header, body = unseal(data, key, max_body_bytes)
         meta, arrays = unpack(body)

@@ -51,23 +51,9 @@ _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest",
 
 
 def encode_reference(model: GaussianModel) -> Arrays:
-    """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression,
-    about 57 after.
+    """Canonical arrays of a model, about 78 bytes a Gaussian at SH 3 before compression, about 57 after.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        N >= 1 rows, all values finite.
-
-    Returns
-    -------
-    dict of ndarray
-        Arrays for `decode_reference` and `reference_digest`.
-
-    Raises
-    ------
-    InputError
-        If the model is empty or holds a NaN or an infinity.
+    InputError if the model is empty or holds a NaN or an infinity.
     """
     if len(model) == 0:
         raise InputError("an empty model cannot be a reference")
@@ -99,10 +85,7 @@ def encode_reference(model: GaussianModel) -> Arrays:
 def decode_reference(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianModel:
     """The model that `encode_reference` put on its grids.
 
-    Raises
-    ------
-    MalformedRecordError
-        If arrays are missing, of another type or shape than the grid says, or out of range.
+    MalformedRecordError if arrays are missing, of another type or shape than the grid says, or out of range.
     """
     if tuple(sorted(arrays)) != _NAMES:
         raise MalformedRecordError(f"a reference holds {', '.join(_NAMES)}, not {', '.join(sorted(arrays))}")

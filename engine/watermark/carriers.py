@@ -30,6 +30,9 @@ class Carriers:
 def make_carriers(codebook: Float32, usage: Float64, chroma_floor: float = CHROMA_FLOOR) -> Carriers:
     """Right singular vectors of the usage-weighted codebook's DC block.
 
+    The colours are taken as they show (0.5 + C0 c, uncentred), so the first direction has one sign throughout and lies
+    near luma; signs are fixed (largest component positive) to be the same on every machine.
+
     Parameters
     ----------
     codebook : (M, 3K) float32
@@ -38,12 +41,6 @@ def make_carriers(codebook: Float32, usage: Float64, chroma_floor: float = CHROM
         How much of the images each code vector covers.
     chroma_floor : float
         See CHROMA_FLOOR.
-
-    Returns
-    -------
-    Carriers
-        The colours are taken as they show (0.5 + C0 c, uncentred), so the first direction has one sign throughout
-        and lies near luma; signs are fixed (largest component positive) to be the same on every machine.
     """
     shown = 0.5 + SH_C0 * codebook[:, :3].astype(np.float64)
     gram = (shown * (usage / max(usage.sum(), 1e-300))[:, None]).T @ shown  # V of the SVD, by its Gram matrix

@@ -36,27 +36,17 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class ClaimConfig:
-    """What an answer must satisfy.
+    """What an answer must satisfy."""
 
-    Parameters
-    ----------
-    false_claim_rate : float
-        Largest false-claim bound, all tries counted, of the answer `marked`; in (0, 1).
-    power : float
-        Least proven power of the answer `not_marked`; in (0, 1).
-    surviving : float
-        Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that
-        even a mark worn down to this share would have been seen.
-    doubt_rate : float
-        A bound below this, though above the false-claim rate, forbids the answer `not_marked`; in (0, 1).
-    derived_least : float
-        Share of the reference to be found before a suspect is called derived from it; in [0, 1].
-    """
-
+    # Largest false-claim bound, all tries counted, of the answer `marked`; in (0, 1)
     false_claim_rate: float = CHANCE_RATE
-    power: float = 0.999
+    power: float = 0.999  # least proven power of the answer `not_marked`; in (0, 1)
+    # Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that even a mark
+    # worn down to this share would have been seen
     surviving: float = 0.5
+    # A bound below this, though above the false-claim rate, forbids the answer `not_marked`; in (0, 1)
     doubt_rate: float = 1e-3
+    # Share of the reference to be found before a suspect is called derived from it; in [0, 1]
     derived_least: float = 0.02
 
     def __post_init__(self) -> None:
@@ -71,84 +61,41 @@ class ClaimConfig:
 
 @dataclass(frozen=True)
 class Claim:
-    """The answer of one verification, with everything it rests on.
-
-    Parameters
-    ----------
-    confidence : float
-        1 - min(1, tries * bound): one minus the largest probability that a key with no part in the suspect
-        would have come this far. It is not a probability that the suspect is marked.
-    log10_false_claim : float
-        log10 of that bound, tries counted; <= 0.
-    z : float
-        Observed: the claim statistic.
-    unmarked_z : float
-        Expected without a mark (or under a wrong key): 0, with a standard deviation of 1.
-    expected_z : float
-        Expected if the mark were there at full strength.
-    z_threshold : float
-        The z at which the bound meets `false_claim_rate` for this number of tries.
-    false_claim_rate : float
-        The rate asked for, fixed before the evidence was seen.
-    meets_dishonest_claimant_rate : bool
-        Whether the bound is at most 2^-128 too: needed where the record is not known to be older than the
-        suspect.
-    tries : int
-        Hypotheses tried (records x transforms x routes).
-    power : float
-        Proven lower bound of the probability to reach the threshold, had the mark been there at the
-        `surviving` share of its strength.
-    message : str
-        Extracted bits in hexadecimal (a bit without evidence reads 0).
-    bits, matching_bits : int
-        Length of the message; how many bits equal the registered ones (a bit without evidence does not).
-    bit_accuracy : float
-        matching_bits / bits.
-    bit_reliability : tuple of float
-        For each bit, the probability that it was read right; 0.5 is a coin.
-    log10_binomial_tail : float
-        log10 of the chance that as many bits match by luck, tries not counted. Weaker than the bound above,
-        which also uses how clearly each bit was read; reported because the literature does.
-    derived_fraction : float or None
-        Share of the reference found in the suspect; None where the route does not measure it.
-    derived_but_unmarked : bool
-        The suspect comes from this asset, but does not carry this mark.
-    transform : dict or None
-        From suspect to reference, as the route found it.
-    route : str
-        Kind of evidence.
-    copy : str
-        Name of the copy whose mark was looked for.
-    missing : str
-        What an inconclusive answer lacks; otherwise empty.
-    notes : tuple of str
-        For the reader.
-    """
+    """The answer of one verification, with everything it rests on."""
 
     verdict: Verdict
+    # 1 - min(1, tries * bound): one minus the largest probability that a key with no part in the suspect would have
+    # come this far. It is not a probability that the suspect is marked.
     confidence: float
-    log10_false_claim: float
-    z: float
-    unmarked_z: float
-    expected_z: float
-    z_threshold: float
-    false_claim_rate: float
+    log10_false_claim: float  # log10 of that bound, tries counted; <= 0
+    z: float  # observed: the claim statistic
+    unmarked_z: float  # expected without a mark (or under a wrong key): 0, with a standard deviation of 1
+    expected_z: float  # expected if the mark were there at full strength
+    z_threshold: float  # the z at which the bound meets `false_claim_rate` for this number of tries
+    false_claim_rate: float  # the rate asked for, fixed before the evidence was seen
+    # Whether the bound is at most 2^-128 too: needed where the record is not known to be older than the suspect
     meets_dishonest_claimant_rate: bool
-    tries: int
+    tries: int  # hypotheses tried (records x transforms x routes)
+    # Proven lower bound of the probability to reach the threshold, had the mark been there at the `surviving` share of
+    # its strength
     power: float
-    message: str
+    message: str  # extracted bits in hexadecimal (a bit without evidence reads 0)
+    # Length of the message; how many bits equal the registered ones (a bit without evidence does not)
     bits: int
     matching_bits: int
-    bit_accuracy: float
-    bit_reliability: tuple[float, ...]
+    bit_accuracy: float  # matching_bits / bits
+    bit_reliability: tuple[float, ...]  # for each bit, the probability that it was read right; 0.5 is a coin
+    # log10 of the chance that as many bits match by luck, tries not counted. Weaker than the bound above, which also
+    # uses how clearly each bit was read; reported because the literature does.
     log10_binomial_tail: float
+    # Share of the reference found in the suspect; None where the route does not measure it
     derived_fraction: float | None
-    derived_but_unmarked: bool
-    transform: dict[str, Any] | None
-    route: str
-    copy: str
-    missing: str
-    notes: tuple[str, ...]
+    derived_but_unmarked: bool  # the suspect comes from this asset, but does not carry this mark
+    transform: dict[str, Any] | None  # from suspect to reference, as the route found it
+    route: str  # kind of evidence
+    copy: str  # name of the copy whose mark was looked for
+    missing: str  # what an inconclusive answer lacks; otherwise empty
+    notes: tuple[str, ...]  # for the reader
 
     def to_json(self) -> dict[str, Any]:
         """Plain dict of JSON values."""

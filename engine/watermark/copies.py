@@ -24,21 +24,11 @@ _BATCH = 256  # copies at a time: their signs as float64 stay below 100 MB
 
 @dataclass(frozen=True, eq=False)
 class CopyMark:
-    """What tells one copy from its sisters.
+    """What tells one copy from its sisters."""
 
-    Parameters
-    ----------
-    record_id : str
-        Of its record, hexadecimal.
-    copy : str
-        Name of the recipient.
-    signs : (C,) int8
-        Chip times bit of the registered message: +-1.
-    """
-
-    record_id: str
-    copy: str
-    signs: Signs
+    record_id: str  # of its record, hexadecimal
+    copy: str  # name of the recipient
+    signs: Signs  # (C,) chip times bit of the registered message: +-1
 
 
 def copy_mark(record_id: str, copy: str, spreading: Spreading, message: Signs) -> CopyMark:
@@ -49,12 +39,8 @@ def copy_mark(record_id: str, copy: str, spreading: Spreading, message: Signs) -
 def copies_z(y: Float64, w: Float64, marks: Sequence[CopyMark]) -> Float64:
     """(N,) claim statistic Z of each copy, as `statistics.claim_z` gives it one by one.
 
-    Parameters
-    ----------
-    y, w : (C,)
-        One reading of the suspect, blind to all chips; finite, weights >= 0.
-    marks : sequence of CopyMark
-        Each with C signs; ValueError otherwise.
+    y and w (C,) are one reading of the suspect, blind to all chips; finite, weights >= 0. ValueError if a mark has
+    other than C signs.
     """
     c = weighted_evidence(y, w)
     norm = math.sqrt(float(c @ c))

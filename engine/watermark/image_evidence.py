@@ -32,6 +32,8 @@ def gather_image_evidence(
 ) -> Evidence:
     """Evidence of one picture.
 
+    y is in units of precision times displacement, so evidence of several pictures is summed (`add_evidence`).
+
     Parameters
     ----------
     layout : Layout
@@ -50,11 +52,6 @@ def gather_image_evidence(
         part, which scales the spread of a JPEG's score.
     mark_signs : (C,) float64
         Sign of each chip's displacement in that mark.
-
-    Returns
-    -------
-    Evidence
-        y is in units of precision times displacement, so evidence of several pictures is summed (`add_evidence`).
     """
     weights = layout.amplitudes
     pull = _reader(layout, view, warped, mask, float(np.std(mark_image)))

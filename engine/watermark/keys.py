@@ -52,18 +52,10 @@ Int8 = npt.NDArray[np.int8]
 class OwnerKey:
     """The owner's secret, from which every other key follows.
 
-    Parameters
-    ----------
-    secret : bytes
-        32 to 1024 bytes from a cryptographic source. Never shown by `repr`.
-
-    Raises
-    ------
-    KeyFileError
-        If the secret is too short, too long, or one byte repeated.
+    KeyFileError if the secret is too short, too long, or one byte repeated.
     """
 
-    secret: bytes = field(repr=False)
+    secret: bytes = field(repr=False)  # 32 to 1024 bytes from a cryptographic source. Never shown by `repr`
 
     def __post_init__(self) -> None:
         n = len(self.secret)
@@ -97,6 +89,9 @@ class OwnerKey:
     def derive(self, purpose: str, context: bytes, length: int = SUBKEY_BYTES) -> bytes:
         """Sub-key for one purpose in one context (HKDF-SHA256).
 
+        The same for the same (key, purpose, context, length); else unrelated. Lengths of one (purpose, context) are
+        prefixes of one another, so each purpose keeps to one length. ValueError if the purpose is empty or holds a NUL.
+
         Parameters
         ----------
         purpose : str
@@ -105,17 +100,6 @@ class OwnerKey:
             What the sub-key is bound to, for example `record.chip_context(...)`. Any bytes.
         length : int
             Bytes wanted, 1 to 8160.
-
-        Returns
-        -------
-        bytes
-            The same for the same (key, purpose, context, length); else unrelated. Lengths of one
-            (purpose, context) are prefixes of one another, so each purpose keeps to one length.
-
-        Raises
-        ------
-        ValueError
-            If the purpose is empty or holds a NUL.
         """
         if not purpose or "\0" in purpose:
             raise ValueError(f"purpose must be a non-empty string without NUL, got {purpose!r}")
@@ -127,10 +111,7 @@ class OwnerKey:
     def read(cls, path: str | os.PathLike[str]) -> OwnerKey:
         """Read a key file written by `write`.
 
-        Raises
-        ------
-        KeyFileError
-            If the file is missing, is no key file, is of a later version, or was altered.
+        KeyFileError if the file is missing, is no key file, is of a later version, or was altered.
         """
         name = os.fspath(path)
         try:
@@ -144,18 +125,7 @@ class OwnerKey:
 
     @classmethod
     def from_text(cls, text: str, name: str = "the key") -> OwnerKey:
-        """The key that the text of a key file holds.
-
-        Parameters
-        ----------
-        name : str
-            What errors call it.
-
-        Raises
-        ------
-        KeyFileError
-            As `read`.
-        """
+        """The key that the text of a key file holds; KeyFileError as in `read`, under this name."""
         lines = [line.strip() for line in text.splitlines()]
         head = lines[0].split() if lines else []
         if head[:1] != _FILE_HEADER.split()[:1] or len(head) != 3:
@@ -178,12 +148,8 @@ class OwnerKey:
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the key to a new file that only its owner can read (mode 0600).
 
-        The file appears whole or not at all.
-
-        Raises
-        ------
-        KeyFileError
-            If the file exists already (a key is never overwritten) or cannot be written.
+        The file appears whole or not at all. KeyFileError if the file exists already (a key is never overwritten) or
+        cannot be written.
         """
         target = Path(path)
         text = self.to_text()
@@ -219,20 +185,9 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def keystream(subkey: bytes, n: int, use: str) -> npt.NDArray[np.uint8]:
-    """The first `n` bytes of ChaCha20 under a sub-key, in the stream of one use.
+    """(n,) uint8 the first bytes of ChaCha20 under a sub-key of 32 bytes, in the stream of one use.
 
-    Parameters
-    ----------
-    subkey : bytes
-        32 bytes from `OwnerKey.derive`.
-    n : int
-        Bytes, >= 0.
-    use : str
-        At most 12 ASCII letters; streams of different uses of one sub-key are unrelated.
-
-    Returns
-    -------
-    (n,) uint8
+    A use has at most 12 ASCII letters; streams of different uses of one sub-key are unrelated.
     """
     if len(subkey) != SUBKEY_BYTES:
         raise ValueError(f"a sub-key has {SUBKEY_BYTES} bytes, got {len(subkey)}")

@@ -16,24 +16,12 @@ Values = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """All stages of a mark. It is made from the unmarked model alone and holds no chip.
+    """All stages of a mark. It is made from the unmarked model alone and holds no chip."""
 
-    Parameters
-    ----------
-    labels : tuple of (N,) int32
-        Code of each Gaussian in each stage.
-    codes : tuple of int
-        Number of code vectors of each stage.
-    directions : tuple of (R, 3) float64
-        Carriers of each stage, in DC space; the same R for all.
-    amplitudes : (C,) float64
-        Size of each chip's displacement, SH units; flat order stage, code vector, carrier.
-    """
-
-    labels: tuple[Int32, ...]
-    codes: tuple[int, ...]
-    directions: tuple[Float64, ...]
-    amplitudes: Float64
+    labels: tuple[Int32, ...]  # (N,) each: code of each Gaussian in each stage
+    codes: tuple[int, ...]  # number of code vectors of each stage
+    directions: tuple[Float64, ...]  # (R, 3) each: carriers of each stage, in DC space; the same R for all
+    amplitudes: Float64  # (C,) size of each chip's displacement, SH units; flat order stage, code vector, carrier
 
     @property
     def chips(self) -> int:

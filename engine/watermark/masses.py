@@ -20,23 +20,9 @@ GRID = 512.0
 def spare_masses(
     dc: Float32, stages: tuple[Stage, ...], share: float, emphasis: Float32 | Float64 | None = None
 ) -> tuple[tuple[Stage, ...], Float32 | Float64 | None]:
-    """Quantiser and emphasis under which masses hold still.
+    """Quantiser and emphasis (N,) under which the masses of a DC (N, 3), see `find_masses`, hold still.
 
-    Parameters
-    ----------
-    dc : (N, 3) float32
-    stages : tuple of Stage
-    share : float
-        See `find_masses`.
-    emphasis : (N,) float, optional
-        See `make_plan`.
-
-    Returns
-    -------
-    stages : tuple of Stage
-        The first one with one more code where there are masses.
-    emphasis : (N,) float or None
-        0 on the masses.
+    Where there are masses, the first stage has one more code and the emphasis, see `make_plan`, is 0 on them.
     """
     still = find_masses(dc, share)
     if not still.any():
@@ -45,14 +31,7 @@ def spare_masses(
 
 
 def find_masses(dc: Float32, share: float) -> npt.NDArray[np.bool_]:
-    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would.
-
-    Parameters
-    ----------
-    dc : (N, 3) float32
-    share : float
-        0 to 1; at 1 nothing is a mass.
-    """
+    """(N,) Gaussians with a DC value, in any channel, that more than this share of all have; none where most would."""
     still = np.zeros(len(dc), dtype=bool)
     for channel in np.round(GRID * dc.astype(np.float64)).astype(np.int64).T:
         _, place, count = np.unique(channel, return_inverse=True, return_counts=True)

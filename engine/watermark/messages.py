@@ -14,10 +14,7 @@ Signs = npt.NDArray[np.int8]
 def message_signs(text: str) -> Signs:
     """(B,) +-1 of a hexadecimal message, most significant bit first, a set bit as +1.
 
-    Raises
-    ------
-    InputError
-        If the text is not hexadecimal or does not hold 16 to 256 bits in whole bytes.
+    InputError if the text is not hexadecimal or does not hold 16 to 256 bits in whole bytes.
     """
     digits = text.strip().lower().removeprefix("0x")
     try:

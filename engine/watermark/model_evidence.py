@@ -18,35 +18,17 @@ PASSES = 2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one suspect says about each chip; made without looking at any chip (DESIGN 4.9).
+    """What one suspect says about each chip; made without looking at any chip (DESIGN 4.9)."""
 
-    Parameters
-    ----------
-    y : (C,) float64
-        Estimated displacement of each code vector along each carrier.
-    weights : (C,) float64
-        Non-negative weights: expected displacement over variance, less where |y| stands out.
-    signal : (C,) float64
-        Size of y to expect if the mark is there, in the units of y.
-    """
-
-    y: Float64
-    weights: Float64
-    signal: Float64
+    y: Float64  # (C,) estimated displacement of each code vector along each carrier
+    weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
+    signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
-    """Residual minus its best global affine function of the reference colour (gain, tint, exposure).
+    """(n, 3) residual minus its best global affine function of the reference colour (gain, tint, exposure).
 
-    Parameters
-    ----------
-    reference, residual : (n, 3) float64
-        Reference DC and suspect minus reference DC.
-    weights : (n,) float64
-
-    Returns
-    -------
-    (n, 3) float64
+    The residual (n, 3) is the suspect's DC minus the reference's; weights (n,).
     """
     n = len(reference)
     if n < 16:

@@ -28,27 +28,16 @@ CHIPS_PER_BIT = 16
 
 @dataclass(frozen=True)
 class PlanConfig:
-    """Knobs of the planner.
+    """Knobs of the planner."""
 
-    Parameters
-    ----------
-    stages : int
-        Stages of the quantiser that carry the mark. One is best on real scenes: residual codes turn out coherent
-        over walls and fog, cost most of the PSNR budget there and outweigh everything else as evidence.
-    residual_share : float
-        With more stages: share of the mark's image energy in the residual ones, 0 to 1.
-    texture_exponent : float
-        Displacement grows with this power of a patch's texture (0: not at all). SSIM forgives texture.
-    balance_rounds : int
-        Rounds that even out the mark's energy over the key views.
-    mass_share : float
-        A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all.
-    """
-
+    # Stages of the quantiser that carry the mark. One is best on real scenes: residual codes turn out coherent over
+    # walls and fog, cost most of the PSNR budget there and outweigh everything else as evidence.
     stages: int = 1
-    residual_share: float = 0.08
+    residual_share: float = 0.08  # with more stages: share of the mark's image energy in the residual ones, 0 to 1
+    # Displacement grows with this power of a patch's texture (0: not at all). SSIM forgives texture.
     texture_exponent: float = 0.5
-    balance_rounds: int = 12
+    balance_rounds: int = 12  # rounds that even out the mark's energy over the key views
+    # A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all
     mass_share: float = 0.02
 
 
@@ -65,6 +54,9 @@ def make_plan(
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
+    Scaled to a median amplitude of MARK_SCALE: the decoder's weights follow from the planned amplitudes and so must not
+    know the final strength, which depends on the chips (DESIGN 4.9).
+
     Parameters
     ----------
     stages : sequence of Stage
@@ -73,12 +65,6 @@ def make_plan(
         Over the key views.
     emphasis : (N,) float, optional
         Factor on the amplitude of each Gaussian's code vector, averaged over its members.
-
-    Returns
-    -------
-    Plan
-        Scaled to a median amplitude of MARK_SCALE: the decoder's weights follow from the planned amplitudes and so
-        must not know the final strength, which depends on the chips (DESIGN 4.9).
     """
     config = config or PlanConfig()
     stages = stages[: config.stages]
@@ -157,6 +143,8 @@ def _balance_views(energy: Float64, rounds: int) -> Float64:
 def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> Float64:
     """(V, B) z of each bit, read from one picture of each key view through the reference channel.
 
+    It is sqrt(E / sigma^2), saturating at the root of the number of chips the view shows (the statistic's own cap).
+
     Parameters
     ----------
     energies : (V, C)
@@ -164,11 +152,6 @@ def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> F
     strength : float
         Factor on all amplitudes.
     bit_of : (C,) int
-
-    Returns
-    -------
-    (V, B) float64
-        sqrt(E / sigma^2), saturating at the root of the number of chips the view shows (the statistic's own cap).
     """
     out = np.empty((len(energies), bits))
     for v, energy in enumerate(energies):

@@ -44,13 +44,8 @@ def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Mome
 def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
     """Z that a mark of amplitude `signal` would give in this evidence: S / sqrt(Q).
 
-    Parameters
-    ----------
-    y, w : (C,)
-        Displacement estimates and weights >= 0.
-    signal : (C,) or scalar
-        Amplitude of the mark as y would show it, in the unit of y. Negative where neighbouring chips push a
-        chip's y against its own sign.
+    y and w (C,) are displacement estimates and weights >= 0. The signal, (C,) or one for all, is the mark's amplitude
+    as y would show it, in the unit of y; negative where neighbouring chips push a chip's y against its own sign.
     """
     m = _moments(y, w, signal, 0.0)
     return m.signal / m.root if m.root > 0 else 0.0

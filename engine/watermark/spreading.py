@@ -23,6 +23,9 @@ class Spreading:
 def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: int, bits: int) -> Spreading:
     """Deal the bits to the code vectors and draw the chips.
 
+    Bits are dealt like cards: each run of `bits` neighbouring code vectors holds every bit once, in keyed order. So any
+    piece of the scene carries the whole message, and every bit gets the same evidence.
+
     Parameters
     ----------
     context : bytes
@@ -33,12 +36,6 @@ def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: in
         Carriers per code vector.
     bits : int
         Length of the message.
-
-    Returns
-    -------
-    Spreading
-        Bits are dealt like cards: each run of `bits` neighbouring code vectors holds every bit once, in keyed
-        order. So any piece of the scene carries the whole message, and every bit gets the same evidence.
     """
     total = sum(codes)
     order_key, chip_key = key.derive(ASSIGNMENT, context), key.derive(CHIPS, context)

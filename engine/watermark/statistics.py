@@ -48,10 +48,7 @@ _WRONG_KEY_BATCH = 1 << 15  # keys at a time: partial sums and key bytes stay in
 def weighted_evidence(y: Float64, w: Float64) -> Float64:
     """(C,) c = w * y in float64, scaled so that its largest magnitude is 1 (Z does not depend on scale).
 
-    Raises
-    ------
-    ValueError
-        If shapes differ, a value is not finite, or a weight is negative.
+    ValueError if shapes differ, a value is not finite, or a weight is negative.
     """
     y, w = np.asarray(y, dtype=np.float64), np.asarray(w, dtype=np.float64)
     if y.ndim != 1 or y.shape != w.shape:
@@ -73,6 +70,8 @@ def _to_unit(values: Float64) -> Float64:
 def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, message: Signs) -> float:
     """The claim statistic Z of this module's theorem.
 
+    Between -sqrt(C) and sqrt(C); 0 where there is no evidence.
+
     Parameters
     ----------
     y, w : (C,)
@@ -81,11 +80,6 @@ def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Sign
     chips : (C,) +-1
     message : (B,) +-1
         The *registered* message, never the decoded one.
-
-    Returns
-    -------
-    float
-        Between -sqrt(C) and sqrt(C); 0 where there is no evidence.
     """
     c = weighted_evidence(y, w)
     norm = math.sqrt(float(c @ c))
@@ -133,7 +127,7 @@ def bit_statistics(
 
 
 def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> tuple[Signs, Float64]:
-    """Bits and how far to trust each.
+    """Bits (B,), +-1 or 0 where there is no evidence at all, and the probability (B,) in [0.5, 1] that each is right.
 
     Model: z_b = T_b / norm_b is standard normal noise around message_b * a * s_b, or around 0 with a prior
     probability of e = 0.05 (a bit whose signal alone was lost). s_b (`strength`) says how strong bit b is
@@ -150,13 +144,6 @@ def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> t
         From `bit_statistics`.
     strength : (B,) optional
         Expected T_b / norm_b up to a common factor, >= 0. Default: equal bits, as the assignment deals them.
-
-    Returns
-    -------
-    bits : (B,) int8
-        +-1, or 0 where there is no evidence at all.
-    reliability : (B,) float64
-        Probability in [0.5, 1] that the bit is right.
     """
     z = np.divide(T, norm, out=np.zeros_like(T), where=norm > 0)
     s = np.ones_like(z) if strength is None else np.asarray(strength, dtype=np.float64)
@@ -184,14 +171,10 @@ def log10_binomial_tail(matches: int, bits: int) -> float:
 def combine(ys: list[Float64], ws: list[Float64]) -> tuple[Float64, Float64]:
     """One evidence out of several about the same chips (several images; a model and its renders).
 
-    Sums w * y per chip over the evidences, so each secret sign enters once and the theorem stands, provided
-    no evidence was weighted by how well the chips fit it. Weights must be in one unit (inverse variance of y
-    is best). Appending one list to another is sound only where their chips are different ones.
-
-    Returns
-    -------
-    y, w : (C,)
-        w = sum of weights, y = weighted mean (0 where all weights are 0).
+    Sums w * y per chip over the evidences, so each secret sign enters once and the theorem stands, provided no evidence
+    was weighted by how well the chips fit it. Weights must be in one unit (inverse variance of y is best). Appending
+    one list to another is sound only where their chips are different ones. Gives y, the weighted mean (0
+    where all weights are 0), and w, the sum of weights.
     """
     w: Float64 = np.sum(ws, axis=0, dtype=np.float64)
     total: Float64 = np.sum([a * b for a, b in zip(ys, ws, strict=True)], axis=0, dtype=np.float64)
@@ -199,7 +182,7 @@ def combine(ys: list[Float64], ws: list[Float64]) -> tuple[Float64, Float64]:
 
 
 def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
-    """Z of `count` keys that had no part in the evidence: samples of the null distribution, given y and w.
+    """(count,) Z of keys that had no part in the evidence: samples of the null distribution, given y and w.
 
     The message and the dealing of bits only flip signs that are fair anyway, so neither is asked for. Eight
     chips at a time become one byte of keystream and one look-up of their 256 possible sums: 100,000 keys of
@@ -210,10 +193,6 @@ def wrong_key_z(y: Float64, w: Float64, seed: bytes, count: int) -> Float64:
     y, w : (C,)
     seed : bytes
         32 bytes; the same seed gives the same keys.
-
-    Returns
-    -------
-    (count,) float64
     """
     if len(seed) != SUBKEY_BYTES:
         raise ValueError(f"seed must have {SUBKEY_BYTES} bytes, got {len(seed)}")

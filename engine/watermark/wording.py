@@ -88,25 +88,14 @@ class Fact:
 
 @dataclass(frozen=True)
 class Words:
-    """A claim in words.
+    """A claim in words."""
 
-    Parameters
-    ----------
-    headline, finding : str
-        The verdict in two words, and in one sentence.
-    facts : tuple of Fact
-        The leading ones first.
-    meaning : dict
-        `says`, `does_not_say`, `method` and `record_time`.
-    limits : tuple of (log10 of a probability, text)
-        What a bound is held against: the rate that was asked for, and 2^-128.
-    """
-
+    # The verdict in two words, and in one sentence
     headline: str
     finding: str
-    facts: tuple[Fact, ...]
-    meaning: dict[str, str]
-    limits: tuple[tuple[float, str], ...]
+    facts: tuple[Fact, ...]  # the leading ones first
+    meaning: dict[str, str]  # `says`, `does_not_say`, `method` and `record_time`
+    limits: tuple[tuple[float, str], ...]  # what a bound is held against: the rate that was asked for, and 2^-128
 
 
 def words_of(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from engine.compress.hvq import HvqConfig
 from engine.compress.pruning import PruneConfig
 from engine.errors import InputError
-from engine.pipeline.profiles import Auto, compose, config_dict, profile
+from engine.pipeline.profiles import Auto, compose, profile
 
 
 def test_what_an_owner_asks_for_is_composed() -> None:
@@ -23,7 +25,7 @@ def test_what_an_owner_asks_for_is_composed() -> None:
 
 def test_every_knob_has_a_door() -> None:
     """A changed value of every knob that `config show` lists arrives where it belongs, and nothing else changes."""
-    base = config_dict(profile("fast"))
+    base = asdict(profile("fast"))
 
     def flat(values: dict, prefix: str = "") -> dict:
         found = {}
@@ -41,7 +43,7 @@ def test_every_knob_has_a_door() -> None:
             text, wanted = str(value + 1), value + 1
         else:
             text, wanted = "41.5", 41.5
-        turned = flat(config_dict(compose("fast", knobs=[f"{knob}={text}"])))
+        turned = flat(asdict(compose("fast", knobs=[f"{knob}={text}"])))
         assert {name for name in turned if turned[name] != flat(base)[name]} == {knob}
         assert turned[knob] == wanted
 
