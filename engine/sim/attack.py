@@ -31,30 +31,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to carry an attack out.
+    """One way to carry an attack out."""
 
-    Parameters
-    ----------
-    function : callable
-        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
-        may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
-    meaning : str
-        Unit and meaning of the strength, one line.
-    default : float or str
-        The strength that papers quote.
-    grid : tuple of float or str
-        Strengths for curves, from harmless to ruinous.
-    within : str
-        An interval such as "[0, 1)", or "1..100" for whole numbers; empty for names.
-    label : {"literal", "as_code"}
-    """
-
+    # `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
+    # may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
     function: Callable[..., Any]
-    meaning: str
-    default: Strength
-    grid: tuple[Strength, ...]
-    within: str = ""
-    label: Label = "literal"
+    meaning: str  # unit and meaning of the strength, one line
+    default: Strength  # the strength that papers quote
+    grid: tuple[Strength, ...]  # strengths for curves, from harmless to ruinous
+    within: str = ""  # an interval such as "[0, 1)", or "1..100" for whole numbers; empty for names
+    label: Label = "literal"  # {"literal", "as_code"}
 
     def checked(self, strength: Strength) -> Strength:
         """A number as a float, or an int where it is whole; InputError where it is out of range."""
@@ -71,21 +57,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class Attack(Generic[T]):
-    """A named attack on models (`T` = GaussianModel) or images (`T` = float32 array (H, W, 3)).
-
-    Parameters
-    ----------
-    kind : {"model", "image"}
-    summary : str
-        What happens, one line.
-    readings : tuple of Reading
-        The first is the default.
-    """
+    """A named attack on models (`T` = GaussianModel) or images (`T` = float32 array (H, W, 3))."""
 
     name: str
     kind: Literal["model", "image"]
-    summary: str
-    readings: tuple[Reading, ...]
+    summary: str  # what happens, one line
+    readings: tuple[Reading, ...]  # the first is the default
 
     def reading(self, label: str | None = None) -> Reading:
         """The reading of that label, the default one for None; InputError when there is none."""

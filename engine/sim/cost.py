@@ -25,27 +25,13 @@ COVERED = 0.9
 
 @dataclass(frozen=True)
 class Cost:
-    """Fidelity of the attacked model's renders to the marked model's.
+    """Fidelity of the attacked model's renders to the marked model's."""
 
-    Parameters
-    ----------
-    psnr : float
-        dB, squared errors of all views pooled; infinity where nothing changed.
-    worst_psnr : float
-        Of the worst view.
-    ssim : float
-        Mean over the views.
-    coverage : float
-        Share of the pixels showing the marked model that the attacked one still covers, 0..1.
-    covered_psnr : float or None
-        dB over those pixels alone; None where there are none.
-    """
-
-    psnr: float
-    worst_psnr: float
-    ssim: float
-    coverage: float
-    covered_psnr: float | None
+    psnr: float  # dB, squared errors of all views pooled; infinity where nothing changed
+    worst_psnr: float  # of the worst view
+    ssim: float  # mean over the views
+    coverage: float  # share of the pixels showing the marked model that the attacked one still covers, 0..1
+    covered_psnr: float | None  # dB over those pixels alone; None where there are none
 
 
 def model_cost(

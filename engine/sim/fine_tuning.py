@@ -29,19 +29,11 @@ __all__ = ["SETTINGS", "FineTuneSetting", "fine_tune", "fine_tune_stages", "pict
 
 @dataclass(frozen=True)
 class FineTuneSetting:
-    """What the attacker has.
-
-    Parameters
-    ----------
-    clean_images : bool
-        Renders of the unmarked model; otherwise his own of the marked one.
-    pose_key : bool
-        The owner's secret views; otherwise views of his own.
-    """
+    """What the attacker has."""
 
     name: str
-    clean_images: bool
-    pose_key: bool
+    clean_images: bool  # renders of the unmarked model; otherwise his own of the marked one
+    pose_key: bool  # the owner's secret views; otherwise views of his own
 
 
 SETTINGS: dict[str, FineTuneSetting] = {

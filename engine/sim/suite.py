@@ -30,28 +30,15 @@ WITHOUT_COST = {"merge_into", "crop_image", "rotate_image", "scale_image"}
 
 @dataclass(frozen=True)
 class Trial:
-    """One line of the suite.
-
-    Parameters
-    ----------
-    chain : tuple of (str, float or str)
-        Attacks in order, each by name and strength.
-    source : str
-        Whose attack it is: the work in which it, or its strength, stands.
-    kind : {"model", "image", "copy attack"}
-        What is attacked; in a copy attack, what is framed is another model.
-    reading : {"literal", "as_code"}
-        Of all steps that have it; the others run literally.
-    copies : int
-        Copies of the asset that are needed beside the subject's own.
-    """
+    """One line of the suite."""
 
     label: str
-    chain: tuple[Step, ...]
-    source: str
+    chain: tuple[Step, ...]  # attacks in order, each by name and strength
+    source: str  # whose attack it is: the work in which it, or its strength, stands
+    # what is attacked; in a copy attack, what is framed is another model
     kind: Literal["model", "image", "copy attack"] = "model"
-    reading: Label = "literal"
-    copies: int = 0
+    reading: Label = "literal"  # {"literal", "as_code"}; Of all steps that have it; the others run literally
+    copies: int = 0  # copies of the asset that are needed beside the subject's own
 
 
 def _read_suite() -> tuple[Trial, ...]:
@@ -90,17 +77,10 @@ class Subject(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Company:
-    """What some attacks need beside the stolen model.
+    """What some attacks need beside the stolen model."""
 
-    Parameters
-    ----------
-    copies : sequence of GaussianModel
-        Other recipients' copies of the same asset.
-    other : GaussianModel, optional
-        Another, unmarked model: the scene merged into, and the victim of the copy attack.
-    """
-
-    copies: Sequence[GaussianModel] = field(default_factory=tuple)
+    copies: Sequence[GaussianModel] = field(default_factory=tuple)  # other recipients' copies of the same asset
+    # another, unmarked model: the scene merged into, and the victim of the copy attack
     other: GaussianModel | None = None
 
 

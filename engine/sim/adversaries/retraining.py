@@ -31,29 +31,17 @@ PHOTO_DB = 27.0
 
 @dataclass(frozen=True)
 class RetrainConfig:
-    """Knobs of the attack.
+    """Knobs of the attack."""
 
-    Parameters
-    ----------
-    points : int
-        Gaussians to start from.
-    start : {"depth", "random"}
-        Points on the surfaces that the renders' depths show, or anywhere in their midst.
-    opacity : float
-        Of every Gaussian at the start, in (0, 1).
-    train : TrainConfig
-        Of the training; `train.steps` renders are shown.
-    seed : int
-        Of the points chosen.
-    """
-
-    points: int = 50_000
+    points: int = 50_000  # gaussians to start from
+    # points on the surfaces that the renders' depths show, or anywhere in their midst
     start: Literal["depth", "random"] = "depth"
-    opacity: float = 0.5
+    opacity: float = 0.5  # of every Gaussian at the start, in (0, 1)
+    # of the training; `train.steps` renders are shown
     train: TrainConfig = field(
         default_factory=lambda: TrainConfig(steps=3_000, sh_degree=0, densify=None, opacity_rate=0.02)
     )
-    seed: int = 0
+    seed: int = 0  # of the points chosen
 
     def __post_init__(self) -> None:
         if self.points < 100:

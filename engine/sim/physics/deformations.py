@@ -29,21 +29,11 @@ PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """A body's own frame.
+    """A body's own frame."""
 
-    Parameters
-    ----------
-    center : (3,) float64
-        Middle of the body, scene units.
-    frame : (3, 3) float64
-        Proper rotation; rows are the directions of h, v, w.
-    length : float
-        Of the body along h, scene units.
-    """
-
-    center: Float64
-    frame: Float64
-    length: float
+    center: Float64  # (3,) middle of the body, scene units
+    frame: Float64  # (3, 3) proper rotation; rows are the directions of h, v, w
+    length: float  # of the body along h, scene units
 
 
 def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:

@@ -29,23 +29,13 @@ DELIVERED = "as delivered"
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """One step and what was found after it.
-
-    Parameters
-    ----------
-    rows : tuple of dict
-        One for each record: object, verdict, matching bits, z, bound, share found, seconds.
-    picture : (H, W, 3) uint8
-        What a person would see, with the findings written on it.
-    seconds : float
-        Of the step itself.
-    notes : tuple of str
-    """
+    """One step and what was found after it."""
 
     label: str
+    # one for each record: object, verdict, matching bits, z, bound, share found, seconds
     rows: tuple[dict[str, Any], ...]
-    picture: Any
-    seconds: float
+    picture: Any  # (H, W, 3) what a person would see, with the findings written on it
+    seconds: float  # of the step itself
     notes: tuple[str, ...]
 
 

@@ -32,24 +32,12 @@ CODES = {"dc": 4096, "sh": 4096, "scale": 4096, "rot": 4096}
 
 @dataclass(frozen=True, eq=False)
 class CodebookModel:
-    """N Gaussians of which some attributes are codebook entries.
+    """N Gaussians of which some attributes are codebook entries."""
 
-    Parameters
-    ----------
-    plain : mapping of str to (N, d) float32
-        The groups that are not quantised, and "opacity" (N, 1) as logits.
-    centers : mapping of str to (M, d) float32
-        Codebook of each quantised group, in the order of the file.
-    indices : mapping of str to (N,) int32
-        Entry of each Gaussian in each codebook.
-    index_bits : int
-        Bits of an index in the file.
-    """
-
-    plain: Mapping[str, Float32]
-    centers: Mapping[str, Float32]
-    indices: Mapping[str, Int32]
-    index_bits: int
+    plain: Mapping[str, Float32]  # the groups that are not quantised, and "opacity" (N, 1) as logits
+    centers: Mapping[str, Float32]  # codebook of each quantised group, in the order of the file
+    indices: Mapping[str, Int32]  # entry of each Gaussian in each codebook
+    index_bits: int  # bits of an index in the file
 
     def __post_init__(self) -> None:
         if "opacity" not in self.plain or set(self.centers) != set(self.indices):

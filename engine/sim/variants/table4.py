@@ -70,56 +70,31 @@ DISC_PICTURE_CASES: Cases = (
 
 @dataclass(frozen=True)
 class Reading:
-    """What one verification of the variant said.
+    """What one verification of the variant said."""
 
-    Parameters
-    ----------
-    case : str
-        The attack and the evidence, as the caller calls it: ``"none"``, ``"jpeg 10, one picture"``.
-    route : str
-        "model", "render" or "image": what the claim rests on.
-    bit_accuracy : float
-        Share of the message's bits read right, 0 to 1.
-    log10_false_claim : float
-        log10 of the bound on a false claim, tries counted.
-    verdict : str
-        "marked", "not_marked" or "inconclusive".
-    """
-
-    case: str
-    route: str
-    bit_accuracy: float
+    case: str  # the attack and the evidence, as the caller calls it: ``"none"``, ``"jpeg 10, one picture"``
+    route: str  # "model", "render" or "image": what the claim rests on
+    bit_accuracy: float  # share of the message's bits read right, 0 to 1
     z: float
-    log10_false_claim: float
-    verdict: str
+    log10_false_claim: float  # log10 of the bound on a false claim, tries counted
+    verdict: str  # "marked", "not_marked" or "inconclusive"
 
 
 @dataclass(frozen=True)
 class VariantRow:
-    """One row of Table 4.
-
-    Parameters
-    ----------
-    views : int
-        Pictures measured on.
-    psnr_before, psnr_after : float
-        Mean over the views of the PSNR against the truth, dB, without and with the mark.
-    distance_before, distance_after : float
-        Mean over the views of 1 - MS-SSIM against the truth: 0 for equal pictures, 1 for unrelated ones.
-    psnr_of_mark : float
-        Worst view's PSNR of the marked against the unmarked variant, dB.
-    readings : tuple of Reading
-        In the order given; the first one is without attack.
-    """
+    """One row of Table 4."""
 
     name: str
-    views: int
+    views: int  # pictures measured on
+    # psnr_before, psnr_after: mean over the views of the PSNR against the truth, dB, without and with the mark
     psnr_before: float
     psnr_after: float
+    # distance_before, distance_after: mean over the views of 1 - MS-SSIM against the truth: 0 for equal pictures,
+    # 1 for unrelated ones
     distance_before: float
     distance_after: float
-    psnr_of_mark: float
-    readings: tuple[Reading, ...]
+    psnr_of_mark: float  # worst view's PSNR of the marked against the unmarked variant, dB
+    readings: tuple[Reading, ...]  # in the order given; the first one is without attack
 
     @property
     def psnr_drop(self) -> float:
