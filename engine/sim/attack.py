@@ -40,7 +40,7 @@ class Reading:
     default: Strength  # the strength that papers quote
     grid: tuple[Strength, ...]  # strengths for curves, from harmless to ruinous
     within: str = ""  # an interval such as "[0, 1)", or "1..100" for whole numbers; empty for names
-    label: Label = "literal"  # {"literal", "as_code"}
+    label: Label = "literal"
 
     def checked(self, strength: Strength) -> Strength:
         """A number as a float, or an int where it is whole; InputError where it is out of range."""
@@ -96,31 +96,15 @@ class Attack(Generic[T]):
         reading: str | None = None,
         **options: Any,
     ) -> T:
-        """Carry the attack out.
+        """Carry the attack out on a model or a picture (H, W, 3) float32, which is left as it is.
 
-        Parameters
-        ----------
-        target : GaussianModel or (H, W, 3) float32
-            Left as it is.
-        strength : float or str, optional
-            In the unit of the reading; its default where not given.
-        rng : numpy.random.Generator or int
-            Source of every random choice, or its seed; the same seed gives the same result.
-        reading : {"literal", "as_code"}, optional
-            The first one of the attack where not given.
-        **options
-            What single attacks take beside: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
-            rotate_image.
+        The strength is in the unit of the reading, its default where not given; of `rng`, or its seed, comes every
+        random choice: the same seed gives the same result. The reading is the attack's first one where not given.
+        Options are what single attacks take beside: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
+        rotate_image.
 
-        Returns
-        -------
-        GaussianModel or (H, W, 3) float32
-            A picture lies in 0..1 and may have another size.
-
-        Raises
-        ------
-        InputError
-            If the reading does not exist, the strength is out of its range, or the target is empty or unfit.
+        A picture that comes back lies in 0..1 and may have another size. InputError if the reading does not exist, the
+        strength is out of its range, or the target is empty or unfit.
         """
         chosen = self.reading(reading)
         value = chosen.default if strength is None else strength

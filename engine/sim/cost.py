@@ -37,24 +37,12 @@ class Cost:
 def model_cost(
     marked: GaussianModel, attacked: GaussianModel, *, views: int = 4, size: int = 400, seed: int = 0
 ) -> Cost:
-    """Cost of an attack on a model.
+    """Cost of an attack on a model, in so many neutral views around the marked one of `size` (at least 11) pixels a
+    side.
 
-    Parameters
-    ----------
-    marked, attacked : GaussianModel
-        The attacked one may be moved, scaled, turned, cut or re-ordered; it is registered to the marked one, and
-        judged where it lies if nothing of it is recognised.
-    views : int
-        Neutral views around the marked model, at least one.
-    size : int
-        Their side, pixels, at least 11 (SSIM's window).
-    seed : int
-        Of the views and of the registration.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range or a model is empty.
+    The attacked one may be moved, scaled, turned, cut or re-ordered; it is registered to the marked one, and judged
+    where it lies if nothing of it is recognised. `seed` is that of the views and of the registration. InputError if
+    there is no view or a model is empty.
     """
     from engine.numerics.similarity import transform_model
     from engine.registration.registering import register

@@ -56,10 +56,7 @@ def blur_small_kernel(image: Float32, strength: float, rng: np.random.Generator)
 def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Picture:
     """Rotation about the centre by `strength` degrees counter-clockwise, bilinear, black where nothing was.
 
-    Parameters
-    ----------
-    expand : bool
-        Let the canvas grow to hold the whole image; otherwise its corners are lost.
+    `expand` lets the canvas grow to hold the whole image; otherwise its corners are lost.
     """
     from skimage.transform import rotate
 

@@ -89,24 +89,14 @@ RULES = (*_VALUE_RULES, *_MIXERS)
 def collude(
     model: GaussianModel, strength: str, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
 ) -> GaussianModel:
-    """One model out of several copies.
+    """One model out of several copies; InputError where the rule is unknown, no other is given or they differ in shape.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The first copy.
-    strength : str
-        What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
-        of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
-        Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
-    others : sequence of GaussianModel
-        The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
-        geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
+    `strength` says what is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax"
+    (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
+    Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
 
-    Raises
-    ------
-    InputError
-        If the rule is unknown, there is no other copy, or the copies differ in shape.
+    The `others` have the same Gaussians in the same order. A rule can only see what differs: geometry and opacities of
+    the copies are the same but for rounding, and are taken from the first, `model`.
     """
     if strength not in RULES:
         raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")

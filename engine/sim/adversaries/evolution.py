@@ -34,8 +34,8 @@ class Budget:
     """What the search may spend."""
 
     generations: int = 16
-    parents: int = 4  # parents, children: mu and lambda
-    children: int = 8
+    parents: int = 4  # mu
+    children: int = 8  # lambda
     views: int = 2  # renders by which a candidate is judged
     size: int = 128  # their side, pixels
 

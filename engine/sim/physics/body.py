@@ -74,20 +74,11 @@ def make_body(
     pinned: npt.NDArray[np.bool_] | None = None,
     velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> Body:
-    """Fill a model with matter.
+    """Fill a model with matter; its Gaussians keep their number, order and opacity whatever happens.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        Its Gaussians keep their number, order and opacity whatever happens.
-    resolution : int
-        Voxels along the longest robust extent, 2 to 96; each holds six tetrahedra.
-    density : float
-        kg per cubic scene unit, positive.
-    pinned : (N,) bool, optional
-        Gaussians that must stay where they are: the corners of their tetrahedra never move.
-    velocity : (3,), optional
-        At the start, scene units per second.
+    `resolution` is the number of voxels along the longest robust extent, 2 to 96, each of six tetrahedra; `density` is
+    positive, in kg per cubic scene unit; `pinned` (N,) marks Gaussians whose tetrahedra's corners never move;
+    `velocity` (3,) is that at the start, scene units per second.
     """
     check_positive(density, "density")
     start = check_triple(velocity, "velocity")

@@ -40,7 +40,7 @@ class Plane:
     normal: Float64  # (3,) towards the free side; made a unit vector
     # (3,) of the plane, scene units per second: a lid that presses, a conveyor that carries
     velocity: Float64 = field(default_factory=lambda: np.zeros(3))
-    friction: float = 0.5  # coulomb's coefficient, at least 0
+    friction: float = 0.5  # Coulomb's coefficient, at least 0
 
     def __post_init__(self) -> None:
         _make_vectors(self, " of a plane", "point", "normal", "velocity")

@@ -28,8 +28,8 @@ __all__ = ["Part", "Photos", "load_world", "mark", "scenario_key"]
 class Photos:
     """Photos with a COLMAP reconstruction, from which an object is trained."""
 
-    colmap: Path = given(Table.file)  # colmap, photos: folders of the reconstruction and of the photos
-    photos: Path = given(Table.file)
+    colmap: Path = given(Table.file)  # folder of the reconstruction
+    photos: Path = given(Table.file)  # their folder
     size: int = given(Table.integer, 400, 64, 4096)  # longest side of the photos in training, pixels
     steps: int = given(Table.integer, 2000, 1, 1_000_000)
     hold_out: int = given(Table.integer, 8, 0, 1000)  # one photo of so many is kept for measuring
@@ -49,13 +49,12 @@ def read_name(table: Table, name: str) -> str:
 class Part:
     """One object at the start."""
 
-    source: Path | Photos = given(read_source)  # A model file, or what to train one from
+    source: Path | Photos = given(read_source)  # a model file, or what to train one from
     name: str = given(read_name)
     bits: int = given(Table.integer, 32, 0, 256)  # length of its message; 0 leaves it unmarked
     profile: str = given(Table.text, "balanced")  # of the embedding
-    # shift, turn: (3,) placement: scene units, and a rotation vector in degrees
-    shift: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
-    turn: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
+    shift: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))  # scene units
+    turn: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))  # rotation vector, degrees
     scale: float = given(Table.number, 1.0, 1e-6, 1e6)
 
 

@@ -34,7 +34,7 @@ class StepResult:
     label: str
     # one for each record: object, verdict, matching bits, z, bound, share found, seconds
     rows: tuple[dict[str, Any], ...]
-    picture: Any  # (H, W, 3) what a person would see, with the findings written on it
+    picture: Any  # (H, W, 3) uint8, what a person would see, with the findings written on it
     seconds: float  # of the step itself
     notes: tuple[str, ...]
 
@@ -52,19 +52,9 @@ class Run:
 def run_scenario(
     scenario: Scenario, progress: Progress | None = None, tell: Callable[[StepResult], None] | None = None
 ) -> Run:
-    """Play a scenario.
+    """Play a scenario; `tell` is given every result as soon as it is there.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Told step and fraction.
-    tell : callable, optional
-        Given every result as soon as it is there.
-
-    Raises
-    ------
-    InputError
-        If a step does not fit the world it meets; the message names the step.
+    InputError, naming the step, if one does not fit the world it meets.
     """
     report = progress or (lambda stage, fraction: None)
     world, made = load_world(scenario.parts, scenario.seed, report)  # 1

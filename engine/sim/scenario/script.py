@@ -55,10 +55,7 @@ class Scenario:
 def read_scenario(path: str | Path) -> Scenario:
     """Read a TOML file; model paths in it are relative to its folder.
 
-    Raises
-    ------
-    InputError
-        Naming file, table and value of the first thing that does not fit.
+    InputError names file, table and value of the first thing that does not fit.
     """
     path = Path(path)
     top = read_table(path)

@@ -28,13 +28,7 @@ FOLLOW = (0.2, 2.5)
 
 
 class Show:
-    """Draws one step after the other; the camera walks on from where it was.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        The scene at the start: it sets where the camera walks.
-    """
+    """Draws one step after the other; the camera walks on from where it was, at first around `model`."""
 
     def __init__(self, film: Film, model: GaussianModel) -> None:
         self.frames: list[Uint8] = []

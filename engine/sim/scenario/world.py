@@ -50,13 +50,7 @@ class World:
         return whole
 
     def target(self, on: str) -> tuple[str, GaussianModel]:
-        """Name and model that a step works on: the named object, the only one, or all as one (`on` empty).
-
-        Raises
-        ------
-        InputError
-            If there is no object of that name.
-        """
+        """Name and model that a step works on: the named object, the only one, or all as one (`on` empty)."""
         if on:
             if on not in self.objects:
                 raise InputError(f"no object is called {on!r}; there are {', '.join(self.objects)}")

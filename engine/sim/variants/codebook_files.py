@@ -50,14 +50,9 @@ _PROPERTIES = {
 def read_codebook(folder: str | os.PathLike[str]) -> CodebookModel:
     """Read the folder of a compressed model: its four files.
 
-    Raises
-    ------
-    FormatError
-        A file's bytes are not what they should be, an index points outside its codebook, or a value is no number.
-    UnsupportedFormatError
-        A group is quantised that is not read here.
-    InputError
-        A file is missing or cannot be read.
+    FormatError where a file's bytes are not what they should be, an index points outside its codebook, or a value is no
+    number; UnsupportedFormatError where a group is quantised that is not read here; InputError where a file is missing
+    or cannot be read.
     """
     base = Path(folder)
     params, index_bits, total = read_args(_content(base / ARGS, MAX_ARGS_BYTES), file=str(base / ARGS))

@@ -150,20 +150,11 @@ def generate_from_views(
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Optimise Gaussians from a random ball, as DreamGaussian does, towards given views of an object.
+    """Optimise Gaussians from a random ball of `points`, as DreamGaussian does, towards given views of an object.
 
-    The published system is guided by a diffusion model, which is not to be had here: renders of a real object take
-    its place. What comes out is like it in all that a mark meets: a few thousand large Gaussians without
-    view-dependent colour. Results must say that it was made so.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Around the object, which lies where they look.
-    images : sequence of (H, W, 3) float32
-        On black.
-    points : int
-        Gaussians to start from; densification adds some.
+    The published system is guided by a diffusion model, which is not to be had here: renders of a real object, on black
+    and from cameras around it, take its place. What comes out is like it in all that a mark meets: a few thousand large
+    Gaussians without view-dependent colour. Results must say that it was made so.
     """
     from engine.sim.capture.densification import DensifyConfig
     from engine.sim.capture.kernels import kernels_from_points

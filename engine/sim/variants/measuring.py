@@ -65,23 +65,13 @@ def measure_discs(
 ) -> VariantRow:
     """Mark discs and fill their row; their own file is a PLY with two scales.
 
-    Parameters
-    ----------
-    original : GaussianModel
-        What the discs were made from: its own renders are the truth.
-    config : EmbedConfig
-        Its fidelity is raised as far as `fidelity_for` asks. With ``landmark_views=0`` the picture whose camera
-        has to be found is left out.
-    views, size : int
-        Views measured on (jittered, none of which the mark or a fit has seen) and their side, pixels.
-    seed : int
-        Of the views and the attacks.
+    Renders of the `original`, which they were made from, are the truth. The config's fidelity is raised as far as
+    `fidelity_for` asks. It is measured on `views` that neither mark nor fit has seen, `size` pixels a side; `seed` is
+    that of the views and the attacks.
 
-    Returns
-    -------
-    VariantRow
-        Evidence from the model, also after `DISC_MODEL_CASES`; from renders of the suspect at the pose key; from one
-        picture, also drawn as thin Gaussians and after `DISC_PICTURE_CASES`; and from one whose camera is not known.
+    Evidence from the model, also after `DISC_MODEL_CASES`; from renders of the suspect at the pose key; from one
+    picture, also drawn as thin Gaussians and after `DISC_PICTURE_CASES`; and from one whose camera is not known, where
+    the record has landmarks (``landmark_views``).
     """
     if not discs.is_flat:
         raise InputError("a 2DGS model has two scales, this one has three")

@@ -36,15 +36,11 @@ class SpacetimeModel:
 
     means: Float32  # (N, 3) centres at the temporal centre, scene units
     log_scales: Float32  # (N, 3) natural logarithm of the standard deviations
-    # (N, 4) rotation w, x, y, z at the temporal centre, of any length: only together with `omega` it means
-    # something
-    quats: Float32
+    quats: Float32  # (N, 4) rotation w, x, y, z at the temporal centre, of a length that matters beside `omega`
     opacity_logits: Float32  # (N,) at the temporal centre
-    colors: Float32  # (N, 3) rGB as it shows, nominal range 0 to 1, constant in time
-    # trbf_center, trbf_scale: (N,) temporal radial basis: centre, and logarithm of its width, in units of the
-    # clip's duration
-    trbf_center: Float32
-    trbf_scale: Float32
+    colors: Float32  # (N, 3) RGB as it shows, nominal range 0 to 1, constant in time
+    trbf_center: Float32  # (N,) of the temporal radial basis, in units of the clip's duration
+    trbf_scale: Float32  # (N,) logarithm of its width in these units
     motion: Float32  # (N, 9) coefficients of degree 1, 2 and 3, three coordinates each
     omega: Float32  # (N, 4) change of the quaternion per unit of time
 

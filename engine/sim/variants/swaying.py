@@ -46,8 +46,8 @@ class SwayingScene:
     height: Float64  # (N,) 0 at the foot, which does not move, to 1 at the top
     waves: Float64  # (MODES, 3) wave vectors, radians per scene unit
     directions: Float64  # (MODES, 3) displacement at full swing, scene units
-    frequencies: Float64  # frequencies, phases: (MODES,) swings per clip, radians
-    phases: Float64
+    frequencies: Float64  # (MODES,) swings per clip
+    phases: Float64  # (MODES,) radians
     window: Float64  # (N, 2) from when to when each Gaussian is there; beyond 0 to 1 for most
 
     def at(self, time: float) -> GaussianModel:
@@ -74,12 +74,8 @@ class SwayingScene:
 def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0) -> SwayingScene:
     """Let a still scene sway about its foot, with parts of it coming and going; its view-dependent colour is dropped.
 
-    Parameters
-    ----------
-    swing : float
-        Largest displacement, in radii of the scene.
-    transient : float
-        Share of the scene's cells that are not there all the time, 0 to 1.
+    `swing` is the largest displacement, in radii of the scene; `transient` the share, 0 to 1, of its cells that are not
+    there all the time.
     """
     if not 0.0 <= swing <= 1.0 or not 0.0 <= transient <= 1.0:
         raise InputError(f"swing and transient must lie in 0..1, got {swing:g} and {transient:g}")
