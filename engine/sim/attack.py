@@ -25,6 +25,8 @@ Strength = float | str
 Label = Literal["literal", "as_code"]
 """`literal`: what the words of the papers say. `as_code`: what public code executes under those words."""
 
+ANY = "(-inf, inf)"
+
 T = TypeVar("T", bound=Sized)
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -39,7 +41,7 @@ class Reading:
     meaning: str  # unit and meaning of the strength, one line
     default: Strength  # the strength that papers quote
     grid: tuple[Strength, ...]  # strengths for curves, from harmless to ruinous
-    within: str = ""  # an interval such as "[0, 1)", or "1..100" for whole numbers; empty for names
+    within: str = ANY  # an interval such as "[0, 1)", or "1..100" for whole numbers; of numbers alone
     label: Label = "literal"
 
     def checked(self, strength: Strength) -> Strength:
@@ -136,7 +138,7 @@ class Attacks(dict[str, Attack[T]]):
         self.kind = kind
 
     def add(
-        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ""
+        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ANY
     ) -> Callable[[F], F]:
         """Declares a function an attack of its own name; the other parameters are those of `Attack` and `Reading`."""
 

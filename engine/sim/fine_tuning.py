@@ -31,19 +31,15 @@ __all__ = ["SETTINGS", "FineTuneSetting", "fine_tune", "fine_tune_stages", "pict
 class FineTuneSetting:
     """What the attacker has."""
 
-    name: str
     clean_images: bool  # renders of the unmarked model; otherwise his own of the marked one
     pose_key: bool  # the owner's secret views; otherwise views of his own
 
 
 SETTINGS: dict[str, FineTuneSetting] = {
-    setting.name: setting
-    for setting in (
-        FineTuneSetting("key", False, True),
-        FineTuneSetting("neither", False, False),
-        FineTuneSetting("clean+key", True, True),
-        FineTuneSetting("clean", True, False),
-    )
+    "key": FineTuneSetting(False, True),
+    "neither": FineTuneSetting(False, False),
+    "clean+key": FineTuneSetting(True, True),
+    "clean": FineTuneSetting(True, False),
 }
 """In the order of the paper's table."""
 

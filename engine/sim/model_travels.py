@@ -109,11 +109,7 @@ def convert(model: GaussianModel, strength: str, rng: np.random.Generator) -> Ga
 
 
 @ATTACKS.add(
-    "bend the model to an arc, random side",
-    "degrees from end to end",
-    30.0,
-    (1, 3, 5, 10, 20, 30, 45, 60, 90),
-    "(-inf, inf)",
+    "bend the model to an arc, random side", "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90)
 )
 def bend(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     side = rng.standard_normal(3)  # its part along the axis does not count
@@ -125,7 +121,6 @@ def bend(model: GaussianModel, strength: float, rng: np.random.Generator) -> Gau
     "degrees from end to end",
     30.0,
     (1, 3, 5, 10, 20, 30, 45, 60, 90, 180),
-    "(-inf, inf)",
 )
 def twist(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """In a random sense."""

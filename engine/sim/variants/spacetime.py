@@ -46,18 +46,9 @@ class SpacetimeModel:
 
     def __post_init__(self) -> None:
         n = len(self.means)
-        shapes = {
-            "means": (n, 3),
-            "log_scales": (n, 3),
-            "quats": (n, 4),
-            "opacity_logits": (n,),
-            "colors": (n, 3),
-            "trbf_center": (n,),
-            "trbf_scale": (n,),
-            "motion": (n, 9),
-            "omega": (n, 4),
-        }
-        for name, shape in shapes.items():
+        widths = (3, 3, 4, 0, 3, 0, 0, 9, 4)  # of the fields in their order; 0 is one number each
+        for name, width in zip(self.__dataclass_fields__, widths, strict=True):
+            shape = (n, width) if width else (n,)
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             if array.shape != shape:
                 raise InputError(f"{name} has shape {array.shape}, expected {shape}")
