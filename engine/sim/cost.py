@@ -53,11 +53,8 @@ def model_cost(
     if registration.found:
         attacked = transform_model(attacked, registration.scale, registration.R, registration.t)
     jitter = np.random.default_rng((seed, 0xC057)).random((views, 4))
-    pairs = [
-        (_picture(marked, camera), _picture(attacked, camera))
-        for camera in make_rig(marked, views, size, size, jitter=jitter)
-    ]
-    return _measure(pairs)
+    rig = make_rig(marked, views, size, size, jitter=jitter)
+    return _measure([(_picture(marked, camera), _picture(attacked, camera)) for camera in rig])
 
 
 def image_cost(clean: Float32, attacked: Float32) -> Cost:

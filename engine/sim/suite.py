@@ -56,23 +56,16 @@ pictures."""
 
 
 class Subject(Protocol):
-    """A marked scene to attack."""
+    """A marked scene to attack: its name in the table, what thieves get, and the owner's record."""
 
     @property
-    def name(self) -> str:
-        """Name in the table."""
+    def name(self) -> str: ...
 
     @property
-    def original(self) -> GaussianModel:
-        """Before it was marked."""
+    def marked(self) -> GaussianModel: ...
 
     @property
-    def marked(self) -> GaussianModel:
-        """What thieves get."""
-
-    @property
-    def opened(self) -> OpenedRecord:
-        """The owner's record."""
+    def opened(self) -> OpenedRecord: ...
 
 
 @dataclass(frozen=True, eq=False)

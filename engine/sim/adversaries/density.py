@@ -23,10 +23,10 @@ hang on the order of equal edges."""
 
 
 def cluster_by_density(points: Float64, neighbours: int, least: int, graph: int = GRAPH) -> Int64:
-    """Label of each of the points (N, D) float64, 0, 1, ... or -1 for noise, (N,) int64.
+    """Label of each of the points (N, D) float64, 0, 1, ... or -1 for noise: (N,) int64.
 
-    Coordinates are of equal importance. It takes `neighbours` >= 1 to make a point a core point and `least` >= 2 points
-    to make a cluster; InputError where there are fewer.
+    Coordinates are of equal importance. A core point has `neighbours` >= 1, a cluster `least` >= 2 points; the spanning
+    tree goes by `graph` neighbours, not fewer than make a core point. InputError where a number is out of its range.
     """
     if neighbours < 1 or least < 2 or graph < neighbours:
         raise InputError(

@@ -61,9 +61,7 @@ def retrain(
     `progress` is told the part done, 0 to 1. InputError if there is no camera, or the views show nothing to put points
     on.
     """
-    config = config or RetrainConfig()
-    trainer = _trainer(marked, cameras, config)
-    return trainer.run(progress)
+    return _trainer(marked, cameras, config or RetrainConfig()).run(progress)
 
 
 def retraining_steps(

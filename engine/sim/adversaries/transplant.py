@@ -34,7 +34,7 @@ def transplant(
 
     `source` is the marked model to lift from; needed. `clean` is the same without the mark, Gaussian by Gaussian: the
     worst case, an attacker who was sold it. Without it the mark is estimated as what a mean over 16 neighbours takes
-    away.
+    away. InputError where there is no source, or `clean` is not of its length.
     """
     from scipy.spatial import cKDTree
 

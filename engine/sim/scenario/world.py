@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -43,11 +44,7 @@ class World:
 
     def flat(self) -> GaussianModel:
         """All objects in one file."""
-        models = list(self.objects.values())
-        whole = models[0]
-        for model in models[1:]:
-            whole = join(whole, model)
-        return whole
+        return reduce(join, self.objects.values())
 
     def target(self, on: str) -> tuple[str, GaussianModel]:
         """Name and model that a step works on: the named object, the only one, or all as one (`on` empty)."""

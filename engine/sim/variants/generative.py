@@ -96,24 +96,12 @@ def marking(
 ) -> Marking:
     """A mark at the end of generation: nothing leaves the generator without one.
 
-    Parameters
-    ----------
-    records : path
-        Folder that gets one record for each generated model, named by its record id.
-    config : EmbedConfig, optional
-        `FEW_GAUSSIANS` where not given.
+    It is a decorator for a generator that returns a GaussianModel or a path; or a callback, called with either. A
+    path's file is replaced by the marked one, in its own format; its record is there before. The folder `records` gets
+    one record for each generated model, named by its record id; the config is `FEW_GAUSSIANS` where not given.
 
-    Returns
-    -------
-    Marking
-        A decorator for a generator that returns a GaussianModel or a path; or a callback, called with either. A
-        path's file is replaced by the marked one, in its own format; its record is there before.
-
-    Raises
-    ------
-    CapacityError
-        On marking, if the model cannot carry the message. A file is left as the generator wrote it, so that
-        nothing is lost; a generator that returns a model in memory may want to write it first.
+    CapacityError on marking, if the model cannot carry the message. A file is left as the generator wrote it, so that
+    nothing is lost; a generator that returns a model in memory may want to write it first.
 
     Examples
     --------
