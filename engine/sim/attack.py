@@ -115,19 +115,16 @@ class Attack(Generic[T]):
         if len(target) == 0:
             raise InputError(f"attack {self.name!r} needs a {self.kind} that is not empty")
         if self.kind == "image":
-            _check_image(target)
+            image: Any = target
+            if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+                raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
+            if image.dtype != np.float32:
+                raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
         generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(rng)
         result: Any = chosen.function(target, chosen.checked(value), generator, **options)
         if self.kind == "image":  # never a view of the target: clipping copies
             result = np.ascontiguousarray(np.clip(result, 0.0, 1.0), dtype=np.float32)
         return cast(T, result)
-
-
-def _check_image(image: Any) -> None:
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
-    if image.dtype != np.float32:
-        raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
 
 
 class Attacks(dict[str, Attack[T]]):

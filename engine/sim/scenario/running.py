@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Float32, GaussianModel
+from engine.model import GaussianModel
 from engine.pipeline.progress import Progress
 from engine.pipeline.verification import Verification, verify_images, verify_model
 from engine.sim.cost import Cost
@@ -86,14 +86,13 @@ def run_scenario(
 def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict[str, Any]]:
     """A row for each record of the world."""
     rows = []
-    flat = outcome.world.flat() if not outcome.pictures else None
+    flat = outcome.world.flat()
     for name, opened in outcome.world.records.items():
         progress(f"{label}: looking for {name}", 0.0)
-        if flat is not None:
-            found = verify_model(flat, opened)
+        if outcome.pictures:
+            found = verify_images(list(outcome.pictures), opened, cameras=outcome.cameras)
         else:
-            pictures: list[Float32] = list(outcome.pictures)
-            found = verify_images(pictures, opened, cameras=outcome.cameras)
+            found = verify_model(flat, opened)
         rows.append(row(name, found, outcome.cost))
     return rows
 
