@@ -25,35 +25,23 @@ Strength = float | str
 Label = Literal["literal", "as_code"]
 """`literal`: what the words of the papers say. `as_code`: what public code executes under those words."""
 
+ANY = "(-inf, inf)"
+
 T = TypeVar("T", bound=Sized)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to carry an attack out.
+    """One way to carry an attack out."""
 
-    Parameters
-    ----------
-    function : callable
-        `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
-        may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
-    meaning : str
-        Unit and meaning of the strength, one line.
-    default : float or str
-        The strength that papers quote.
-    grid : tuple of float or str
-        Strengths for curves, from harmless to ruinous.
-    within : str
-        An interval such as "[0, 1)", or "1..100" for whole numbers; empty for names.
-    label : {"literal", "as_code"}
-    """
-
+    # `(target, strength, rng, **options) -> target`; pure, and a function of its arguments alone. Of a picture it
+    # may return any numbers (H, W, 3): they are clipped to float32 in 0..1 for it.
     function: Callable[..., Any]
-    meaning: str
-    default: Strength
-    grid: tuple[Strength, ...]
-    within: str = ""
+    meaning: str  # unit and meaning of the strength, one line
+    default: Strength  # the strength that papers quote
+    grid: tuple[Strength, ...]  # strengths for curves, from harmless to ruinous
+    within: str = ANY  # an interval such as "[0, 1)", or "1..100" for whole numbers; of numbers alone
     label: Label = "literal"
 
     def checked(self, strength: Strength) -> Strength:
@@ -71,21 +59,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class Attack(Generic[T]):
-    """A named attack on models (`T` = GaussianModel) or images (`T` = float32 array (H, W, 3)).
-
-    Parameters
-    ----------
-    kind : {"model", "image"}
-    summary : str
-        What happens, one line.
-    readings : tuple of Reading
-        The first is the default.
-    """
+    """A named attack on models (`T` = GaussianModel) or images (`T` = float32 array (H, W, 3))."""
 
     name: str
     kind: Literal["model", "image"]
-    summary: str
-    readings: tuple[Reading, ...]
+    summary: str  # what happens, one line
+    readings: tuple[Reading, ...]  # the first is the default
 
     def reading(self, label: str | None = None) -> Reading:
         """The reading of that label, the default one for None; InputError when there is none."""
@@ -119,31 +98,15 @@ class Attack(Generic[T]):
         reading: str | None = None,
         **options: Any,
     ) -> T:
-        """Carry the attack out.
+        """Carry the attack out on a model or a picture (H, W, 3) float32, which is left as it is.
 
-        Parameters
-        ----------
-        target : GaussianModel or (H, W, 3) float32
-            Left as it is.
-        strength : float or str, optional
-            In the unit of the reading; its default where not given.
-        rng : numpy.random.Generator or int
-            Source of every random choice, or its seed; the same seed gives the same result.
-        reading : {"literal", "as_code"}, optional
-            The first one of the attack where not given.
-        **options
-            What single attacks take beside: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
-            rotate_image.
+        The strength is in the unit of the reading, its default where not given; of `rng`, or its seed, comes every
+        random choice: the same seed gives the same result. The reading is the attack's first one where not given.
+        Options are what single attacks take beside: `other` of merge_into, `cameras` of prune_low_impact, `expand` of
+        rotate_image.
 
-        Returns
-        -------
-        GaussianModel or (H, W, 3) float32
-            A picture lies in 0..1 and may have another size.
-
-        Raises
-        ------
-        InputError
-            If the reading does not exist, the strength is out of its range, or the target is empty or unfit.
+        A picture that comes back lies in 0..1 and may have another size. InputError if the reading does not exist, the
+        strength is out of its range, or the target is empty or unfit.
         """
         chosen = self.reading(reading)
         value = chosen.default if strength is None else strength
@@ -152,19 +115,16 @@ class Attack(Generic[T]):
         if len(target) == 0:
             raise InputError(f"attack {self.name!r} needs a {self.kind} that is not empty")
         if self.kind == "image":
-            _check_image(target)
+            image: Any = target
+            if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+                raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
+            if image.dtype != np.float32:
+                raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
         generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(rng)
         result: Any = chosen.function(target, chosen.checked(value), generator, **options)
         if self.kind == "image":  # never a view of the target: clipping copies
             result = np.ascontiguousarray(np.clip(result, 0.0, 1.0), dtype=np.float32)
         return cast(T, result)
-
-
-def _check_image(image: Any) -> None:
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise InputError(f"expected an image (H, W, 3), got shape {image.shape}")
-    if image.dtype != np.float32:
-        raise InputError(f"expected a float32 image from 0 to 1, got {image.dtype}")
 
 
 class Attacks(dict[str, Attack[T]]):
@@ -175,7 +135,7 @@ class Attacks(dict[str, Attack[T]]):
         self.kind = kind
 
     def add(
-        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ""
+        self, summary: str, meaning: str, default: Strength, grid: tuple[Strength, ...], within: str = ANY
     ) -> Callable[[F], F]:
         """Declares a function an attack of its own name; the other parameters are those of `Attack` and `Reading`."""
 

@@ -25,50 +25,24 @@ COVERED = 0.9
 
 @dataclass(frozen=True)
 class Cost:
-    """Fidelity of the attacked model's renders to the marked model's.
+    """Fidelity of the attacked model's renders to the marked model's."""
 
-    Parameters
-    ----------
-    psnr : float
-        dB, squared errors of all views pooled; infinity where nothing changed.
-    worst_psnr : float
-        Of the worst view.
-    ssim : float
-        Mean over the views.
-    coverage : float
-        Share of the pixels showing the marked model that the attacked one still covers, 0..1.
-    covered_psnr : float or None
-        dB over those pixels alone; None where there are none.
-    """
-
-    psnr: float
-    worst_psnr: float
-    ssim: float
-    coverage: float
-    covered_psnr: float | None
+    psnr: float  # dB, squared errors of all views pooled; infinity where nothing changed
+    worst_psnr: float  # of the worst view
+    ssim: float  # mean over the views
+    coverage: float  # share of the pixels showing the marked model that the attacked one still covers, 0..1
+    covered_psnr: float | None  # dB over those pixels alone; None where there are none
 
 
 def model_cost(
     marked: GaussianModel, attacked: GaussianModel, *, views: int = 4, size: int = 400, seed: int = 0
 ) -> Cost:
-    """Cost of an attack on a model.
+    """Cost of an attack on a model, in so many neutral views around the marked one of `size` (at least 11) pixels a
+    side.
 
-    Parameters
-    ----------
-    marked, attacked : GaussianModel
-        The attacked one may be moved, scaled, turned, cut or re-ordered; it is registered to the marked one, and
-        judged where it lies if nothing of it is recognised.
-    views : int
-        Neutral views around the marked model, at least one.
-    size : int
-        Their side, pixels, at least 11 (SSIM's window).
-    seed : int
-        Of the views and of the registration.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range or a model is empty.
+    The attacked one may be moved, scaled, turned, cut or re-ordered; it is registered to the marked one, and judged
+    where it lies if nothing of it is recognised. `seed` is that of the views and of the registration. InputError if
+    there is no view or a model is empty.
     """
     from engine.numerics.similarity import transform_model
     from engine.registration.registering import register
@@ -79,11 +53,8 @@ def model_cost(
     if registration.found:
         attacked = transform_model(attacked, registration.scale, registration.R, registration.t)
     jitter = np.random.default_rng((seed, 0xC057)).random((views, 4))
-    pairs = [
-        (_picture(marked, camera), _picture(attacked, camera))
-        for camera in make_rig(marked, views, size, size, jitter=jitter)
-    ]
-    return _measure(pairs)
+    rig = make_rig(marked, views, size, size, jitter=jitter)
+    return _measure([(_picture(marked, camera), _picture(attacked, camera)) for camera in rig])
 
 
 def image_cost(clean: Float32, attacked: Float32) -> Cost:

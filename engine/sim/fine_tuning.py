@@ -29,29 +29,17 @@ __all__ = ["SETTINGS", "FineTuneSetting", "fine_tune", "fine_tune_stages", "pict
 
 @dataclass(frozen=True)
 class FineTuneSetting:
-    """What the attacker has.
+    """What the attacker has."""
 
-    Parameters
-    ----------
-    clean_images : bool
-        Renders of the unmarked model; otherwise his own of the marked one.
-    pose_key : bool
-        The owner's secret views; otherwise views of his own.
-    """
-
-    name: str
-    clean_images: bool
-    pose_key: bool
+    clean_images: bool  # renders of the unmarked model; otherwise his own of the marked one
+    pose_key: bool  # the owner's secret views; otherwise views of his own
 
 
 SETTINGS: dict[str, FineTuneSetting] = {
-    setting.name: setting
-    for setting in (
-        FineTuneSetting("key", False, True),
-        FineTuneSetting("neither", False, False),
-        FineTuneSetting("clean+key", True, True),
-        FineTuneSetting("clean", True, False),
-    )
+    "key": FineTuneSetting(False, True),
+    "neither": FineTuneSetting(False, False),
+    "clean+key": FineTuneSetting(True, True),
+    "clean": FineTuneSetting(True, False),
 }
 """In the order of the paper's table."""
 
@@ -65,22 +53,9 @@ def pictures_of(
     size: int = 400,
     seed: int = 0,
 ) -> tuple[list[Camera], list[Float32]]:
-    """The views and pictures an attacker trains on.
+    """The views and pictures (size, size, 3), 0 to 1, that an attacker trains on.
 
-    Parameters
-    ----------
-    key_views : sequence of Camera
-        The owner's; without the pose key only their number is used.
-    size : int
-        Side of the pictures, pixels.
-    seed : int
-        Of the attacker's own views.
-
-    Returns
-    -------
-    cameras : list of Camera
-    images : list of (size, size, 3) float32
-        0 to 1.
+    Without the pose key only the number of the owner's `key_views` is used, and `seed` draws the attacker's own.
     """
     if setting.pose_key:
         cameras = [camera.resized(size, size) for camera in key_views]
@@ -104,32 +79,11 @@ def fine_tune_stages(
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[int, GaussianModel]]:
-    """One training, looked at after several numbers of epochs.
+    """One training of the stolen model, looked at after several numbers of epochs: pairs of epoch and model.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The stolen model; left as it is.
-    cameras, images
-        See `pictures_of`.
-    epochs : sequence of int
-        Rising, the last one more than 0; 0 is the model as it is.
-    trained : {"all", "colors"}
-        Every parameter, or SH alone with the geometry frozen.
-    seed : int
-        Of the pictures' order.
-    advance : callable, optional
-        Told the part done, 0 to 1.
-
-    Yields
-    ------
-    epoch : int
-    model : GaussianModel
-
-    Raises
-    ------
-    InputError
-        If the epochs do not rise from 0 or more, or the pictures do not fit (see `Trainer`).
+    Cameras and images are those of `pictures_of`. The epochs rise, the last one more than 0; 0 is the model as it is.
+    `trained` is every parameter, or SH alone with the geometry frozen; `seed` that of the pictures' order; `advance` is
+    told the part done, 0 to 1. InputError if the epochs do not rise, or the pictures do not fit (see `Trainer`).
     """
     if not epochs or epochs[0] < 0 or epochs[-1] < 1 or any(np.diff(epochs) <= 0):
         raise InputError(f"epochs must rise and end above 0, got {list(epochs)}")

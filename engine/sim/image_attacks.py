@@ -47,19 +47,12 @@ def blur_small_kernel(image: Float32, strength: float, rng: np.random.Generator)
 
 
 @ATTACKS.add(
-    "rotate the picture on its canvas, black corners",
-    "degrees",
-    30.0,
-    (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180),
-    "(-inf, inf)",
+    "rotate the picture on its canvas, black corners", "degrees", 30.0, (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180)
 )
 def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Picture:
     """Rotation about the centre by `strength` degrees counter-clockwise, bilinear, black where nothing was.
 
-    Parameters
-    ----------
-    expand : bool
-        Let the canvas grow to hold the whole image; otherwise its corners are lost.
+    `expand` lets the canvas grow to hold the whole image; otherwise its corners are lost.
     """
     from skimage.transform import rotate
 

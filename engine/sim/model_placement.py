@@ -17,11 +17,7 @@ ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 
 @ATTACKS.add(
-    "turn the whole model about its centre, random axis",
-    "degrees",
-    30.0,
-    (1, 5, 15, 30, 60, 90, 120, 150, 180),
-    "(-inf, inf)",
+    "turn the whole model about its centre, random axis", "degrees", 30.0, (1, 5, 15, 30, 60, 90, 120, 150, 180)
 )
 def rotate(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     axis = rng.standard_normal(3)
@@ -52,11 +48,7 @@ def scale(model: GaussianModel, strength: float, rng: np.random.Generator) -> Ga
 
 
 @ATTACKS.add(
-    "shift the whole model in a random direction",
-    "robust radii of the model",
-    1.0,
-    (0.01, 0.1, 0.5, 1, 3, 10, 100),
-    "(-inf, inf)",
+    "shift the whole model in a random direction", "robust radii of the model", 1.0, (0.01, 0.1, 0.5, 1, 3, 10, 100)
 )
 def translate(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     direction = rng.standard_normal(3)

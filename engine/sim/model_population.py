@@ -49,9 +49,7 @@ def drop_block(model: GaussianModel, strength: float, rng: np.random.Generator) 
     """GaussianMarker's "crop": drop one contiguous block of the file's order, `strength` of its Gaussians."""
     count = min(round(strength * len(model)), len(model) - 1)
     start = int(rng.integers(len(model) - count + 1))
-    keep = np.ones(len(model), dtype=bool)
-    keep[start : start + count] = False
-    return model.take(keep)
+    return model.take(np.delete(np.arange(len(model)), slice(start, start + count)))
 
 
 @ATTACKS.add("remove Gaussians at random", "removed share", 0.2, (*_PRUNED, 0.98, 0.99), "[0, 1)")
@@ -129,9 +127,7 @@ def _with_copies(model: GaussianModel, chosen: npt.NDArray[np.int64], moves: Flo
 def _prune(model: GaussianModel, score: npt.NDArray[Any], strength: float) -> GaussianModel:
     """The model without the share of the lowest scores; at least one Gaussian stays."""
     removed = min(round(strength * len(model)), len(model) - 1)
-    keep = np.ones(len(model), dtype=bool)
-    keep[_lowest(score, removed)] = False
-    return model.take(keep)
+    return model.take(np.delete(np.arange(len(model)), _lowest(score, removed)))
 
 
 def _lowest(score: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:

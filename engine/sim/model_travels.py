@@ -37,22 +37,10 @@ def merge_into(
 ) -> GaussianModel:
     """The model, randomly placed inside a foreign scene of `strength` times as many Gaussians.
 
-    Parameters
-    ----------
-    other : GaussianModel, optional
-        The foreign scene; a connected piece of it when it is larger than asked for, all of it when not.
-        Without it a synthetic one, see `foreign_scene`.
-
-    Returns
-    -------
-    GaussianModel
-        Foreign Gaussians first, then the model's in their own order, rotated, moved and scaled to 0.15 to 0.6
-        radii of the foreign scene; SH padded with zeros to the higher of the two degrees.
-
-    Raises
-    ------
-    InputError
-        If the foreign scene is empty.
+    `other` is the foreign scene, not empty, of which a connected piece is taken when it is larger than asked for;
+    without it a synthetic one (`foreign_scene`). Foreign Gaussians come first, then the model's in their own order,
+    rotated, moved and scaled to 0.15 to 0.6 radii of the foreign scene; SH padded with zeros to the higher of the two
+    degrees.
     """
     wanted = max(1, round(strength * len(model)))
     if other is not None and len(other) == 0:
@@ -121,11 +109,7 @@ def convert(model: GaussianModel, strength: str, rng: np.random.Generator) -> Ga
 
 
 @ATTACKS.add(
-    "bend the model to an arc, random side",
-    "degrees from end to end",
-    30.0,
-    (1, 3, 5, 10, 20, 30, 45, 60, 90),
-    "(-inf, inf)",
+    "bend the model to an arc, random side", "degrees from end to end", 30.0, (1, 3, 5, 10, 20, 30, 45, 60, 90)
 )
 def bend(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     side = rng.standard_normal(3)  # its part along the axis does not count
@@ -137,7 +121,6 @@ def bend(model: GaussianModel, strength: float, rng: np.random.Generator) -> Gau
     "degrees from end to end",
     30.0,
     (1, 3, 5, 10, 20, 30, 45, 60, 90, 180),
-    "(-inf, inf)",
 )
 def twist(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """In a random sense."""

@@ -30,28 +30,15 @@ WITHOUT_COST = {"merge_into", "crop_image", "rotate_image", "scale_image"}
 
 @dataclass(frozen=True)
 class Trial:
-    """One line of the suite.
-
-    Parameters
-    ----------
-    chain : tuple of (str, float or str)
-        Attacks in order, each by name and strength.
-    source : str
-        Whose attack it is: the work in which it, or its strength, stands.
-    kind : {"model", "image", "copy attack"}
-        What is attacked; in a copy attack, what is framed is another model.
-    reading : {"literal", "as_code"}
-        Of all steps that have it; the others run literally.
-    copies : int
-        Copies of the asset that are needed beside the subject's own.
-    """
+    """One line of the suite."""
 
     label: str
-    chain: tuple[Step, ...]
-    source: str
+    chain: tuple[Step, ...]  # attacks in order, each by name and strength
+    source: str  # whose attack it is: the work in which it, or its strength, stands
+    # what is attacked; in a copy attack, what is framed is another model
     kind: Literal["model", "image", "copy attack"] = "model"
-    reading: Label = "literal"
-    copies: int = 0
+    reading: Label = "literal"  # of all steps that have it; the others run literally
+    copies: int = 0  # copies of the asset that are needed beside the subject's own
 
 
 def _read_suite() -> tuple[Trial, ...]:
@@ -69,38 +56,24 @@ pictures."""
 
 
 class Subject(Protocol):
-    """A marked scene to attack."""
+    """A marked scene to attack: its name in the table, what thieves get, and the owner's record."""
 
     @property
-    def name(self) -> str:
-        """Name in the table."""
+    def name(self) -> str: ...
 
     @property
-    def original(self) -> GaussianModel:
-        """Before it was marked."""
+    def marked(self) -> GaussianModel: ...
 
     @property
-    def marked(self) -> GaussianModel:
-        """What thieves get."""
-
-    @property
-    def opened(self) -> OpenedRecord:
-        """The owner's record."""
+    def opened(self) -> OpenedRecord: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Company:
-    """What some attacks need beside the stolen model.
+    """What some attacks need beside the stolen model."""
 
-    Parameters
-    ----------
-    copies : sequence of GaussianModel
-        Other recipients' copies of the same asset.
-    other : GaussianModel, optional
-        Another, unmarked model: the scene merged into, and the victim of the copy attack.
-    """
-
-    copies: Sequence[GaussianModel] = field(default_factory=tuple)
+    copies: Sequence[GaussianModel] = field(default_factory=tuple)  # other recipients' copies of the same asset
+    # another, unmarked model: the scene merged into, and the victim of the copy attack
     other: GaussianModel | None = None
 
 
@@ -113,19 +86,9 @@ def apply_chain(
     source: GaussianModel | None = None,
     skip: Iterable[str] = (),
 ) -> Any:
-    """The target after all steps of a trial, each with a random stream of its own.
+    """The model, or picture (H, W, 3), after all steps of a trial, each with a random stream of its own.
 
-    Parameters
-    ----------
-    target : GaussianModel or (H, W, 3) float32
-    source : GaussianModel, optional
-        The marked model that a copy attack lifts from.
-    skip : iterable of str
-        Attacks to leave out; the others keep their streams.
-
-    Returns
-    -------
-    GaussianModel or (H, W, 3) float32
+    A copy attack lifts from the marked model `source`. Attacks in `skip` are left out; the others keep their streams.
     """
     find = image_attack if trial.kind == "image" else model_attack
     for number, (name, strength) in enumerate(trial.chain):
@@ -158,23 +121,13 @@ def run_suite(
 ) -> list[dict[str, Any]]:
     """Attack, judge the look, verify; one row for each trial.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-    config : VerifyConfig
-        Of the verifications.
-    pictures : int
-        Key views that image attacks are tried on, each alone; the row is that of the lowest z.
-    advance : callable, optional
-        Told the fraction done.
+    Image attacks are tried on so many `pictures`, key views, each alone; the row is that of the lowest z. `advance` is
+    told the fraction done.
 
-    Returns
-    -------
-    list of dict
-        scene, attack, kind, reading, source, verdict, expected, bit_accuracy, z, log10_false_claim, derived_fraction,
-        route, seconds (of the verification), the fields of `Cost` (None where there is nothing to judge), and
-        `outcome`: "held", "ruined" (no claim, but the look went with it), "removed" (no claim, look kept) or, where a
-        claim would be false, "framed"; "not run: ..." where the company lacks what the trial needs.
+    A row: scene, attack, kind, reading, source, verdict, expected, bit_accuracy, z, log10_false_claim,
+    derived_fraction, route, seconds (of the verification), the fields of `Cost` (None where there is nothing to judge),
+    and `outcome`: "held", "ruined" (no claim, but the look went with it), "removed" (no claim, look kept) or, where a
+    claim would be false, "framed"; "not run: ..." where the company lacks what the trial needs.
     """
     if not 1 <= pictures <= len(subject.opened.cameras):
         raise InputError(f"the record has {len(subject.opened.cameras)} key views, {pictures} were asked for")

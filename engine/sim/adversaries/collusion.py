@@ -7,6 +7,7 @@ coefficient, and two that mix whole Gaussians.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,45 +22,16 @@ ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
 
-_Rule = Callable[[Float32, np.random.Generator], Float32]
-
-
-def _mean(values: Float32, rng: np.random.Generator) -> Float32:
-    return np.asarray(values.mean(axis=0, dtype=np.float64), dtype=np.float32)
-
-
-def _median(values: Float32, rng: np.random.Generator) -> Float32:
-    return np.asarray(np.median(values, axis=0), dtype=np.float32)
-
-
-def _minmax(values: Float32, rng: np.random.Generator) -> Float32:
-    return np.asarray(np.float32(0.5) * (values.min(axis=0) + values.max(axis=0)))
-
-
-def _modneg(values: Float32, rng: np.random.Generator) -> Float32:
-    return np.asarray(values.min(axis=0) + values.max(axis=0) - _median(values, rng))
-
-
-def _randneg(values: Float32, rng: np.random.Generator) -> Float32:
-    coin = rng.random(values.shape[1:]) < 0.5
-    return np.asarray(np.where(coin, values.min(axis=0), values.max(axis=0)))
-
-
-_VALUE_RULES: dict[str, _Rule] = {
-    "mean": _mean,
-    "median": _median,
-    "min": lambda values, rng: np.asarray(values.min(axis=0)),
-    "max": lambda values, rng: np.asarray(values.max(axis=0)),
-    "minmax": _minmax,
-    "modneg": _modneg,
-    "randneg": _randneg,
+_VALUE_RULES: dict[str, Callable[[Float32, np.random.Generator], npt.NDArray[Any]]] = {
+    "mean": lambda values, rng: values.mean(axis=0, dtype=np.float64),
+    "median": lambda values, rng: np.median(values, axis=0),
+    "min": lambda values, rng: values.min(axis=0),
+    "max": lambda values, rng: values.max(axis=0),
+    "minmax": lambda values, rng: np.float32(0.5) * (values.min(axis=0) + values.max(axis=0)),
+    "modneg": lambda values, rng: values.min(axis=0) + values.max(axis=0) - np.median(values, axis=0),
+    "randneg": lambda values, rng: np.where(rng.random(values.shape[1:]) < 0.5, values.min(axis=0), values.max(axis=0)),
 }
-
-
-def _any_copy(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    """(N,) source of each Gaussian."""
-    return rng.integers(copies, size=len(model))
-
+"""By name: values (copies, n, K, 3) and a source of coins to (n, K, 3)."""
 
 PATCHES = 256
 """Connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene."""
@@ -77,9 +49,10 @@ def _patches(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt
 
 
 _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArray[np.int64]]] = {
-    "interleave": _any_copy,
+    "interleave": lambda model, copies, rng: rng.integers(copies, size=len(model)),
     "patches": _patches,
 }
+"""By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
 RULES = (*_VALUE_RULES, *_MIXERS)
 """Names of the rules."""
@@ -89,24 +62,14 @@ RULES = (*_VALUE_RULES, *_MIXERS)
 def collude(
     model: GaussianModel, strength: str, rng: np.random.Generator, *, others: Sequence[GaussianModel] = ()
 ) -> GaussianModel:
-    """One model out of several copies.
+    """One model out of several copies; InputError where the rule is unknown, no other is given or they differ in shape.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        The first copy.
-    strength : str
-        What is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax" (middle
-        of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
-        Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
-    others : sequence of GaussianModel
-        The other copies, at least one, with the same Gaussians in the same order. A rule can only see what differs:
-        geometry and opacities of the copies are the same but for rounding, and are taken from `model`.
+    `strength` says what is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax"
+    (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
+    Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
 
-    Raises
-    ------
-    InputError
-        If the rule is unknown, there is no other copy, or the copies differ in shape.
+    The `others` have the same Gaussians in the same order. A rule can only see what differs: geometry and opacities of
+    the copies are the same but for rounding, and are taken from the first, `model`.
     """
     if strength not in RULES:
         raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")

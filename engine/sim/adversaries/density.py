@@ -23,27 +23,10 @@ hang on the order of equal edges."""
 
 
 def cluster_by_density(points: Float64, neighbours: int, least: int, graph: int = GRAPH) -> Int64:
-    """Label of each point, 0, 1, ...; -1 for noise.
+    """Label of each of the points (N, D) float64, 0, 1, ... or -1 for noise: (N,) int64.
 
-    Parameters
-    ----------
-    points : (N, D) float64
-        Coordinates of equal importance.
-    neighbours : int
-        Neighbours that make a point a core point, >= 1.
-    least : int
-        Fewest points of a cluster, >= 2.
-    graph : int
-        Neighbours by which the spanning tree may go, at least `neighbours`.
-
-    Returns
-    -------
-    (N,) int64
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range.
+    Coordinates are of equal importance. A core point has `neighbours` >= 1, a cluster `least` >= 2 points; the spanning
+    tree goes by `graph` neighbours, not fewer than make a core point. InputError where a number is out of its range.
     """
     if neighbours < 1 or least < 2 or graph < neighbours:
         raise InputError(

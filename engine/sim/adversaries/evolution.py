@@ -31,23 +31,13 @@ LEVELS = 3
 
 @dataclass(frozen=True)
 class Budget:
-    """What the search may spend.
-
-    Parameters
-    ----------
-    parents, children : int
-        mu and lambda.
-    views : int
-        Renders by which a candidate is judged.
-    size : int
-        Their side, pixels.
-    """
+    """What the search may spend."""
 
     generations: int = 16
-    parents: int = 4
-    children: int = 8
-    views: int = 2
-    size: int = 128
+    parents: int = 4  # mu
+    children: int = 8  # lambda
+    views: int = 2  # renders by which a candidate is judged
+    size: int = 128  # their side, pixels
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,13 +43,9 @@ def purify(
     if mean <= 0:
         raise InputError("none of the cameras sees the model")
     relative = contribution / mean
-    features = np.column_stack(
-        [
-            _even(model.means.astype(np.float64) / measure_extent(model).radius),
-            _even(np.log10(relative + 1e-3)[:, None]),
-            _even(model.opacities.astype(np.float64)[:, None]),
-        ]
-    )
+    places = model.means.astype(np.float64) / measure_extent(model).radius
+    shown = model.opacities.astype(np.float64)[:, None]
+    features = np.column_stack([_even(each) for each in (places, np.log10(relative + 1e-3)[:, None], shown)])
     label = cluster_by_density(features, NEIGHBOURS, LEAST_CLUSTER)
     grouped = label >= 0
     clusters = int(label.max(initial=-1)) + 1

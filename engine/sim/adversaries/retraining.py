@@ -31,29 +31,17 @@ PHOTO_DB = 27.0
 
 @dataclass(frozen=True)
 class RetrainConfig:
-    """Knobs of the attack.
+    """Knobs of the attack."""
 
-    Parameters
-    ----------
-    points : int
-        Gaussians to start from.
-    start : {"depth", "random"}
-        Points on the surfaces that the renders' depths show, or anywhere in their midst.
-    opacity : float
-        Of every Gaussian at the start, in (0, 1).
-    train : TrainConfig
-        Of the training; `train.steps` renders are shown.
-    seed : int
-        Of the points chosen.
-    """
-
-    points: int = 50_000
+    points: int = 50_000  # Gaussians to start from
+    # points on the surfaces that the renders' depths show, or anywhere in their midst
     start: Literal["depth", "random"] = "depth"
-    opacity: float = 0.5
+    opacity: float = 0.5  # of every Gaussian at the start, in (0, 1)
+    # of the training; `train.steps` renders are shown
     train: TrainConfig = field(
         default_factory=lambda: TrainConfig(steps=3_000, sh_degree=0, densify=None, opacity_rate=0.02)
     )
-    seed: int = 0
+    seed: int = 0  # of the points chosen
 
     def __post_init__(self) -> None:
         if self.points < 100:
@@ -68,25 +56,12 @@ def retrain(
     config: RetrainConfig | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """A fresh model that looks like a stolen one.
+    """A fresh model that looks like a stolen one, of which only renders from the thief's views are used.
 
-    Parameters
-    ----------
-    marked : GaussianModel
-        The stolen model; only its renders are used.
-    cameras : sequence of Camera
-        The thief's views.
-    progress : callable, optional
-        Told the part done, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If there is no camera, or the views show nothing to put points on.
+    `progress` is told the part done, 0 to 1. InputError if there is no camera, or the views show nothing to put points
+    on.
     """
-    config = config or RetrainConfig()
-    trainer = _trainer(marked, cameras, config)
-    return trainer.run(progress)
+    return _trainer(marked, cameras, config or RetrainConfig()).run(progress)
 
 
 def retraining_steps(
@@ -96,23 +71,9 @@ def retraining_steps(
     config: RetrainConfig | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[int, GaussianModel]]:
-    """One training, looked at on its way.
+    """One training, looked at on its way: steps done and the model then, after each of the rising `stops`.
 
-    Parameters
-    ----------
-    marked, cameras
-        As of `retrain`.
-    stops : sequence of int
-        Steps after which the model is handed out, rising; the last one ends the training.
-    config : RetrainConfig, optional
-        Its number of steps is that of the last stop.
-    progress : callable, optional
-        Told the part done, 0 to 1.
-
-    Yields
-    ------
-    int, GaussianModel
-        Steps done, and the model as it is then.
+    As `retrain`; the last stop ends the training, whatever number of steps the config has.
     """
     if not stops or list(stops) != sorted(set(stops)) or stops[0] < 1:
         raise InputError(f"stops must be rising positive numbers, got {list(stops)}")
@@ -126,15 +87,8 @@ def retraining_steps(
 def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
     """What the attack cost the thief, on views he did not train on.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-
-    Returns
-    -------
-    dict
-        `psnr_to_stolen`: mean PSNR against the stolen model's renders, dB. `lost_db`: how much lower the PSNR of the
-        new model against photos is than the stolen one's, where that has 27 dB and the errors are independent.
+    `psnr_to_stolen`: mean PSNR against the stolen model's renders, dB. `lost_db`: how much lower the PSNR of the new
+    model against photos is than the stolen one's, where that has 27 dB and the errors are independent.
     """
     values = [
         psnr(np.clip(render(stolen, camera), 0.0, 1.0), np.clip(render(retrained, camera), 0.0, 1.0))

@@ -32,18 +32,9 @@ def transplant(
 ) -> GaussianModel:
     """Both models are brought to one centre and radius; each Gaussian gets the displacement of the nearest source's.
 
-    Parameters
-    ----------
-    source : GaussianModel
-        The marked model to lift from; needed.
-    clean : GaussianModel, optional
-        The same without the mark, Gaussian by Gaussian: the worst case, an attacker who was sold it. Without it the
-        mark is estimated as what a mean over 16 neighbours takes away.
-
-    Raises
-    ------
-    InputError
-        If there is no source, or `clean` is not of its length.
+    `source` is the marked model to lift from; needed. `clean` is the same without the mark, Gaussian by Gaussian: the
+    worst case, an attacker who was sold it. Without it the mark is estimated as what a mean over 16 neighbours takes
+    away. InputError where there is no source, or `clean` is not of its length.
     """
     from scipy.spatial import cKDTree
 

@@ -29,27 +29,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Material:
-    """What a body is made of. One scene unit is one metre, one unit of mass a kilogram.
+    """What a body is made of. One scene unit is one metre, one unit of mass a kilogram."""
 
-    Parameters
-    ----------
-    compliance : float
-        Of the edges: 1 / Young's modulus, 1/Pa, at least 0. Whatever the resolution.
-    volume_compliance : float
-        Of the tetrahedra's volumes: 1 / bulk modulus, 1/Pa, at least 0.
-    shape_rate : float
-        How fast points are drawn to the best rigid placement of their cluster, 1/s; 0 matches no shape.
-    shape_cluster : int
-        Side of a cluster in cells; 0 makes one cluster of the whole body, so that a high rate makes it rigid.
-    viscosity : float
-        Of the edges, Pa s, at least 0: takes energy from the rate of strain, not from rigid motion. Strain
-        dies away within about compliance * viscosity seconds where nothing swings.
-    """
-
-    compliance: float = 2e-5
-    volume_compliance: float = 2e-5
+    compliance: float = 2e-5  # of the edges: 1 / Young's modulus, 1/Pa, at least 0. Whatever the resolution.
+    volume_compliance: float = 2e-5  # of the tetrahedra's volumes: 1 / bulk modulus, 1/Pa, at least 0
+    # how fast points are drawn to the best rigid placement of their cluster, 1/s; 0 matches no shape
     shape_rate: float = 0.0
+    # side of a cluster in cells; 0 makes one cluster of the whole body, so that a high rate makes it rigid
     shape_cluster: int = 0
+    # of the edges, Pa s, at least 0: takes energy from the rate of strain, not from rigid motion. Strain dies
+    # away within about compliance * viscosity seconds where nothing swings.
     viscosity: float = 200.0
 
     def __post_init__(self) -> None:
@@ -59,28 +48,16 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A model (N Gaussians at rest) and the state of the matter it sits in (P points).
-
-    Parameters
-    ----------
-    masses : (P,) float64
-        Of the points, kg, positive.
-    pinned : (P,) bool
-        Points that nothing moves (inverse mass zero).
-    positions : (P, 3) float64
-        Now, scene units.
-    velocities : (P, 3) float64
-        Now, scene units per second.
-    """
+    """A model (N Gaussians at rest) and the state of the matter it sits in (P points)."""
 
     model: GaussianModel
     lattice: Lattice
     binding: Binding
     material: Material
-    masses: Float64
-    pinned: Bool
-    positions: Float64
-    velocities: Float64
+    masses: Float64  # (P,) of the points, kg, positive
+    pinned: Bool  # (P,) points that nothing moves (inverse mass zero)
+    positions: Float64  # (P, 3) now, scene units
+    velocities: Float64  # (P, 3) now, scene units per second
 
     @property
     def inverse_masses(self) -> Float64:
@@ -97,20 +74,11 @@ def make_body(
     pinned: npt.NDArray[np.bool_] | None = None,
     velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> Body:
-    """Fill a model with matter.
+    """Fill a model with matter; its Gaussians keep their number, order and opacity whatever happens.
 
-    Parameters
-    ----------
-    model : GaussianModel
-        Its Gaussians keep their number, order and opacity whatever happens.
-    resolution : int
-        Voxels along the longest robust extent, 2 to 96; each holds six tetrahedra.
-    density : float
-        kg per cubic scene unit, positive.
-    pinned : (N,) bool, optional
-        Gaussians that must stay where they are: the corners of their tetrahedra never move.
-    velocity : (3,), optional
-        At the start, scene units per second.
+    `resolution` is the number of voxels along the longest robust extent, 2 to 96, each of six tetrahedra; `density` is
+    positive, in kg per cubic scene unit; `pinned` (N,) marks Gaussians whose tetrahedra's corners never move;
+    `velocity` (3,) is that at the start, scene units per second.
     """
     check_positive(density, "density")
     start = check_triple(velocity, "velocity")

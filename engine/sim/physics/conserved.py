@@ -13,19 +13,11 @@ __all__ = ["Energy", "angular_momentum", "energy", "momentum"]
 
 @dataclass(frozen=True)
 class Energy:
-    """Joule, with a scene unit for a metre.
-
-    Parameters
-    ----------
-    potential : float
-        In the field of gravity, zero at the origin.
-    elastic : float
-        Of edges, volumes and clusters; what is infinitely stiff stores none.
-    """
+    """Joule, with a scene unit for a metre."""
 
     kinetic: float
-    potential: float
-    elastic: float
+    potential: float  # in the field of gravity, zero at the origin
+    elastic: float  # of edges, volumes and clusters; what is infinitely stiff stores none
 
     @property
     def total(self) -> float:

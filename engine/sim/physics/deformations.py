@@ -29,37 +29,19 @@ PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """A body's own frame.
+    """A body's own frame."""
 
-    Parameters
-    ----------
-    center : (3,) float64
-        Middle of the body, scene units.
-    frame : (3, 3) float64
-        Proper rotation; rows are the directions of h, v, w.
-    length : float
-        Of the body along h, scene units.
-    """
-
-    center: Float64
-    frame: Float64
-    length: float
+    center: Float64  # (3,) middle of the body, scene units
+    frame: Float64  # (3, 3) proper rotation; rows are the directions of h, v, w
+    length: float  # of the body along h, scene units
 
 
 def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
     """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the centre.
 
-    Parameters
-    ----------
-    axis : (3,), optional
-        Direction of h; the coordinate axis along which the model is longest where not given.
-    toward : (3,), optional
-        Direction of v, of which the part across the axis counts; the next coordinate axis where not given.
-
-    Raises
-    ------
-    InputError
-        If the model is empty, or the directions are not finite, zero or parallel.
+    `axis` is the direction of h, by default the coordinate axis along which the model is longest; `toward` that of v,
+    of which the part across the axis counts, by default the next coordinate axis. InputError if the model is empty, or
+    the directions are not finite, zero or parallel.
     """
     from engine.pipeline.rigs import measure_extent
 

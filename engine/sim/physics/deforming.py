@@ -29,27 +29,12 @@ BATCH = 16_384
 def deform_model(
     model: GaussianModel, means: npt.NDArray[Any], gradients: npt.NDArray[Any], element: npt.NDArray[Any] | None = None
 ) -> GaussianModel:
-    """The model with its Gaussians moved, strained and turned.
+    """The model with its Gaussians moved to `means` (N, 3), strained and turned: covariances F Sigma F^T (Eq 12).
 
-    Parameters
-    ----------
-    means : (N, 3)
-        Their new centres, scene units.
-    gradients : (T, 3, 3)
-        Deformation gradients F, x_new = F x_old near by. Mirroring and singular ones are allowed.
-    element : (N,) integer, optional
-        Gradient of each Gaussian; Gaussian n has gradient n where not given.
-
-    Returns
-    -------
-    GaussianModel
-        Covariances F Sigma F^T; SH turned by the rotation part of F (the nearest proper rotation); opacities as
-        they were. An axis that F flattens keeps 1e-10 of the Gaussian's largest standard deviation.
-
-    Notes
-    -----
-    Eq 12 of the paper; Xie et al., "PhysGaussian", CVPR 2024, for turning the harmonics by polar
-    decomposition.
+    `gradients` (T, 3, 3) are deformation gradients F, x_new = F x_old near by, mirroring and singular ones allowed;
+    `element` (N,) is the gradient of each Gaussian, n for Gaussian n where not given. SH are turned by the rotation
+    part of F, the nearest proper rotation (Xie et al., "PhysGaussian", CVPR 2024); opacities stay. An axis that F
+    flattens keeps 1e-10 of the Gaussian's largest standard deviation.
     """
     count = len(model)
     matrices = np.ascontiguousarray(gradients, dtype=np.float64)

@@ -33,33 +33,15 @@ RESOLUTIONS = (2, 96)
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The rest shape: P points, T tetrahedra, E edges.
+    """The rest shape: P points, T tetrahedra, E edges."""
 
-    Parameters
-    ----------
-    points : (P, 3) float64
-        At rest, scene units.
-    sites : (P, 3) int64
-        The same in whole cells.
-    tets : (T, 4) int32
-        Corners; volumes are positive at rest.
-    edges : (E, 2) int32
-        Every edge of a tetrahedron once, sorted.
-    surface : (P,) bool
-        Whether a point lies on the outside.
-    cell : float
-        Side of a voxel, scene units.
-    inverse_rest : (T, 3, 3) float64
-        Inverse of the rest edges Dm = [x1-x0, x2-x0, x3-x0] (Eq 12), 1 / scene units.
-    """
-
-    points: Float64
-    sites: Int64
-    tets: Int32
-    edges: Int32
-    surface: Bool
-    cell: float
-    inverse_rest: Float64
+    points: Float64  # (P, 3) at rest, scene units
+    sites: Int64  # (P, 3) the same in whole cells
+    tets: Int32  # (T, 4) corners; volumes are positive at rest
+    edges: Int32  # (E, 2) every edge of a tetrahedron once, sorted
+    surface: Bool  # (P,) whether a point lies on the outside
+    cell: float  # side of a voxel, scene units
+    inverse_rest: Float64  # (T, 3, 3) inverse of the rest edges Dm = [x1-x0, x2-x0, x3-x0] (Eq 12), 1 / scene units
 
     @property
     def tet_volume(self) -> float:
@@ -69,17 +51,10 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """Where N Gaussians sit: in tetrahedron `tet` with barycentric `weights`.
+    """Where N Gaussians sit: in tetrahedron `tet` with barycentric `weights`."""
 
-    Parameters
-    ----------
-    tet : (N,) int32
-    weights : (N, 4) float64
-        Sum 1; some are negative for Gaussians outside of all matter, bound to the nearest.
-    """
-
-    tet: Int32
-    weights: Float64
+    tet: Int32  # (N,)
+    weights: Float64  # (N, 4) sum 1; some are negative for Gaussians outside of all matter, bound to the nearest
 
 
 def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Binding]:

@@ -34,24 +34,13 @@ def _make_vectors(owner: object, what: str, *names: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A wall: matter stays on the side its normal shows to.
+    """A wall: matter stays on the side its normal shows to."""
 
-    Parameters
-    ----------
-    point : (3,)
-        On the plane now, scene units.
-    normal : (3,)
-        Towards the free side; made a unit vector.
-    velocity : (3,)
-        Of the plane, scene units per second: a lid that presses, a conveyor that carries.
-    friction : float
-        Coulomb's coefficient, at least 0.
-    """
-
-    point: Float64
-    normal: Float64
+    point: Float64  # (3,) on the plane now, scene units
+    normal: Float64  # (3,) towards the free side; made a unit vector
+    # (3,) of the plane, scene units per second: a lid that presses, a conveyor that carries
     velocity: Float64 = field(default_factory=lambda: np.zeros(3))
-    friction: float = 0.5
+    friction: float = 0.5  # Coulomb's coefficient, at least 0
 
     def __post_init__(self) -> None:
         _make_vectors(self, " of a plane", "point", "normal", "velocity")
@@ -79,32 +68,17 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Bodies, what acts on them, and how finely time is cut.
+    """Bodies, what acts on them, and how finely time is cut."""
 
-    Parameters
-    ----------
-    bodies : tuple of Body
-        At least one.
-    gravity : (3,)
-        Scene units per second squared.
-    drag : float
-        Rate at which all motion dies away, 1/s, at least 0; 0 is vacuum.
-    substeps : int
-        Parts of a step, each with one pass over all constraints. More make bodies stiffer and motion livelier.
-    collide : bool
-        Whether bodies collide with each other and with themselves.
-    time : float
-        Seconds since the start.
-    """
-
-    bodies: tuple[Body, ...]
-    gravity: Float64 = field(default_factory=lambda: np.array(EARTH))
+    bodies: tuple[Body, ...]  # at least one
+    gravity: Float64 = field(default_factory=lambda: np.array(EARTH))  # (3,) scene units per second squared
     planes: tuple[Plane, ...] = ()
     spheres: tuple[Sphere, ...] = ()
-    drag: float = 0.0
+    drag: float = 0.0  # rate at which all motion dies away, 1/s, at least 0; 0 is vacuum
+    # parts of a step, each with one pass over all constraints. More make bodies stiffer and motion livelier.
     substeps: int = 30
-    collide: bool = True
-    time: float = 0.0
+    collide: bool = True  # whether bodies collide with each other and with themselves
+    time: float = 0.0  # seconds since the start
 
     def __post_init__(self) -> None:
         if not self.bodies:

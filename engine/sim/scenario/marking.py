@@ -26,23 +26,13 @@ __all__ = ["Part", "Photos", "load_world", "mark", "scenario_key"]
 
 @dataclass(frozen=True)
 class Photos:
-    """Photos with a COLMAP reconstruction, from which an object is trained.
+    """Photos with a COLMAP reconstruction, from which an object is trained."""
 
-    Parameters
-    ----------
-    colmap, photos : Path
-        Folders of the reconstruction and of the photos.
-    size : int
-        Longest side of the photos in training, pixels.
-    hold_out : int
-        One photo of so many is kept for measuring.
-    """
-
-    colmap: Path = given(Table.file)
-    photos: Path = given(Table.file)
-    size: int = given(Table.integer, 400, 64, 4096)
+    colmap: Path = given(Table.file)  # folder of the reconstruction
+    photos: Path = given(Table.file)  # their folder
+    size: int = given(Table.integer, 400, 64, 4096)  # longest side of the photos in training, pixels
     steps: int = given(Table.integer, 2000, 1, 1_000_000)
-    hold_out: int = given(Table.integer, 8, 0, 1000)
+    hold_out: int = given(Table.integer, 8, 0, 1000)  # one photo of so many is kept for measuring
 
 
 def read_source(table: Table, name: str) -> Path | Photos:
@@ -57,26 +47,14 @@ def read_name(table: Table, name: str) -> str:
 
 @dataclass(frozen=True)
 class Part:
-    """One object at the start.
+    """One object at the start."""
 
-    Parameters
-    ----------
-    source : Path or Photos
-        A model file, or what to train one from.
-    bits : int
-        Length of its message; 0 leaves it unmarked.
-    profile : str
-        Of the embedding.
-    shift, turn : (3,)
-        Placement: scene units, and a rotation vector in degrees.
-    """
-
-    source: Path | Photos = given(read_source)
+    source: Path | Photos = given(read_source)  # a model file, or what to train one from
     name: str = given(read_name)
-    bits: int = given(Table.integer, 32, 0, 256)
-    profile: str = given(Table.text, "balanced")
-    shift: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
-    turn: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))
+    bits: int = given(Table.integer, 32, 0, 256)  # length of its message; 0 leaves it unmarked
+    profile: str = given(Table.text, "balanced")  # of the embedding
+    shift: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))  # scene units
+    turn: tuple[float, ...] = given(Table.vector, (0.0, 0.0, 0.0))  # rotation vector, degrees
     scale: float = given(Table.number, 1.0, 1e-6, 1e6)
 
 

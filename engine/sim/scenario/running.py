@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Float32, GaussianModel
+from engine.model import GaussianModel
 from engine.pipeline.progress import Progress
 from engine.pipeline.verification import Verification, verify_images, verify_model
 from engine.sim.cost import Cost
@@ -29,23 +29,13 @@ DELIVERED = "as delivered"
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """One step and what was found after it.
-
-    Parameters
-    ----------
-    rows : tuple of dict
-        One for each record: object, verdict, matching bits, z, bound, share found, seconds.
-    picture : (H, W, 3) uint8
-        What a person would see, with the findings written on it.
-    seconds : float
-        Of the step itself.
-    notes : tuple of str
-    """
+    """One step and what was found after it."""
 
     label: str
+    # one for each record: object, verdict, matching bits, z, bound, share found, seconds
     rows: tuple[dict[str, Any], ...]
-    picture: Any
-    seconds: float
+    picture: Any  # (H, W, 3) uint8, what a person would see, with the findings written on it
+    seconds: float  # of the step itself
     notes: tuple[str, ...]
 
 
@@ -62,19 +52,9 @@ class Run:
 def run_scenario(
     scenario: Scenario, progress: Progress | None = None, tell: Callable[[StepResult], None] | None = None
 ) -> Run:
-    """Play a scenario.
+    """Play a scenario; `tell` is given every result as soon as it is there.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Told step and fraction.
-    tell : callable, optional
-        Given every result as soon as it is there.
-
-    Raises
-    ------
-    InputError
-        If a step does not fit the world it meets; the message names the step.
+    InputError, naming the step, if one does not fit the world it meets.
     """
     report = progress or (lambda stage, fraction: None)
     world, made = load_world(scenario.parts, scenario.seed, report)  # 1
@@ -106,14 +86,13 @@ def run_scenario(
 def _look_for_all(outcome: Outcome, label: str, progress: Progress) -> list[dict[str, Any]]:
     """A row for each record of the world."""
     rows = []
-    flat = outcome.world.flat() if not outcome.pictures else None
+    flat = outcome.world.flat()
     for name, opened in outcome.world.records.items():
         progress(f"{label}: looking for {name}", 0.0)
-        if flat is not None:
-            found = verify_model(flat, opened)
+        if outcome.pictures:
+            found = verify_images(list(outcome.pictures), opened, cameras=outcome.cameras)
         else:
-            pictures: list[Float32] = list(outcome.pictures)
-            found = verify_images(pictures, opened, cameras=outcome.cameras)
+            found = verify_model(flat, opened)
         rows.append(row(name, found, outcome.cost))
     return rows
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from engine.errors import InputError
-from engine.sim.scenario import edit_steps, life_steps, theft_steps, training_steps
+from engine.sim.scenario import edit_steps, life_steps, theft_steps
 from engine.sim.scenario.marking import Part
 from engine.sim.scenario.tables import Table, given, read_table
 from engine.sim.scenario.world import Step
@@ -17,7 +17,7 @@ T = TypeVar("T")
 MAX_STEPS = 200
 MAX_OBJECTS = 64
 
-KINDS = {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS, **training_steps.KINDS}
+KINDS = {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS, **theft_steps.PATIENT}
 """Every kind of step, by the word that a scenario calls it with."""
 
 TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "on")
@@ -55,10 +55,7 @@ class Scenario:
 def read_scenario(path: str | Path) -> Scenario:
     """Read a TOML file; model paths in it are relative to its folder.
 
-    Raises
-    ------
-    InputError
-        Naming file, table and value of the first thing that does not fit.
+    InputError names file, table and value of the first thing that does not fit.
     """
     path = Path(path)
     top = read_table(path)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32, GaussianModel
-from engine.pipeline.rigs import Extent, measure_extent
+from engine.pipeline.rigs import measure_extent
 from engine.raster import render
 from engine.sim.scenario.script import Film
 from engine.sim.scenario.world import Outcome, viewpoint
@@ -28,13 +28,7 @@ FOLLOW = (0.2, 2.5)
 
 
 class Show:
-    """Draws one step after the other; the camera walks on from where it was.
-
-    Parameters
-    ----------
-    model : GaussianModel
-        The scene at the start: it sets where the camera walks.
-    """
+    """Draws one step after the other; the camera walks on from where it was, at first around `model`."""
 
     def __init__(self, film: Film, model: GaussianModel) -> None:
         self.frames: list[Uint8] = []
@@ -63,8 +57,7 @@ class Show:
         return drawn[-1]
 
     def _follow(self, model: GaussianModel) -> None:
-        now: Extent = measure_extent(model)
-        before = self._extent
+        now, before = measure_extent(model), self._extent
         away = np.linalg.norm(now.center - before.center) / before.radius
         if away > 1.0 or not FOLLOW[0] < now.radius / before.radius < FOLLOW[1]:
             self._extent = now

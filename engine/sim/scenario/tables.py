@@ -48,14 +48,9 @@ def read_table(path: Path) -> Table:
 
 
 class Table:
-    """One TOML table and its place in the file. Every name must have been asked for before `done`.
+    """One TOML table and its place in the file, as errors name it: `fall.toml: steps[2]`.
 
-    Parameters
-    ----------
-    place : str
-        How errors name it, such as `fall.toml: steps[2]`.
-    folder : Path
-        That of the file; names of other files in it are relative to it.
+    Every name must have been asked for before `done`; names of other files are relative to `folder`.
     """
 
     def __init__(self, values: Mapping[str, Any], place: str, folder: Path) -> None:

@@ -1,21 +1,31 @@
-"""Steps of thieves: attacks on models, pictures that turn up."""
+"""Steps of thieves: attacks on models, pictures that turn up, fine-tuning, re-training from renders, collusion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from engine.model import Float32
+from engine.numerics.similarity import transform_model
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
+from engine.registration.registering import register
+from engine.sim.adversaries.collusion import RULES, collude
+from engine.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
 from engine.sim.attack import Strength
 from engine.sim.attacks import image_attack, model_attack
+from engine.sim.capture.training import TrainConfig
 from engine.sim.cost import model_cost
+from engine.sim.fine_tuning import SETTINGS, fine_tune, pictures_of
+from engine.sim.scenario.marking import mark
 from engine.sim.scenario.tables import Table, given
 from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step
 
-__all__ = ["KINDS"]
+__all__ = ["KINDS", "PATIENT"]
 
 KINDS: dict[str, StepKind] = {}
+PATIENT: dict[str, StepKind] = {}
+"""Steps of thieves who train models of their own or have several copies."""
 
 COST_VIEWS, COST_SIZE = 2, 300
 """Neutral views in which an attack's cost is measured, and their side in pixels."""
@@ -83,3 +93,91 @@ class TakePictures:
             pictures.append(picture)
             advance((k + 1) / self.views)
         return Outcome(world, pictures=tuple(pictures), cameras=tuple(cameras) if self.known_cameras else None)
+
+
+def read_trained(table: Table, name: str) -> Literal["all", "colors"]:
+    """What moves."""
+    return "all" if table.text(name, "all", ("all", "colors")) == "all" else "colors"
+
+
+@step(PATIENT, "fine_tune", "training goes on: setting, epochs, trained = all | colors, size, on")
+@dataclass(frozen=True)
+class FineTune:
+    """Training the stolen model on (paper, Table 5); the attacker's clean pictures show what was registered."""
+
+    setting: str = given(Table.text, "clean+key", tuple(SETTINGS))
+    trained: Literal["all", "colors"] = given(read_trained)
+    epochs: int = given(Table.integer, 100, 1, 100_000)
+    size: int = given(Table.integer, 400, 32, 2048)
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        opened = world.record_of(name)
+        seed = int(rng.integers(2**31))
+        clean = world.unmarked[name]
+        found = register(clean, model, seed=seed)
+        if found.found:  # back to where the pictures show it
+            model = transform_model(model, found.scale, found.R, found.t)
+        cameras, images = pictures_of(SETTINGS[self.setting], clean, model, opened.cameras, size=self.size, seed=seed)
+        tuned = fine_tune(model, cameras, images, self.epochs, trained=self.trained, seed=seed, advance=advance)
+        cost = model_cost(model, tuned, views=COST_VIEWS, size=COST_SIZE)
+        if found.found:
+            back = found.R.T / found.scale
+            tuned = transform_model(tuned, 1.0 / found.scale, found.R.T, -back @ found.t)
+        return Outcome(world.put(name, tuned), cost=cost)
+
+
+@step(PATIENT, "retrain", "a fresh model from renders: views, steps, points, size, on")
+@dataclass(frozen=True)
+class Retrain:
+    """A model trained from nothing but renders: not one of its Gaussians is one of the stolen model's."""
+
+    views: int = given(Table.integer, 100, 1, 10_000)
+    steps: int = given(Table.integer, 3000, 1, 1_000_000)
+    points: int = given(Table.integer, 50_000, 100, 10_000_000)
+    size: int = given(Table.integer, 400, 32, 2048)
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        cameras = make_rig(model, self.views, self.size, self.size, jitter=rng.random((self.views, 4)))
+        train = TrainConfig(steps=self.steps, sh_degree=0, densify=None, opacity_rate=0.02)
+        config = RetrainConfig(points=self.points, train=train, seed=int(rng.integers(2**31)))
+        fresh = retrain(model, cameras, config, advance)
+        held_out = make_rig(model, 4, self.size, self.size, jitter=rng.random((4, 4)))
+        lost = quality_lost(fresh, model, held_out)
+        note = ", ".join(f"{word.replace('_', ' ')} {value:.1f} dB" for word, value in lost.items())
+        return Outcome(world.put(name, fresh), notes=(note,))
+
+
+@step(PATIENT, "collude", "several copies become one: copies, rule, on")
+@dataclass(frozen=True)
+class Collude:
+    """Several buyers put their copies together, which are marked here; every one of them should be named."""
+
+    copies: int = given(Table.integer, 3, 2, 10)
+    rule: str = given(Table.text, "mean", tuple(RULES))
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, _ = world.target(self.on)
+        first = world.record_of(name)
+        records, models = {}, []
+        for number in range(1, self.copies + 1):
+            made, opened = mark(
+                world.unmarked[name],
+                world.key,
+                first.header.original_digest,
+                len(first.message),
+                world.profiles[name],
+                copy=f"{name} copy {number}",
+            )
+            records[f"{name} copy {number}"] = opened
+            models.append(made)
+            advance(number / self.copies)
+        mixed = collude(models[0], self.rule, rng, others=models[1:])
+        cost = model_cost(models[0], mixed, views=COST_VIEWS, size=COST_SIZE)
+        left = {other: record for other, record in world.records.items() if other != name}
+        world = replace(world, records={**left, **records})
+        return Outcome(world.put(name, mixed), cost=cost)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -30,44 +31,23 @@ MARGIN = 1.3
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The state between two steps.
+    """The state between two steps."""
 
-    Parameters
-    ----------
-    objects : mapping of str to GaussianModel
-        In world coordinates, in the order in which they would be written to one file.
-    records : mapping of str to OpenedRecord
-        Of the marked objects, under the names with which they came in; none is ever lost.
-    unmarked : mapping of str to GaussianModel
-        What was registered, before the mark, in its own frame; for attackers who have clean pictures.
-    profiles : mapping of str to str
-        Profiles with which the objects were marked.
-    key : OwnerKey
-        Of the owner of all of them.
-    """
-
+    # in world coordinates, in the order in which they would be written to one file
     objects: Mapping[str, GaussianModel]
+    # of the marked objects, under the names with which they came in; none is ever lost
     records: Mapping[str, OpenedRecord]
+    # what was registered, before the mark, in its own frame; for attackers who have clean pictures
     unmarked: Mapping[str, GaussianModel]
-    profiles: Mapping[str, str]
-    key: OwnerKey
+    profiles: Mapping[str, str]  # profiles with which the objects were marked
+    key: OwnerKey  # of the owner of all of them
 
     def flat(self) -> GaussianModel:
         """All objects in one file."""
-        models = list(self.objects.values())
-        whole = models[0]
-        for model in models[1:]:
-            whole = join(whole, model)
-        return whole
+        return reduce(join, self.objects.values())
 
     def target(self, on: str) -> tuple[str, GaussianModel]:
-        """Name and model that a step works on: the named object, the only one, or all as one (`on` empty).
-
-        Raises
-        ------
-        InputError
-            If there is no object of that name.
-        """
+        """Name and model that a step works on: the named object, the only one, or all as one (`on` empty)."""
         if on:
             if on not in self.objects:
                 raise InputError(f"no object is called {on!r}; there are {', '.join(self.objects)}")
@@ -93,27 +73,14 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a step leaves behind.
-
-    Parameters
-    ----------
-    frames : tuple of GaussianModel
-        Moments in between, for the film; empty where nothing moves.
-    pictures : tuple of (H, W, 3) float32
-        What turned up instead of the model; verification reads these then.
-    cameras : tuple of Camera or None
-        Of the pictures, where the verifier is told them.
-    notes : tuple of str
-    cost : Cost, optional
-        What the step cost the look, where it is an attack.
-    """
+    """What a step leaves behind."""
 
     world: World
-    frames: tuple[GaussianModel, ...] = ()
-    pictures: tuple[Float32, ...] = ()
-    cameras: tuple[Camera, ...] | None = None
+    frames: tuple[GaussianModel, ...] = ()  # moments in between, for the film; empty where nothing moves
+    pictures: tuple[Float32, ...] = ()  # what turned up instead of the model; verification reads these then
+    cameras: tuple[Camera, ...] | None = None  # of the pictures, where the verifier is told them
     notes: tuple[str, ...] = ()
-    cost: Cost | None = None
+    cost: Cost | None = None  # what the step cost the look, where it is an attack
 
 
 class Step(Protocol):

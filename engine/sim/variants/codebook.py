@@ -32,24 +32,12 @@ CODES = {"dc": 4096, "sh": 4096, "scale": 4096, "rot": 4096}
 
 @dataclass(frozen=True, eq=False)
 class CodebookModel:
-    """N Gaussians of which some attributes are codebook entries.
+    """N Gaussians of which some attributes are codebook entries."""
 
-    Parameters
-    ----------
-    plain : mapping of str to (N, d) float32
-        The groups that are not quantised, and "opacity" (N, 1) as logits.
-    centers : mapping of str to (M, d) float32
-        Codebook of each quantised group, in the order of the file.
-    indices : mapping of str to (N,) int32
-        Entry of each Gaussian in each codebook.
-    index_bits : int
-        Bits of an index in the file.
-    """
-
-    plain: Mapping[str, Float32]
-    centers: Mapping[str, Float32]
-    indices: Mapping[str, Int32]
-    index_bits: int
+    plain: Mapping[str, Float32]  # the groups that are not quantised, and "opacity" (N, 1) as logits
+    centers: Mapping[str, Float32]  # codebook of each quantised group, in the order of the file
+    indices: Mapping[str, Int32]  # entry of each Gaussian in each codebook
+    index_bits: int  # bits of an index in the file
 
     def __post_init__(self) -> None:
         if "opacity" not in self.plain or set(self.centers) != set(self.indices):
@@ -91,15 +79,10 @@ class CodebookModel:
 
 
 def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, *, seed: int = 0) -> CodebookModel:
-    """Quantise a trained model by k-means, group by group.
+    """Quantise a trained model by k-means, each group to so many `codes` (`CODES` by default); others stay plain.
 
-    The published system learns its codebooks while the model trains; here a finished model is quantised, which
-    costs more quality. Results must say so.
-
-    Parameters
-    ----------
-    codes : mapping of str to int, optional
-        Codebook size of each group to quantise; others stay plain. `CODES` where not given.
+    The published system learns its codebooks while the model trains; here a finished model is quantised, which costs
+    more quality. Results must say so.
     """
     codes = dict(CODES if codes is None else codes)
     if not codes:
@@ -130,23 +113,9 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
 def embed_codebook(compressed: CodebookModel, key: OwnerKey, **request: Any) -> tuple[CodebookModel, Embedding]:
     """Mark a model in its own colour codebook: its entries are the mark's code vectors.
 
-    Parameters
-    ----------
-    compressed : CodebookModel
-        Pruned and quantised; the group "dc" must have a codebook.
-    **request
-        As for `engine.pipeline.embedding.embed`, whose errors are raised, too; ``original_sha256`` must be there.
-
-    Returns
-    -------
-    marked : CodebookModel
-        As many codes, the same indices: a file of the same size.
-    embedding : Embedding
-
-    Raises
-    ------
-    InputError
-        If the colours have no codebook.
+    The `request` is that of `engine.pipeline.embedding.embed`, whose errors are raised, too; ``original_sha256`` must
+    be there. The marked model has as many codes and the same indices: a file of the same size. InputError if the
+    colours have no codebook.
     """
     if "dc" not in compressed.centers:
         raise InputError("this model's colours are not quantised: mark it as a plain model")

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, InputError
+from engine.formats.guards import opening
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import parse_header
 from engine.formats.repairs import MAGNITUDE_LIMIT
@@ -50,14 +51,9 @@ _PROPERTIES = {
 def read_codebook(folder: str | os.PathLike[str]) -> CodebookModel:
     """Read the folder of a compressed model: its four files.
 
-    Raises
-    ------
-    FormatError
-        A file's bytes are not what they should be, an index points outside its codebook, or a value is no number.
-    UnsupportedFormatError
-        A group is quantised that is not read here.
-    InputError
-        A file is missing or cannot be read.
+    FormatError where a file's bytes are not what they should be, an index points outside its codebook, or a value is no
+    number; UnsupportedFormatError where a group is quantised that is not read here; InputError where a file is missing
+    or cannot be read.
     """
     base = Path(folder)
     params, index_bits, total = read_args(_content(base / ARGS, MAX_ARGS_BYTES), file=str(base / ARGS))
@@ -115,15 +111,13 @@ def write_codebook(model: CodebookModel, folder: str | os.PathLike[str]) -> int:
 
 
 def _content(path: Path, limit: int | None = None) -> bytes:
-    try:
+    with opening(path, str(path)):
         if not path.is_file():
             raise InputError(f"{path}: there is no such file")
         size = path.stat().st_size
         if limit is not None and size > limit:
             raise FormatError(f"is {size} bytes long, more than {limit}", file=str(path))
         return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _read_centers(data: bytes, params: list[str], file: str) -> dict[str, Float32]:

@@ -42,23 +42,12 @@ class _Unpickler(pickle.Unpickler):
 
 
 def read_args(data: bytes, *, file: str) -> tuple[list[str], int, int]:
-    """Read kmeans_args.npy without running anything in it.
+    """Groups in the order of the indices, bits of an index, and of all of them, from kmeans_args.npy; nothing in it is
+    run.
 
-    Returns
-    -------
-    params : list of str
-        Names of the groups, in the order of the indices; distinct, all of `GROUPS`.
-    index_bits : int
-        Bits of an index, 1 to 31.
-    total : int
-        Bits of all indices as the file announces them.
-
-    Raises
-    ------
-    FormatError
-        The bytes are no pickled dict of these values.
-    UnsupportedFormatError
-        A group is named that is not read here.
+    The groups are distinct and all of `GROUPS`, an index has 1 to 31 bits, and the total is as the file announces it.
+    FormatError where the bytes are no pickled dict of these values; UnsupportedFormatError where a group is named that
+    is not read here.
     """
     stream = io.BytesIO(data)
     try:

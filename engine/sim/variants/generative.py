@@ -96,24 +96,12 @@ def marking(
 ) -> Marking:
     """A mark at the end of generation: nothing leaves the generator without one.
 
-    Parameters
-    ----------
-    records : path
-        Folder that gets one record for each generated model, named by its record id.
-    config : EmbedConfig, optional
-        `FEW_GAUSSIANS` where not given.
+    It is a decorator for a generator that returns a GaussianModel or a path; or a callback, called with either. A
+    path's file is replaced by the marked one, in its own format; its record is there before. The folder `records` gets
+    one record for each generated model, named by its record id; the config is `FEW_GAUSSIANS` where not given.
 
-    Returns
-    -------
-    Marking
-        A decorator for a generator that returns a GaussianModel or a path; or a callback, called with either. A
-        path's file is replaced by the marked one, in its own format; its record is there before.
-
-    Raises
-    ------
-    CapacityError
-        On marking, if the model cannot carry the message. A file is left as the generator wrote it, so that
-        nothing is lost; a generator that returns a model in memory may want to write it first.
+    CapacityError on marking, if the model cannot carry the message. A file is left as the generator wrote it, so that
+    nothing is lost; a generator that returns a model in memory may want to write it first.
 
     Examples
     --------
@@ -150,20 +138,11 @@ def generate_from_views(
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """Optimise Gaussians from a random ball, as DreamGaussian does, towards given views of an object.
+    """Optimise Gaussians from a random ball of `points`, as DreamGaussian does, towards given views of an object.
 
-    The published system is guided by a diffusion model, which is not to be had here: renders of a real object take
-    its place. What comes out is like it in all that a mark meets: a few thousand large Gaussians without
-    view-dependent colour. Results must say that it was made so.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Around the object, which lies where they look.
-    images : sequence of (H, W, 3) float32
-        On black.
-    points : int
-        Gaussians to start from; densification adds some.
+    The published system is guided by a diffusion model, which is not to be had here: renders of a real object, on black
+    and from cameras around it, take its place. What comes out is like it in all that a mark meets: a few thousand large
+    Gaussians without view-dependent colour. Results must say that it was made so.
     """
     from engine.sim.capture.densification import DensifyConfig
     from engine.sim.capture.kernels import kernels_from_points

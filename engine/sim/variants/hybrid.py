@@ -60,14 +60,10 @@ def verify_hybrid(
 ) -> list[ObjectFinding]:
     """Which records a hybrid file carries, and where.
 
-    Parameters
-    ----------
-    moving : mapping of str to (Moving, float), optional
-        For records of scenes that move: the owner's original, and the moment to look for.
-    instances : int
-        Times one asset is looked for. More than one where several variants of the same asset may be in the file:
-        they look alike to the registration, and only one of them carries a given record's mark. All
-        len(records) * instances tries are counted.
+    `moving` has, for records of scenes that move, the owner's original and the moment to look for. `instances` is how
+    often one asset is looked for: more than once where several variants of the same asset may be in the file, which
+    look alike to the registration although only one carries a given record's mark. All len(records) * instances tries
+    are counted.
     """
     moving = moving or {}
     for name in moving:

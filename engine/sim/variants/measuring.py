@@ -5,7 +5,7 @@ record, which the systems in the paper's table do without.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -44,6 +44,12 @@ from engine.watermark.keys import OwnerKey
 
 __all__ = ["measure_codebook", "measure_discs", "measure_generated", "measure_spacetime"]
 
+BITS = 32
+"""Of the message."""
+VIEWS, SIZE = 6, 512
+"""Views measured on, and their side in pixels."""
+TIMES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Moments of a clip at which it is looked at, one view each; the middle one is attacked."""
 SEARCHED_MOMENTS = 5
 """Moments that are tried where nobody knows when a picture was taken."""
 
@@ -58,30 +64,19 @@ def measure_discs(
     key: OwnerKey,
     config: EmbedConfig,
     *,
-    bits: int = 32,
-    views: int = 6,
-    size: int = 512,
+    views: int = VIEWS,
+    size: int = SIZE,
     seed: int = 0,
 ) -> VariantRow:
     """Mark discs and fill their row; their own file is a PLY with two scales.
 
-    Parameters
-    ----------
-    original : GaussianModel
-        What the discs were made from: its own renders are the truth.
-    config : EmbedConfig
-        Its fidelity is raised as far as `fidelity_for` asks. With ``landmark_views=0`` the picture whose camera
-        has to be found is left out.
-    views, size : int
-        Views measured on (jittered, none of which the mark or a fit has seen) and their side, pixels.
-    seed : int
-        Of the views and the attacks.
+    Renders of the `original`, which they were made from, are the truth. The config's fidelity is raised as far as
+    `fidelity_for` asks. It is measured on `views` that neither mark nor fit has seen, `size` pixels a side; `seed` is
+    that of the views and the attacks.
 
-    Returns
-    -------
-    VariantRow
-        Evidence from the model, also after `DISC_MODEL_CASES`; from renders of the suspect at the pose key; from one
-        picture, also drawn as thin Gaussians and after `DISC_PICTURE_CASES`; and from one whose camera is not known.
+    Evidence from the model, also after `DISC_MODEL_CASES`; from renders of the suspect at the pose key; from one
+    picture, also drawn as thin Gaussians and after `DISC_PICTURE_CASES`; and from one whose camera is not known, where
+    the record has landmarks (``landmark_views``).
     """
     if not discs.is_flat:
         raise InputError("a 2DGS model has two scales, this one has three")
@@ -89,7 +84,7 @@ def measure_discs(
     discs = read_model(file).model
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
-        result = embed(discs, key, original_sha256=hashlib.sha256(file).hexdigest(), bits=bits, config=finer)
+        result = embed(discs, key, original_sha256=hashlib.sha256(file).hexdigest(), bits=BITS, config=finer)
         return read_model(encode_model(result.model, "ply")).model, open_record(result.record.to_bytes(key), key)
 
     def read(suspect: Suspect) -> Readings:
@@ -105,20 +100,11 @@ def measure_discs(
             readings["one picture, camera not known"] = partial(suspect.read_picture, known=False)
         return readings
 
-    return _row("2DGS (made from 3DGS)", original, discs, config, mark, read, (views, size, seed))
+    return _row("2DGS (made from 3DGS)", original, discs, config, mark, read, seed, views, size)
 
 
 def measure_codebook(
-    original: GaussianModel,
-    compressed: CodebookModel,
-    key: OwnerKey,
-    config: EmbedConfig,
-    folder: Path,
-    *,
-    bits: int = 32,
-    views: int = 6,
-    size: int = 512,
-    seed: int = 0,
+    original: GaussianModel, compressed: CodebookModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int = 0
 ) -> VariantRow:
     """Mark a codebook model made from the original and fill its row, see `measure_discs`.
 
@@ -129,25 +115,15 @@ def measure_codebook(
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
         digest = hashlib.sha256((folder / "before" / PLY).read_bytes()).hexdigest()
-        marked, embedding = embed_codebook(compressed, key, original_sha256=digest, bits=bits, config=finer)
+        marked, embedding = embed_codebook(compressed, key, original_sha256=digest, bits=BITS, config=finer)
         write_codebook(marked, folder / "after")
         return read_codebook(folder / "after").decode(), open_record(embedding.record.to_bytes(key), key)
 
-    setup = views, size, seed
-    return _row("Compact3D (made)", original, compressed.decode(), config, mark, _read_everything, setup)
+    return _row("Compact3D (made)", original, compressed.decode(), config, mark, _read_everything, seed)
 
 
 def measure_generated(
-    original: GaussianModel,
-    generated: GaussianModel,
-    key: OwnerKey,
-    config: EmbedConfig,
-    folder: Path,
-    *,
-    bits: int = 32,
-    views: int = 6,
-    size: int = 512,
-    seed: int = 0,
+    original: GaussianModel, generated: GaussianModel, key: OwnerKey, config: EmbedConfig, folder: Path, seed: int = 0
 ) -> VariantRow:
     """Mark a model generated after the original through the hook, on its raw file, and fill its row.
 
@@ -158,53 +134,44 @@ def measure_generated(
     write_whole(path, write_raw_ply(generated, seed=seed))
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
-        marking(key, folder / "records", bits=bits, config=finer)(path)
+        marking(key, folder / "records", bits=BITS, config=finer)(path)
         (record,) = (folder / "records").glob("*.record")
         return read_model(path).model, open_record(record.read_bytes(), key)
 
-    setup = views, size, seed
-    return _row("DreamGaussian (made)", original, read_model(path).model, config, mark, _read_everything, setup)
+    return _row("DreamGaussian (made)", original, read_model(path).model, config, mark, _read_everything, seed)
 
 
 def measure_spacetime(
-    truth: _Truth,
-    original: SpacetimeModel,
-    key: OwnerKey,
-    config: EmbedConfig,
-    *,
-    bits: int = 32,
-    times: Sequence[float] = (0.0, 0.25, 0.5, 0.75, 1.0),
-    size: int = 512,
-    seed: int = 0,
+    truth: _Truth, original: SpacetimeModel, key: OwnerKey, config: EmbedConfig, *, seed: int = 0
 ) -> VariantRow:
     """Mark Spacetime Gaussians, fitted to the truth, and fill their row; see `measure_discs`.
 
-    One view for each of the times; the middle one is attacked. Evidence from the 4-D file; from exports and pictures
-    at every time; from attacked ones; and with the moment of an export and of a picture not known.
+    Evidence from the 4-D file; from exports and pictures at every time; from attacked ones; and with the moment of an
+    export and of a picture not known.
     """
     original, _ = read_spacetime_ply(b"".join(write_spacetime_ply(original)), file="original")
-    cameras = _views(original.canonical(), len(times), size, seed)
+    cameras = _views(original.canonical(), len(TIMES), SIZE, seed)
 
     def pictures(scene: _Truth) -> list[Float32]:
-        return [_shot(scene.at(time), camera) for time, camera in zip(times, cameras, strict=True)]
+        return [_shot(scene.at(time), camera) for time, camera in zip(TIMES, cameras, strict=True)]
 
     real, before = pictures(truth), pictures(original)
     config = replace(config, psnr_db=fidelity_for(real, before, config.psnr_db))
-    marked, embedding = embed_moving(original, key, bits=bits, config=config)
+    marked, embedding = embed_moving(original, key, bits=BITS, config=config)
     marked, _ = read_spacetime_ply(b"".join(write_spacetime_ply(marked)), file="marked")
     after = pictures(marked)
     opened = open_record(embedding.record.to_bytes(key), key)
     shown = [
         Suspect(visible(marked.at(time)), [after[k]], [cameras[k]], move_record(opened, original, time), seed)
-        for k, time in enumerate(times)
+        for k, time in enumerate(TIMES)
     ]
     readings: Readings = {"none, 4-D file": lambda: verify_model(marked.canonical(), opened)}
-    for time, suspect in zip(times, shown, strict=True):
+    for time, suspect in zip(TIMES, shown, strict=True):
         readings[f"export at t = {time:g}"] = suspect.read_model
         readings[f"picture at t = {time:g}"] = suspect.read_picture
-    middle = len(times) // 2
+    middle = len(TIMES) // 2
     attacked = shown[middle].attacked_models(MODEL_CASES) | shown[middle].attacked_pictures(PICTURE_CASES)
-    readings |= {f"t = {times[middle]:g}, {case}": read for case, read in attacked.items()}
+    readings |= {f"t = {TIMES[middle]:g}, {case}": read for case, read in attacked.items()}
     moments = np.linspace(*original.span, SEARCHED_MOMENTS).tolist()
     readings["export, moment not known"] = lambda: verify_moment(shown[1].marked, opened, original)
     readings[f"picture, one of {SEARCHED_MOMENTS} moments"] = lambda: verify_moving_images(
@@ -231,14 +198,16 @@ def _row(
     config: EmbedConfig,
     mark: Callable[[EmbedConfig], tuple[GaussianModel, OpenedRecord]],
     read: Callable[[Suspect], Readings],
-    setup: tuple[int, int, int],
+    seed: int,
+    views: int = VIEWS,
+    size: int = SIZE,
 ) -> VariantRow:
-    """The row of a variant that stands still; `setup` is number and side of the views, and the seed."""
-    cameras = _views(original, *setup)
+    """The row of a variant that stands still."""
+    cameras = _views(original, views, size, seed)
     truth, before = ([_shot(model, camera) for camera in cameras] for model in (original, unmarked))
     marked, opened = mark(replace(config, psnr_db=fidelity_for(truth, before, config.psnr_db)))
     after = [_shot(marked, camera) for camera in cameras]
-    return measure_variant(name, truth, before, after, read(Suspect(marked, after, cameras, opened, setup[2])))
+    return measure_variant(name, truth, before, after, read(Suspect(marked, after, cameras, opened, seed)))
 
 
 def _views(model: GaussianModel, count: int, size: int, seed: int) -> list[Camera]:

@@ -91,25 +91,12 @@ def key_times(moving: Moving, count: int) -> list[float]:
 def embed_moving(
     moving: M, key: OwnerKey, *, original_sha256: str | None = None, config: EmbedConfig | None = None, **request: Any
 ) -> tuple[M, Embedding]:
-    """Mark a dynamic scene.
+    """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
-    Parameters
-    ----------
-    moving : Moving
-        The unmarked original; the owner keeps it for verification.
-    original_sha256 : str, optional
-        Digest of the owner's file; that of the arrays where not given.
-    config : EmbedConfig, optional
-        The landmark bank is left out: a canonical model is nothing a picture shows. `move_record` makes one.
-    **request
-        As for `engine.pipeline.embedding.embed`, whose errors are raised.
-
-    Returns
-    -------
-    marked : Moving
-        Of the same kind.
-    embedding : Embedding
-        Its model is the marked canonical one; its record commits to the original.
+    `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
+    canonical model is nothing a picture shows, `move_record` makes one. The `request` is that of
+    `engine.pipeline.embedding.embed`, whose errors are raised. Comes back: the marked scene, of the same kind, and an
+    embedding whose model is the marked canonical one and whose record commits to the original.
     """
     config = replace(config or EmbedConfig(), landmark_views=0)
     canonical, digest = moving.canonical(), moving.digest()
@@ -140,18 +127,8 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     """The record as if the scene had always stood still at one moment: the reference moved, the rest as it is.
 
     For `verify_model` and `verify_images`; of the Gaussians that are not visible then, nothing is left.
-
-    Parameters
-    ----------
-    original : Moving
-        The very original that was marked.
-    landmark_views : int
-        Views of a landmark bank of that moment, for pictures whose camera is not known; 0 makes none.
-
-    Raises
-    ------
-    InputError
-        If the record does not commit to this original, or nothing is visible at that moment.
+    `landmark_views` make a bank of that moment, for pictures whose camera is not known. InputError if the record does
+    not commit to this very original, or nothing is visible at that moment.
     """
     committed = opened.commitments.get(COMMITMENT)
     if committed is None:

@@ -32,51 +32,23 @@ class SpacetimeModel:
     * opacity sigmoid(opacity_logit) * exp(-(d / exp(trbf_scale))^2),
     * centre mean + motion[0:3] d + motion[3:6] d^2 + motion[6:9] d^3,
     * rotation normalize(quat + omega d).
-
-    Parameters
-    ----------
-    means : (N, 3)
-        Centres at the temporal centre, scene units.
-    log_scales : (N, 3)
-        Natural logarithm of the standard deviations.
-    quats : (N, 4)
-        Rotation w, x, y, z at the temporal centre, of any length: only together with `omega` it means something.
-    opacity_logits : (N,)
-        At the temporal centre.
-    colors : (N, 3)
-        RGB as it shows, nominal range 0 to 1, constant in time.
-    trbf_center, trbf_scale : (N,)
-        Temporal radial basis: centre, and logarithm of its width, in units of the clip's duration.
-    motion : (N, 9)
-        Coefficients of degree 1, 2 and 3, three coordinates each.
-    omega : (N, 4)
-        Change of the quaternion per unit of time.
     """
 
-    means: Float32
-    log_scales: Float32
-    quats: Float32
-    opacity_logits: Float32
-    colors: Float32
-    trbf_center: Float32
-    trbf_scale: Float32
-    motion: Float32
-    omega: Float32
+    means: Float32  # (N, 3) centres at the temporal centre, scene units
+    log_scales: Float32  # (N, 3) natural logarithm of the standard deviations
+    quats: Float32  # (N, 4) rotation w, x, y, z at the temporal centre, of a length that matters beside `omega`
+    opacity_logits: Float32  # (N,) at the temporal centre
+    colors: Float32  # (N, 3) RGB as it shows, nominal range 0 to 1, constant in time
+    trbf_center: Float32  # (N,) of the temporal radial basis, in units of the clip's duration
+    trbf_scale: Float32  # (N,) logarithm of its width in these units
+    motion: Float32  # (N, 9) coefficients of degree 1, 2 and 3, three coordinates each
+    omega: Float32  # (N, 4) change of the quaternion per unit of time
 
     def __post_init__(self) -> None:
         n = len(self.means)
-        shapes = {
-            "means": (n, 3),
-            "log_scales": (n, 3),
-            "quats": (n, 4),
-            "opacity_logits": (n,),
-            "colors": (n, 3),
-            "trbf_center": (n,),
-            "trbf_scale": (n,),
-            "motion": (n, 9),
-            "omega": (n, 4),
-        }
-        for name, shape in shapes.items():
+        widths = (3, 3, 4, 0, 3, 0, 0, 9, 4)  # of the fields in their order; 0 is one number each
+        for name, width in zip(self.__dataclass_fields__, widths, strict=True):
+            shape = (n, width) if width else (n,)
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             if array.shape != shape:
                 raise InputError(f"{name} has shape {array.shape}, expected {shape}")

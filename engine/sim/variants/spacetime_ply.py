@@ -44,19 +44,10 @@ def is_spacetime(data: bytes | memoryview, *, file: str = "") -> bool:
 def read_spacetime_ply(data: bytes | memoryview, *, file: str) -> tuple[SpacetimeModel, tuple[Repair, ...]]:
     """Read a "lite" Spacetime Gaussian PLY: f_dc is RGB as it shows, trbf_scale a logarithm.
 
-    Returns
-    -------
-    model : SpacetimeModel
-        Finite everywhere; quaternions as they are, since their length only means something beside omega's.
-    repairs : tuple of Repair
-        Rows left out, opacities and scales clamped, properties ignored.
-
-    Raises
-    ------
-    FormatError
-        The bytes are not what the header says, or a property is missing.
-    UnsupportedFormatError
-        A "full" model, whose colours come out of a network that is not in the file.
+    The model is finite everywhere, quaternions as they are, since their length only means something beside omega's;
+    repairs tell of rows left out, opacities and scales clamped, properties ignored. FormatError where the bytes are not
+    what the header says, or a property is missing; UnsupportedFormatError for a "full" model, whose colours come out of
+    a network that is not in the file.
     """
     header = parse_header(data, file=file)
     vertex = header.element("vertex")

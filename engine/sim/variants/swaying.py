@@ -40,29 +40,15 @@ LASTING = np.log(4.0)
 
 @dataclass(frozen=True, eq=False)
 class SwayingScene:
-    """A still scene of SH degree 0 and how it moves; exact at any moment from 0 to 1.
-
-    Parameters
-    ----------
-    height : (N,)
-        0 at the foot, which does not move, to 1 at the top.
-    waves : (MODES, 3)
-        Wave vectors, radians per scene unit.
-    directions : (MODES, 3)
-        Displacement at full swing, scene units.
-    frequencies, phases : (MODES,)
-        Swings per clip, radians.
-    window : (N, 2)
-        From when to when each Gaussian is there; beyond 0 to 1 for most.
-    """
+    """A still scene of SH degree 0 and how it moves; exact at any moment from 0 to 1."""
 
     still: GaussianModel
-    height: Float64
-    waves: Float64
-    directions: Float64
-    frequencies: Float64
-    phases: Float64
-    window: Float64
+    height: Float64  # (N,) 0 at the foot, which does not move, to 1 at the top
+    waves: Float64  # (MODES, 3) wave vectors, radians per scene unit
+    directions: Float64  # (MODES, 3) displacement at full swing, scene units
+    frequencies: Float64  # (MODES,) swings per clip
+    phases: Float64  # (MODES,) radians
+    window: Float64  # (N, 2) from when to when each Gaussian is there; beyond 0 to 1 for most
 
     def at(self, time: float) -> GaussianModel:
         """All Gaussians at a moment, swayed, turned with the sway, and faded where their window ends."""
@@ -88,12 +74,8 @@ class SwayingScene:
 def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0) -> SwayingScene:
     """Let a still scene sway about its foot, with parts of it coming and going; its view-dependent colour is dropped.
 
-    Parameters
-    ----------
-    swing : float
-        Largest displacement, in radii of the scene.
-    transient : float
-        Share of the scene's cells that are not there all the time, 0 to 1.
+    `swing` is the largest displacement, in radii of the scene; `transient` the share, 0 to 1, of its cells that are not
+    there all the time.
     """
     if not 0.0 <= swing <= 1.0 or not 0.0 <= transient <= 1.0:
         raise InputError(f"swing and transient must lie in 0..1, got {swing:g} and {transient:g}")

@@ -70,56 +70,28 @@ DISC_PICTURE_CASES: Cases = (
 
 @dataclass(frozen=True)
 class Reading:
-    """What one verification of the variant said.
+    """What one verification of the variant said."""
 
-    Parameters
-    ----------
-    case : str
-        The attack and the evidence, as the caller calls it: ``"none"``, ``"jpeg 10, one picture"``.
-    route : str
-        "model", "render" or "image": what the claim rests on.
-    bit_accuracy : float
-        Share of the message's bits read right, 0 to 1.
-    log10_false_claim : float
-        log10 of the bound on a false claim, tries counted.
-    verdict : str
-        "marked", "not_marked" or "inconclusive".
-    """
-
-    case: str
-    route: str
-    bit_accuracy: float
+    case: str  # the attack and the evidence, as the caller calls it: ``"none"``, ``"jpeg 10, one picture"``
+    route: str  # "model", "render" or "image": what the claim rests on
+    bit_accuracy: float  # share of the message's bits read right, 0 to 1
     z: float
-    log10_false_claim: float
-    verdict: str
+    log10_false_claim: float  # log10 of the bound on a false claim, tries counted
+    verdict: str  # "marked", "not_marked" or "inconclusive"
 
 
 @dataclass(frozen=True)
 class VariantRow:
-    """One row of Table 4.
-
-    Parameters
-    ----------
-    views : int
-        Pictures measured on.
-    psnr_before, psnr_after : float
-        Mean over the views of the PSNR against the truth, dB, without and with the mark.
-    distance_before, distance_after : float
-        Mean over the views of 1 - MS-SSIM against the truth: 0 for equal pictures, 1 for unrelated ones.
-    psnr_of_mark : float
-        Worst view's PSNR of the marked against the unmarked variant, dB.
-    readings : tuple of Reading
-        In the order given; the first one is without attack.
-    """
+    """One row of Table 4."""
 
     name: str
-    views: int
-    psnr_before: float
-    psnr_after: float
-    distance_before: float
+    views: int  # pictures measured on
+    psnr_before: float  # mean over the views against the truth, dB, without the mark
+    psnr_after: float  # with it
+    distance_before: float  # mean of 1 - MS-SSIM against the truth: 0 for equal pictures, 1 for unrelated ones
     distance_after: float
-    psnr_of_mark: float
-    readings: tuple[Reading, ...]
+    psnr_of_mark: float  # worst view's PSNR of the marked against the unmarked variant, dB
+    readings: tuple[Reading, ...]  # in the order given; the first one is without attack
 
     @property
     def psnr_drop(self) -> float:
@@ -191,25 +163,11 @@ def measure_variant(
     after: Sequence[Float32],
     readings: Mapping[str, Callable[[], Verification]],
 ) -> VariantRow:
-    """Measure one variant as Table 4 does.
+    """Measure one variant as Table 4 does, from pictures and claims only: it renders, marks and attacks in its own way.
 
-    It looks at pictures and claims only, so every variant renders, marks and attacks in its own way: a dynamic
-    one shows several times, a codebook one reads its files back first.
-
-    Parameters
-    ----------
-    truth : sequence of (H, W, 3) float32
-        Ground truth: photos, or renders of the model that the variant was made from. Range 0 to 1 once clipped,
-        at least 176 pixels a side.
-    before, after : sequence of (H, W, 3) float32
-        The same views of the variant without and with the mark.
-    readings : mapping of str to callable
-        Run in this order; "none" comes first by custom.
-
-    Raises
-    ------
-    InputError
-        If there are no views, or not equally many of each.
+    `truth`, `before` and `after` are the same views (H, W, 3), at least 176 pixels a side: ground truth (photos, or
+    renders of the model that the variant was made from), the variant without and with the mark. The `readings` run in
+    their order; "none" comes first by custom. InputError if there are no views, or not equally many of each.
     """
     if not truth or not len(truth) == len(before) == len(after):
         raise InputError(

@@ -138,11 +138,9 @@ def _resized(image: Float32, height: int, width: int, kernel: str) -> Float32:
     if kernel == "LANCZOS":
         from PIL import Image
 
-        planes = [
-            Image.fromarray(plane).resize((width, height), Image.Resampling.LANCZOS)
-            for plane in np.moveaxis(image, 2, 0)
-        ]
-        return np.stack([np.asarray(plane) for plane in planes], axis=-1)
+        planes = (Image.fromarray(plane) for plane in np.moveaxis(image, 2, 0))
+        small = [np.asarray(plane.resize((width, height), Image.Resampling.LANCZOS)) for plane in planes]
+        return np.stack(small, axis=-1)
     import cv2
 
     method = getattr(cv2, kernel)
@@ -183,11 +181,8 @@ def _rewritten(frames: list[Uint8]) -> list[Uint8]:
         writer.release()
         reader = cv2.VideoCapture(name)
         decoded = []
-        while True:
-            ok, frame = reader.read()
-            if not ok:
-                break
-            decoded.append(np.ascontiguousarray(frame[:height, :width, ::-1]))
+        while (read := reader.read())[0]:
+            decoded.append(np.ascontiguousarray(read[1][:height, :width, ::-1]))
         reader.release()
     if len(decoded) != len(frames):
         raise InputError(f"OpenCV wrote {len(frames)} frames and read {len(decoded)} back")

@@ -26,7 +26,6 @@ CALIBRATED = BrownLens(k1=-0.2834, k2=0.0740, p1=0.00194, p2=0.00018)
     "k1, below 0 a barrel",
     -0.1,
     (-0.01, 0.01, -0.03, 0.03, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3),
-    "(-inf, inf)",
 )
 def lens_radial(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
     """OpenCV's k1."""
@@ -38,7 +37,6 @@ def lens_radial(image: Float32, strength: float, rng: np.random.Generator) -> Fl
     "multiples of a calibrated lens",
     0.5,
     (0.05, 0.1, 0.25, 0.5, 0.75, 1.0),
-    "(-inf, inf)",
 )
 def lens_brown(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
     """Each coefficient of `CALIBRATED` times `strength`."""
