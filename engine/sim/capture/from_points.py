@@ -32,31 +32,17 @@ _NANOSECONDS = re.compile(r"[0-9]{16,19}", re.ASCII)
 
 @dataclass(frozen=True)
 class CloudConfig:
-    """Knobs between a cloud and its kernels.
+    """Knobs between a cloud and its kernels."""
 
-    Parameters
-    ----------
-    voxel : float or None
-        Edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan,
-        since many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it.
-    most : int
-        Points wanted at most, where `voxel` is None.
-    clean : bool
-        Leave out lone points and small islands (sky, echoes under the ground).
-    kernels : {"flat", "round"}
-        Flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA).
-    opacity : float or None
-        Of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones.
-    size : float
-        Factor on the standard deviations.
-    """
-
+    # edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan, since
+    # many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it
     voxel: float | None = None
-    most: int = 500_000
-    clean: bool = True
+    most: int = 500_000  # points wanted at most, where `voxel` is None
+    clean: bool = True  # leave out lone points and small islands (sky, echoes under the ground)
+    # flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA)
     kernels: Literal["flat", "round"] = "flat"
-    opacity: float | None = None
-    size: float = 1.0
+    opacity: float | None = None  # of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones
+    size: float = 1.0  # factor on the standard deviations
 
     def __post_init__(self) -> None:
         if self.most < 4:
@@ -67,21 +53,13 @@ class CloudConfig:
 
 @dataclass(frozen=True, eq=False)
 class CloudModel:
-    """A model made of points.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        What it was made of: one point for each Gaussian, in the points' own frame.
-    origin : (3,) float64
-        Where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids).
-    report : dict
-        Plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds.
-    """
+    """A model made of points."""
 
     model: GaussianModel
-    cloud: PointCloud
+    cloud: PointCloud  # what it was made of: one point for each Gaussian, in the points' own frame
+    # (3,) where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids)
     origin: Float64
+    # plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds
     report: dict[str, Any]
 
 

@@ -16,21 +16,11 @@ __all__ = ["BoxTree"]
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
-    """Boxes in a binary tree, a value: inserting and removing give a new tree (a copy of 80 bytes a box).
+    """Boxes in a binary tree, a value: inserting and removing give a new tree (a copy of 80 bytes a box)."""
 
-    Parameters
-    ----------
-    boxes : (nodes, 6) float64
-        Low and high corner of every node.
-    links : (nodes, 4) int64
-        Parent, children, item.
-    root : int
-        -1 in an empty tree.
-    """
-
-    boxes: Float64
-    links: Int64
-    root: int
+    boxes: Float64  # (nodes, 6) low and high corner of every node
+    links: Int64  # (nodes, 4) parent, children, item
+    root: int  # -1 in an empty tree
 
     @classmethod
     def empty(cls) -> BoxTree:

@@ -22,18 +22,10 @@ Attribute = Literal["means", "log_scales", "quats", "opacity_logits", "sh"]
 
 @dataclass(frozen=True, eq=False)
 class Recoloring:
-    """new colour = gain * colour + tint, for every direction of view; before clipping.
+    """new colour = gain * colour + tint, for every direction of view; before clipping."""
 
-    Parameters
-    ----------
-    gain : (3,) float64
-        Factor on red, green and blue, >= 0.
-    tint : (3,) float64
-        Added, colours ranging 0 to 1.
-    """
-
-    gain: Float64
-    tint: Float64
+    gain: Float64  # (3,) factor on red, green and blue, >= 0
+    tint: Float64  # (3,) added, colours ranging 0 to 1
 
     @classmethod
     def none(cls) -> Recoloring:
@@ -66,32 +58,18 @@ class Edit:
     What is kept to *replay* an edit are its parameters (rows, similarity, recolouring), never the values it
     gave: replayed on a record's unmarked reference it makes an edited reference in which no trace of a mark
     is (DESIGN 4.9). What is kept to *take it back* are the values from before.
-
-    Parameters
-    ----------
-    action : {"change", "delete", "duplicate"}
-        `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved
-        and recoloured copies of them are appended.
-    count : int
-        Gaussians of the model before the edit.
-    rows : (n,) int64
-        The Gaussians concerned, ascending.
-    before : GaussianModel
-        Their values before.
-    similarity : Similarity
-        x_new = scale * R @ x + t.
-    filling : GaussianModel, optional
-        New Gaussians appended by a deletion that fills its hole.
     """
 
     name: str
+    # `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved and
+    # recoloured copies of them are appended
     action: Action
-    count: int
-    rows: Int64
-    before: GaussianModel
-    similarity: Similarity
+    count: int  # Gaussians of the model before the edit
+    rows: Int64  # (n,) the Gaussians concerned, ascending
+    before: GaussianModel  # their values before
+    similarity: Similarity  # x_new = scale * R @ x + t
     recoloring: Recoloring
-    filling: GaussianModel | None = None
+    filling: GaussianModel | None = None  # new Gaussians appended by a deletion that fills its hole
 
     def apply(self, model: GaussianModel, *, filling: bool = True) -> GaussianModel:
         """The model after this edit; `filling` False leaves out what filled a hole.

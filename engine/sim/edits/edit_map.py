@@ -61,30 +61,15 @@ class Change(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class EditMap:
-    """Where a suspect differs from the record's reference by more than the mark.
+    """Where a suspect differs from the record's reference by more than the mark."""
 
-    Parameters
-    ----------
-    kinds : (M,) int8
-        `Change` of every suspect Gaussian; recoloured ones that were moved too count as moved.
-    recolored : (M,) bool
-        Displaced in colour by more than the mark, moved or not.
-    removed : (N,) bool
-        Reference Gaussians that are not in the suspect.
-    displacement : (M, 3) float64
-        DC displacement that the mark does not explain, SH units; 0 where not matched.
-    mark_left : float
-        How much of the mark the untouched Gaussians show: 1 all of it, 0 none.
-    regions : tuple of EditedRegion
-        Connected patches of changes, largest first.
-    """
-
+    # (M,) `Change` of every suspect Gaussian; recoloured ones that were moved too count as moved
     kinds: npt.NDArray[np.int8]
-    recolored: Bool
-    removed: Bool
-    displacement: Float64
-    mark_left: float
-    regions: tuple[EditedRegion, ...]
+    recolored: Bool  # (M,) displaced in colour by more than the mark, moved or not
+    removed: Bool  # (N,) reference Gaussians that are not in the suspect
+    displacement: Float64  # (M, 3) DC displacement that the mark does not explain, SH units; 0 where not matched
+    mark_left: float  # how much of the mark the untouched Gaussians show: 1 all of it, 0 none
+    regions: tuple[EditedRegion, ...]  # connected patches of changes, largest first
     pieces: Pieces
 
     @property

@@ -49,24 +49,13 @@ ROUNDS = 8
 
 @dataclass(frozen=True)
 class InpaintConfig:
-    """Knobs of the inpainting.
+    """Knobs of the inpainting."""
 
-    Parameters
-    ----------
-    ring : float
-        Width of the ring that gives surface and texture, in radii of the hole.
-    cells : int
-        Cells across the area looked at; the texture is copied in cells.
-    covered : float
-        Opacity along the normal from which a cell counts as surface, in shares of the ring's own; (0, 1).
-    seed : int
-        Of the surface's search.
-    """
-
-    ring: float = 0.6
-    cells: int = 96
+    ring: float = 0.6  # width of the ring that gives surface and texture, in radii of the hole
+    cells: int = 96  # cells across the area looked at; the texture is copied in cells
+    # opacity along the normal from which a cell counts as surface, in shares of the ring's own; (0, 1)
     covered: float = 0.85
-    seed: int = 0
+    seed: int = 0  # of the surface's search
 
     def __post_init__(self) -> None:
         check_positive(self.ring, "ring width")

@@ -23,33 +23,18 @@ __all__ = ["ObjectFinding", "verify_objects"]
 
 @dataclass(frozen=True, eq=False)
 class ObjectFinding:
-    """One record, looked for in a file: found or not, marked or not, and where.
-
-    Parameters
-    ----------
-    instance : int
-        0 for the first place at which the record's asset was found, then 1, ...
-    rows : (n,) int64
-        Gaussians of the file that are the asset's; empty if nothing of it was found.
-    file_share, asset_share : float
-        n over the file's Gaussians; share of the asset's Gaussians found.
-    placement : Similarity or None
-        x_file = scale * R @ x_asset + t.
-    low, high : (3,) float64 or None
-        Box that holds the 1 % to 99 % quantiles of the matched centres.
-    objects : tuple of (str, float)
-        With a known scene: its objects that hold those Gaussians, and their shares of them, largest first.
-    """
+    """One record, looked for in a file: found or not, marked or not, and where."""
 
     record: str
-    instance: int
+    instance: int  # 0 for the first place at which the record's asset was found, then 1, ...
     claim: Claim
-    rows: Int64
-    file_share: float
-    asset_share: float
-    placement: Similarity | None
-    low: Float64 | None
+    rows: Int64  # (n,) Gaussians of the file that are the asset's; empty if nothing of it was found
+    file_share: float  # n over the file's Gaussians
+    asset_share: float  # share of the asset's Gaussians found
+    placement: Similarity | None  # x_file = scale * R @ x_asset + t
+    low: Float64 | None  # (3,) corners of the box of the 1 % to 99 % quantiles of the matched centres
     high: Float64 | None
+    # with a known scene: its objects that hold those Gaussians, and their shares of them, largest first
     objects: tuple[tuple[str, float], ...]
 
 

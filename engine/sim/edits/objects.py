@@ -52,21 +52,12 @@ class FlatScene:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Named objects and the hierarchy of their boxes; a value: every change gives a new scene.
+    """Named objects and the hierarchy of their boxes; a value: every change gives a new scene."""
 
-    Parameters
-    ----------
-    objects : mapping of int to PlacedObject
-        By a number that is never used again; ascending, so in the order of insertion.
-    tree : BoxTree
-        Of those numbers.
-    following : int
-        Number of the next object.
-    """
-
+    # by a number that is never used again; ascending, so in the order of insertion
     objects: Mapping[int, PlacedObject] = field(default_factory=lambda: MappingProxyType({}))
-    tree: BoxTree = field(default_factory=BoxTree.empty)
-    following: int = 0
+    tree: BoxTree = field(default_factory=BoxTree.empty)  # of those numbers
+    following: int = 0  # number of the next object
 
     def __len__(self) -> int:
         return len(self.objects)

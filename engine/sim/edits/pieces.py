@@ -28,26 +28,13 @@ MOST_PIECES = 8
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Which reference Gaussian each suspect Gaussian is, over all pieces.
+    """Which reference Gaussian each suspect Gaussian is, over all pieces."""
 
-    Parameters
-    ----------
-    registration : Registration
-        Of the first piece, the one that most of the asset is in.
-    matches : (M,) int32
-        Reference Gaussian of each suspect Gaussian, -1 where there is none.
-    quality : (M,) float32
-        Trust in each match, 0 to 1.
-    piece : (M,) int32
-        Number of the piece a suspect Gaussian lies in, -1 where it was not matched.
-    placements : tuple of Similarity
-        Of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found.
-    """
-
-    registration: Registration
-    matches: Int32
-    quality: Float32
-    piece: Int32
+    registration: Registration  # of the first piece, the one that most of the asset is in
+    matches: Int32  # (M,) reference Gaussian of each suspect Gaussian, -1 where there is none
+    quality: Float32  # (M,) trust in each match, 0 to 1
+    piece: Int32  # (M,) number of the piece a suspect Gaussian lies in, -1 where it was not matched
+    # of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found
     placements: tuple[Similarity, ...]
 
 
