@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Bool, Float32, GaussianModel, Int32
+from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.parameters import Parameters
 from engine.sim.model_placement import join
@@ -87,7 +87,9 @@ def densify(
     """
     model = parameters.model
     sizes = model.log_scales.max(axis=1)
-    pulled = _strongest(pull, config.gradient, config.most - len(model))
+    pulled = pull > config.gradient
+    room = max(config.most - len(model), 0)  # each adds one Gaussian: the strongest come first
+    pulled[np.argsort(-pull, kind="stable")[room:]] = False
     large = sizes > np.log(config.split_size * extent)
     cloned, split = np.flatnonzero(pulled & ~large), np.flatnonzero(pulled & large)
     faint = model.opacities < config.min_opacity
@@ -99,13 +101,6 @@ def densify(
         new = new.take(new.log_scales.max(axis=1) <= np.log(config.max_size * extent))
     if kept.any() or len(new):
         parameters.regroup(np.flatnonzero(kept), new)
-
-
-def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
-    """Those above the threshold, at most as many as there is room for; each adds one Gaussian."""
-    chosen = pull > threshold
-    chosen[np.argsort(-pull, kind="stable")[max(room, 0) :]] = False
-    return chosen
 
 
 def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:

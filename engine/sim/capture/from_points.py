@@ -70,7 +70,7 @@ def points_to_model(
     clock = Clock(progress)
     with clock.stage("read"):
         cloud, repairs = read_point_cloud(path)
-    return _to_model(cloud, config or CloudConfig(), clock, _repaired(repairs))
+    return _to_model(cloud, repairs, config or CloudConfig(), clock, {})
 
 
 def scans_to_model(
@@ -81,18 +81,10 @@ def scans_to_model(
     mounting: Float64 | None = None,
     progress: Progress | None = None,
 ) -> CloudModel:
-    """Make a model of LiDAR scans and the path of the scanner.
+    """Make a model of LiDAR scans (or their folder or file, see `read_scans`) and the path of the scanner (TUM, KITTI).
 
-    Parameters
-    ----------
-    scans : path or sequence of Scan
-        Folder with a file a scan, or one file whose points have times; see `read_scans`.
-    trajectory : path or Trajectory
-        TUM or KITTI text.
-    mounting : (4, 4), optional
-        From the scanner's frame to the one whose poses the trajectory tells.
-    progress : callable, optional
-        Stages "read", "place", "thin" and "kernels".
+    `mounting` (4, 4) leads from the scanner's frame to the one whose poses the trajectory tells. Progress has the
+    stages "read", "place", "thin" and "kernels".
     """
     clock = Clock(progress)
     repairs: tuple[Repair, ...] = ()
@@ -104,8 +96,8 @@ def scans_to_model(
         clouds, outside = place_scans(scans, path, mounting)
         cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
         spacing = float(np.median([typical_spacing(c.points) for c in clouds[:: max(1, len(clouds) // 8)]]))
-    report = {"scans": len(scans), "poses": len(path), "points_outside": outside, **_repaired(repairs)}
-    return _to_model(cloud, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
+    report = {"scans": len(scans), "poses": len(path), "points_outside": outside}
+    return _to_model(cloud, repairs, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
 
 
 def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tuple[list[Scan], tuple[Repair, ...]]:
@@ -131,7 +123,12 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tupl
 
 
 def _to_model(
-    cloud: PointCloud, config: CloudConfig, clock: Clock, report: dict[str, Any], spacing: float = 0.0
+    cloud: PointCloud,
+    repairs: tuple[Repair, ...],
+    config: CloudConfig,
+    clock: Clock,
+    report: dict[str, Any],
+    spacing: float = 0.0,
 ) -> CloudModel:
     read = len(cloud)
     with clock.stage("thin"):
@@ -143,7 +140,8 @@ def _to_model(
         own = {} if config.opacity is None else {"opacity": config.opacity}
         make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
         model = make(cloud.points - origin, colors, size=config.size, **own)
-    numbers = {
+    report |= {
+        "repairs": {repair.code: repair.count for repair in repairs},
         "points": read,
         "voxel": voxel,
         "strays_dropped": strays,
@@ -152,7 +150,7 @@ def _to_model(
         "origin": origin.tolist(),
         "seconds_by_stage": clock.seconds,
     }
-    return CloudModel(model, cloud, origin, {**report, **numbers})
+    return CloudModel(model, cloud, origin, report)
 
 
 def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[PointCloud, float]:
@@ -189,7 +187,3 @@ def _time_of(stem: str) -> float | None:
     if _SECONDS.fullmatch(stem):
         return float(stem)
     return int(stem) * 1e-9 if _NANOSECONDS.fullmatch(stem) else None
-
-
-def _repaired(repairs: tuple[Repair, ...]) -> dict[str, Any]:
-    return {"repairs": {repair.code: repair.count for repair in repairs}}

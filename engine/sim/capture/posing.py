@@ -57,22 +57,12 @@ def reconstruct(
     """Find where photos were taken, and a sparse cloud of what they show.
 
     Incremental structure from motion of COLMAP (Schoenberger and Frahm 2016): SIFT, matching, mapping, all on the
-    CPU. With one thread and a seed the result repeats; with more, points come in another order.
+    CPU. With one thread and a seed the result repeats; with more (-1: all), points come in another order.
 
-    Parameters
-    ----------
-    photos : path
-        Folder of pictures, at least three that overlap.
-    work_folder : path
-        Made where missing; gets ``database.db`` and ``sparse/0``. What an earlier run left there is replaced.
-    one_camera : bool
-        All photos by one camera at one focal length: steadier. False: each its own.
-    size : int
-        Longest side at which features are looked for, pixels.
-    threads : int
-        -1: all.
-    progress : callable, optional
-        Stages "features", "matches" and "mapping".
+    `photos` is a folder of at least three pictures that overlap; `work_folder`, made where missing, gets
+    ``database.db`` and ``sparse/0``, and what an earlier run left there is replaced. With `one_camera` of one focal
+    length for all photos the result is steadier; else each has its own. `size` is the longest side at which features
+    are looked for, pixels. Progress has the stages "features", "matches" and "mapping".
     """
     root, work = Path(photos), Path(work_folder)
     if not root.is_dir():
@@ -132,20 +122,11 @@ def reconstruct(
 def odometry(
     scans: Sequence[Scan], *, farthest: float | None = None, advance: Callable[[float], None] | None = None
 ) -> Trajectory:
-    """Where the scanner was at each scan, by KISS-ICP (Vizzo et al. 2023).
+    """Where the scanner was at each scan, in the frame of the first, by KISS-ICP (Vizzo et al. 2023).
 
-    Parameters
-    ----------
-    scans : sequence of Scan
-        In the order in which they were taken, each overlapping the one before; at least two. Where their points have
-        times, the motion during a turn is undone.
-    farthest : float, optional
-        Ranges beyond it are not used, scene units; the largest of the first scan where not given.
-
-    Returns
-    -------
-    Trajectory
-        In the frame of the first scan; times where all scans have them.
+    At least two scans come in the order in which they were taken, each overlapping the one before. Where their points
+    have times, the motion during a turn is undone; the path has times where all scans do. Ranges beyond `farthest`
+    (scene units; the largest of the first scan where not given) are not used.
     """
     from engine.numerics.similarity import rotation_to_quaternion  # scipy: the command line only passes by
 

@@ -31,14 +31,9 @@ class BoxTree:
         return (len(self.links) + 1) // 2
 
     def inserted(self, lows: npt.ArrayLike, highs: npt.ArrayLike, items: npt.ArrayLike) -> BoxTree:
-        """The tree with more boxes, InputError if one is malformed.
+        """The tree with more boxes, corners low <= high (m, 3); InputError if one is malformed.
 
-        Parameters
-        ----------
-        lows, highs : (m, 3)
-            Corners, finite, low <= high.
-        items : (m,) int
-            What queries answer with; not negative, each in the tree at most once (the caller's business).
+        Queries answer with the items (m,): not negative, each in the tree at most once (the caller's business).
         """
         low, high = (np.asarray(v, dtype=np.float64).reshape(-1, 3) for v in (lows, highs))
         names = np.asarray(items, dtype=np.int64).reshape(-1)

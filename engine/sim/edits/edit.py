@@ -55,9 +55,8 @@ class Edited(NamedTuple):
 class Edit:
     """One local edit. It can be carried out again on another model of the same Gaussians, and taken back.
 
-    What is kept to *replay* an edit are its parameters (rows, similarity, recolouring), never the values it
-    gave: replayed on a record's unmarked reference it makes an edited reference in which no trace of a mark
-    is (DESIGN 4.9). What is kept to *take it back* are the values from before.
+    What is kept to *replay* it are its parameters, never the values it gave: replayed on a record's unmarked reference
+    it makes an edited reference without a trace of a mark (DESIGN 4.9). The values from before *take it back*.
     """
 
     name: str
@@ -129,12 +128,10 @@ class Edit:
 
 
 def _replaced(model: GaussianModel, rows: Int64, part: GaussianModel) -> GaussianModel:
-    arrays = {}
-    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-        array = getattr(model, name).copy()
+    new = model.take(np.arange(len(model)))
+    for name, array in vars(new).items():
         array[rows] = getattr(part, name)
-        arrays[name] = array
-    return GaussianModel(**arrays)
+    return new
 
 
 def _check_count(what: str, count: int, expected: int) -> None:

@@ -144,24 +144,17 @@ def verify_objects(
                 break
             claim = judge(read_gaussians(part, opened, found), opened, "model", tries, config, found)
             rows = left[found.matches >= 0]
-            finding = _finding(name, instance, claim, found, rows, model)
-            if isinstance(suspect, FlatScene):
-                finding = replace(finding, objects=_shares(suspect.owner[rows], suspect.names))
-            findings.append(finding)
+            objects = _shares(suspect.owner[rows], suspect.names) if isinstance(suspect, FlatScene) else ()
+            placement, low, high = None, None, None
+            if len(rows):
+                placement = found.similarity.inverse()
+                low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
+            shares = len(rows) / len(model), found.derived_fraction
+            findings.append(ObjectFinding(name, instance, claim, rows, *shares, placement, low, high, objects))
             left = left[found.matches < 0]
             if not found.found or len(left) < LEAST_PIECE:
                 break
     return findings
-
-
-def _finding(
-    name: str, instance: int, claim: Claim, found: Registration, rows: Int64, model: GaussianModel
-) -> ObjectFinding:
-    if not len(rows):
-        return ObjectFinding(name, instance, claim, rows, 0.0, 0.0, None, None, None, ())
-    low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
-    shares = len(rows) / len(model), found.derived_fraction
-    return ObjectFinding(name, instance, claim, rows, *shares, found.similarity.inverse(), low, high, ())
 
 
 def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
