@@ -12,8 +12,7 @@ from engine.sim.model_placement import join
 
 __all__ = ["CenterGradients", "DensifyConfig", "densify"]
 
-_SPLIT_SHRINK = 1.6
-"""A split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)."""
+_SPLIT_SHRINK = 1.6  # a split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)
 
 RESET_OPACITY = 0.01
 

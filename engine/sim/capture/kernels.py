@@ -19,11 +19,8 @@ _SMALLEST = 1e-3
 size would never be seen and never be moved. Also, of the median kernel, the size of one whose neighbours all are in
 one place."""
 
-_THINNEST = 0.05
-"""Of the widest axis: thinner kernels flicker when seen from the edge and say nothing more."""
-
-_LONGEST = 3.0
-"""Of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not."""
+_THINNEST = 0.05  # of the widest axis: thinner kernels flicker when seen from the edge and say nothing more
+_LONGEST = 3.0  # of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not
 
 _ROWS_AT_ONCE = 1 << 16
 

@@ -13,17 +13,10 @@ from engine.sim.capture.placing import Scan
 
 __all__ = ["Lidar", "scan_model"]
 
-_FACES = 4
-"""Pictures around the scanner, a quarter turn each."""
-
-FINER, MOST_FOCAL = 3.0, 1000.0
-"""Pixels of a picture a beam, and the longest focal length of one, pixels."""
-
-LUMA = (0.299, 0.587, 0.114)
-"""Of red, green and blue (BT.601)."""
-
-SOLID = 0.5
-"""Accumulated opacity at which light comes back."""
+_FACES = 4  # pictures around the scanner, a quarter turn each
+FINER, MOST_FOCAL = 3.0, 1000.0  # pixels of a picture a beam, and the longest focal length of one, pixels
+LUMA = (0.299, 0.587, 0.114)  # of red, green and blue (BT.601)
+SOLID = 0.5  # accumulated opacity at which light comes back
 
 MIXED = 0.06
 """Standard deviation of the depth under a beam, part of the depth, beyond which no range is measured: the beam meets

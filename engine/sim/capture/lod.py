@@ -21,8 +21,7 @@ from engine.sim.capture.kernels import principal_axes
 
 __all__ = ["LevelOfDetail", "level_of_quality", "levels_of_detail", "rank_by_weight", "reduce_to"]
 
-VIEWS, VIEW_SIZE = 12, 400
-"""Of the rig around a model that comes without cameras; pixels."""
+VIEWS, VIEW_SIZE = 12, 400  # of the rig around a model that comes without cameras; pixels
 
 REACH = 3.0
 """A Gaussian is merged into a survivor no farther than so many of both's largest standard deviations together."""

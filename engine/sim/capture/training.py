@@ -20,8 +20,7 @@ from engine.sim.capture.photo_loss import photo_loss
 __all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
 
 
-MARGIN = 1.1
-"""Extent of the cameras over the largest distance from their middle (INRIA)."""
+MARGIN = 1.1  # extent of the cameras over the largest distance from their middle (INRIA)
 
 
 @dataclass(frozen=True)

@@ -24,29 +24,17 @@ from engine.watermark.spreading import signed_amplitudes
 
 __all__ = ["Change", "EditMap", "map_edits"]
 
-NEIGHBORS = 12
-"""Neighbours over which a displacement must be coherent; the patch of a single code vector holds more."""
-
-NORMAL = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
-
-CHANCE = 1e-6
-"""Rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent."""
-
-ROUNDS = 3
-"""Times tint and mark are fitted in turn; they hardly have anything in common."""
-
-MOST_LEFT = 1.5
-"""Largest factor of the mark that is believed."""
-
-BORDER = 0.25
-"""Share of a Gaussian's neighbours in a patch from which it lies next to it."""
+NEIGHBORS = 12  # neighbours over which a displacement must be coherent; the patch of a single code vector holds more
+NORMAL = 1.4826  # standard deviation of a normal law over its median absolute deviation
+CHANCE = 1e-6  # rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent
+ROUNDS = 3  # times tint and mark are fitted in turn; they hardly have anything in common
+MOST_LEFT = 1.5  # largest factor of the mark that is believed
+BORDER = 0.25  # share of a Gaussian's neighbours in a patch from which it lies next to it
 
 FINEST = 0.1 * MARK_SCALE
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
 
-LEAST_REGION = 24
-"""Gaussians below which a patch of changes is no region."""
+LEAST_REGION = 24  # Gaussians below which a patch of changes is no region
 
 
 class Change(IntEnum):

@@ -11,11 +11,8 @@ from engine.sim.edits.edit import Recoloring
 
 __all__ = ["EditedRegion", "describe", "doubt", "group"]
 
-LINKS = 8
-"""Neighbours by which Gaussians of a patch hang together."""
-
-REACH = 4.0
-"""Links longer than this many median links join nothing."""
+LINKS = 8  # neighbours by which Gaussians of a patch hang together
+REACH = 4.0  # links longer than this many median links join nothing
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,20 +10,11 @@ from engine.model import Bool, Float64, Int64
 
 __all__ = ["complete_cells", "enclosed", "harmonic_fill", "smooth"]
 
-SIDES = (7, 5, 3, 1)
-"""Patch sides, cells; smaller ones serve where no larger known patch exists."""
-
-MOST_SOURCES = 6000
-"""Source patches compared with each patch of the rim; more are thinned out evenly."""
-
-BREATH = 1e-6
-"""Weight of the mean in Laplace's equation: keeps islands solvable without moving the others."""
-
-FEWEST_SOURCES = 16
-"""Known patches of a side below which a smaller side is taken."""
-
-REUSE = 0.15
-"""Cost of each earlier use of a source patch, in units of the median patch distance: spreads the sources."""
+SIDES = (7, 5, 3, 1)  # patch sides, cells; smaller ones serve where no larger known patch exists
+MOST_SOURCES = 6000  # source patches compared with each patch of the rim; more are thinned out evenly
+BREATH = 1e-6  # weight of the mean in Laplace's equation: keeps islands solvable without moving the others
+FEWEST_SOURCES = 16  # known patches of a side below which a smaller side is taken
+REUSE = 0.15  # cost of each earlier use of a source patch, in units of the median patch distance: spreads the sources
 
 
 def complete_cells(colors: Float64, known: Bool, wanted: Bool) -> tuple[Int64, Bool]:

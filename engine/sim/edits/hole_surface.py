@@ -19,11 +19,8 @@ TUKEY = 4.685 * 1.4826
 PLANE_BAND, WIDEST_BAND, FINEST_BAND = 0.15, 0.5, 0.02
 """Distances that count as on the plane, and as on the quadric at first and at last, in radii of the hole."""
 
-BENDING = 0.02
-"""Cost of the quadric's second derivatives: a ring says little about them far inside the hole."""
-
-LEAST_RING = 24
-"""Ring Gaussians below which no surface is fitted: a quadric has 6 coefficients."""
+BENDING = 0.02  # cost of the quadric's second derivatives: a ring says little about them far inside the hole
+LEAST_RING = 24  # ring Gaussians below which no surface is fitted: a quadric has 6 coefficients
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,15 +27,13 @@ from engine.sim.model_placement import join
 
 __all__ = ["InpaintConfig", "inpaint"]
 
-DISTANCE = 40.0
-"""The surface is looked at from so many of its half widths: nearly parallel rays."""
+DISTANCE = 40.0  # the surface is looked at from so many of its half widths: nearly parallel rays
 
 WIDEST_COPY = 0.75
 """Gaussians with a standard deviation above this share of the hole's radius are not copied: no texture of the
 hole, they would smear over its rim."""
 
-LEAST_RING = 300
-"""Gaussians that a ring is widened for."""
+LEAST_RING = 300  # Gaussians that a ring is widened for
 
 SHOWN, STOOD = 0.05, 0.1
 """Opacity from which a cell shows anything at all, and from which the deleted Gaussians stood in it."""
@@ -43,8 +41,7 @@ SHOWN, STOOD = 0.05, 0.1
 BASE_COLOR = 3.0
 """Standard deviation, in cells, of the average that is a surface's base colour; what is finer is texture."""
 
-ROUNDS = 8
-"""Times the surface is looked at again for cells that the copies so far left open."""
+ROUNDS = 8  # times the surface is looked at again for cells that the copies so far left open
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,12 @@ from engine.watermark.claim import Claim
 
 __all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "verify_pieces"]
 
-LEAST_PIECE = 64
-"""Gaussians below which no further piece is looked for, or believed: embedding asks for as many."""
+LEAST_PIECE = 64  # Gaussians below which no further piece is looked for, or believed: embedding asks for as many
 
 RIGID = RegistrationConfig(deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
 
-MOST_PIECES = 8
-"""Pieces looked for where the caller does not say."""
+MOST_PIECES = 8  # pieces looked for where the caller does not say
 
 
 @dataclass(frozen=True, eq=False)

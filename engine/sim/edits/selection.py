@@ -26,21 +26,15 @@ __all__ = [
     "select_sphere",
 ]
 
-SEGMENT_SAMPLE = 40_000
-"""Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once."""
-
-FLOATING = 2.0
-"""Robust radii from the centre beyond which a Gaussian is a floater."""
-
-SEGMENT_ROUNDS = 20
-"""Lloyd iterations; the assignment of real scenes settles within 10 to 15."""
+SEGMENT_SAMPLE = 40_000  # Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once
+FLOATING = 2.0  # robust radii from the centre beyond which a Gaussian is a floater
+SEGMENT_ROUNDS = 20  # Lloyd iterations; the assignment of real scenes settles within 10 to 15
 
 LEAST_WEIGHT = 0.05
 """Blending weight (pixels, summed over the views) below which a Gaussian was not really seen: less than a
 twentieth of one pixel says nothing about which side of a mask's edge it lies on."""
 
-HIDDEN_NEIGHBORS = 8
-"""Seen neighbours that decide for a Gaussian no view shows."""
+HIDDEN_NEIGHBORS = 8  # seen neighbours that decide for a Gaussian no view shows
 
 
 def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
