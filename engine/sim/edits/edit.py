@@ -94,9 +94,7 @@ class Edit:
         if self.action == "duplicate":
             return model.take(np.arange(self.count))
         both = join(model.take(np.arange(self.count - len(self.rows))), self.before)
-        place = np.empty(self.count, np.int64)
-        place[np.concatenate([self._kept(), self.rows])] = np.arange(self.count)
-        return both.take(place)
+        return both.take(np.argsort(np.concatenate([self._kept(), self.rows])))  # the inverse of that order
 
     def origin(self) -> Int64:
         """(M,) row before the edit of every Gaussian after it: a copy's is its source's, a filling's is -1."""
@@ -122,9 +120,7 @@ class Edit:
         return part
 
     def _kept(self) -> Int64:
-        keep = np.ones(self.count, dtype=np.bool_)
-        keep[self.rows] = False
-        return np.flatnonzero(keep).astype(np.int64)
+        return np.delete(np.arange(self.count, dtype=np.int64), self.rows)
 
 
 def _replaced(model: GaussianModel, rows: Int64, part: GaussianModel) -> GaussianModel:

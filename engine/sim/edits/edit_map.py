@@ -117,11 +117,9 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
 def _placing(pieces: Pieces) -> npt.NDArray[np.int8]:
     """(M,) untouched, moved, copied or foreign, by where the matched Gaussians lie."""
     kinds = np.full(len(pieces.matches), Change.FOREIGN, np.int8)
-    at_home = np.zeros(int(pieces.matches.max(initial=-1)) + 1, np.bool_)
-    at_home[pieces.matches[pieces.piece == 0]] = True
-    kinds[pieces.piece == 0] = Change.UNTOUCHED
-    away = np.flatnonzero(pieces.piece > 0)
-    kinds[away] = np.where(at_home[pieces.matches[away]], Change.COPIED, Change.MOVED)
+    home, away = pieces.piece == 0, pieces.piece > 0
+    kinds[home] = Change.UNTOUCHED
+    kinds[away] = np.where(np.isin(pieces.matches[away], pieces.matches[home]), Change.COPIED, Change.MOVED)
     return kinds
 
 

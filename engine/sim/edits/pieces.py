@@ -80,12 +80,8 @@ def verify_pieces(
     config = config or VerifyConfig()
     _check_route(config, "model; pieces are")
     pieces = pieces or register_pieces(opened.reference, suspect, seed=config.seed)
-    matched = pieces.matches >= 0
-    seen = np.zeros(len(opened.reference), np.bool_)
-    seen[pieces.matches[matched]] = True
-    whole = replace(
-        pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=float(seen.mean())
-    )
+    share = len(np.unique(pieces.matches[pieces.matches >= 0])) / len(opened.reference)
+    whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=share)
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     return judge(read_gaussians(suspect, opened, whole), opened, "model", 1, config, whole, notes)
 

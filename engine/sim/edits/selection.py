@@ -103,8 +103,7 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     centers, _ = kmeans2(sample, count, iter=SEGMENT_ROUNDS, minit="++", missing="warn", rng=rng)
     _, labels = cKDTree(centers).query(features)
     order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
-    rank = np.empty(count, np.int32)
-    rank[order] = np.arange(count, dtype=np.int32)
+    rank = np.argsort(order).astype(np.int32)  # the inverse of that order
     return np.asarray(rank[labels])
 
 
