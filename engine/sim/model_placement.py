@@ -6,7 +6,7 @@ alike: quaternions and SH turn with the centres.
 
 import numpy as np
 
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
@@ -85,20 +85,12 @@ def shuffle(model: GaussianModel, strength: float, rng: np.random.Generator) -> 
     return model.take(order)
 
 
-def join(first: GaussianModel, second: GaussianModel) -> GaussianModel:
-    """Both models in one file, in that order; SH padded with zeros to the higher of the two degrees."""
-    width = max(first.sh.shape[1], second.sh.shape[1])
-
-    def padded(sh: Float32) -> Float32:
-        return sh if sh.shape[1] == width else np.pad(sh, ((0, 0), (0, width - sh.shape[1]), (0, 0)))
-
-    return GaussianModel(
-        np.concatenate([first.means, second.means]),
-        np.concatenate([first.log_scales, second.log_scales]),
-        np.concatenate([first.quats, second.quats]),
-        np.concatenate([first.opacity_logits, second.opacity_logits]),
-        np.concatenate([padded(first.sh), padded(second.sh)]),
-    )
+def join(*models: GaussianModel) -> GaussianModel:
+    """All models in one, in their order; SH padded with zeros to the highest of their degrees."""
+    width = max(model.sh.shape[1] for model in models)
+    parts = [m.with_(sh=np.pad(m.sh, ((0, 0), (0, width - m.sh.shape[1]), (0, 0)))) for m in models]
+    names = GaussianModel.__dataclass_fields__
+    return GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _move(model: GaussianModel, factor: float, rotation: Float64, shift: Float64) -> GaussianModel:

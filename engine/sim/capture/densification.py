@@ -5,54 +5,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Bool, Float32, GaussianModel, Int32
+from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.sim.capture.parameters import Parameters
 from engine.sim.model_placement import join
 
 __all__ = ["CenterGradients", "DensifyConfig", "densify"]
 
-_SPLIT_SHRINK = 1.6
-"""A split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)."""
+_SPLIT_SHRINK = 1.6  # a split Gaussian's two parts are this much smaller (INRIA: 0.8 times the number of parts)
 
 RESET_OPACITY = 0.01
 
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Knobs of the density control; at 30,000 steps the defaults are INRIA's.
+    """Knobs of the density control; at 30,000 steps the defaults are INRIA's."""
 
-    Parameters
-    ----------
-    first, last : float
-        When it begins and ends, parts of the training: steps 500 and 15,000 of 30,000.
-    every : int
-        Steps between two rounds.
-    gradient : float
-        Gaussians whose centre is pulled more strongly than this across the image are cloned or split: mean over
-        the views of the norm of dL/d(centre), in half images.
-    split_size : float
-        Larger ones are split, smaller ones cloned; largest standard deviation, part of the extent of the cameras.
-    min_opacity : float
-        Fainter ones are removed.
-    max_size : float
-        Larger ones are removed after the first opacity reset, part of the extent. INRIA's bound in pixels is
-        left out, as gsplat leaves it out: it depends on the size of the photos.
-    reset : float
-        Opacities are brought down to 0.01 so often, part of the training: every 3,000 steps of 30,000.
-    most : int
-        No more Gaussians than this: those pulled most come first.
-    """
-
-    first: float = 500 / 30_000
-    last: float = 0.5
-    every: int = 100
+    first: float = 500 / 30_000  # when it begins, part of the training: step 500 of 30,000
+    last: float = 0.5  # when it ends: step 15,000
+    every: int = 100  # steps between two rounds
+    # Gaussians whose centre is pulled more strongly than this across the image are cloned or split: mean over the views
+    # of the norm of dL/d(centre), in half images
     gradient: float = 2e-4
+    # larger ones are split, smaller ones cloned; largest standard deviation, part of the extent of the cameras
     split_size: float = 0.01
-    min_opacity: float = 0.005
+    min_opacity: float = 0.005  # fainter ones are removed
+    # larger ones are removed after the first opacity reset, part of the extent. INRIA's bound in pixels is left out, as
+    # gsplat leaves it out: it depends on the size of the photos
     max_size: float = 0.1
-    reset: float = 0.1
-    most: int = 1_000_000
+    reset: float = 0.1  # opacities are brought down to 0.01 so often, part of the training: every 3,000 steps of 30,000
+    most: int = 1_000_000  # no more Gaussians than this: those pulled most come first
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.first <= self.last <= 1.0:
@@ -104,7 +86,9 @@ def densify(
     """
     model = parameters.model
     sizes = model.log_scales.max(axis=1)
-    pulled = _strongest(pull, config.gradient, config.most - len(model))
+    pulled = pull > config.gradient
+    room = max(config.most - len(model), 0)  # each adds one Gaussian: the strongest come first
+    pulled[np.argsort(-pull, kind="stable")[room:]] = False
     large = sizes > np.log(config.split_size * extent)
     cloned, split = np.flatnonzero(pulled & ~large), np.flatnonzero(pulled & large)
     faint = model.opacities < config.min_opacity
@@ -116,13 +100,6 @@ def densify(
         new = new.take(new.log_scales.max(axis=1) <= np.log(config.max_size * extent))
     if kept.any() or len(new):
         parameters.regroup(np.flatnonzero(kept), new)
-
-
-def _strongest(pull: Float32, threshold: float, room: int) -> Bool:
-    """Those above the threshold, at most as many as there is room for; each adds one Gaussian."""
-    chosen = pull > threshold
-    chosen[np.argsort(-pull, kind="stable")[max(room, 0) :]] = False
-    return chosen
 
 
 def _parts(model: GaussianModel, rng: np.random.Generator) -> GaussianModel:

@@ -55,17 +55,10 @@ def load_photos(
     hold_out: int = 8,
     clock: Clock | None = None,
 ) -> PhotoSet:
-    """Read and undistort the photos of a reconstruction.
+    """Read the photos of a reconstruction from a folder and undistort them, at most `size` pixels on the longest side.
 
-    Parameters
-    ----------
-    images : path
-        Folder of the photos.
-    size : int
-        Longest side, pixels; photos are never enlarged.
-    hold_out : int
-        By the order of the names, the middle one of every so many photos is held out, so that it has trained
-        neighbours on both sides; 0 holds none out.
+    By the order of the names, the middle one of every `hold_out` photos is held out, so that it has trained neighbours
+    on both sides; 0 holds none out.
     """
     photos = reconstruction.photos
     if hold_out < 0 or hold_out == 1:
@@ -126,9 +119,8 @@ def photo_quality(model: GaussianModel, photos: PhotoSet, background: Any = 0.0)
     A random background counts as black.
     """
     behind = 0.0 if isinstance(background, str) else background
-    values = [
-        psnr(render(model, camera, behind), image) for camera, image in zip(photos.cameras, photos.images, strict=True)
-    ]
+    pairs = zip(photos.cameras, photos.images, strict=True)
+    values = [psnr(render(model, camera, behind), image) for camera, image in pairs]
 
     def mean(which: Sequence[int]) -> float | None:
         return float(np.mean([values[k] for k in which])) if which else None

@@ -32,31 +32,17 @@ _NANOSECONDS = re.compile(r"[0-9]{16,19}", re.ASCII)
 
 @dataclass(frozen=True)
 class CloudConfig:
-    """Knobs between a cloud and its kernels.
+    """Knobs between a cloud and its kernels."""
 
-    Parameters
-    ----------
-    voxel : float or None
-        Edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan,
-        since many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it.
-    most : int
-        Points wanted at most, where `voxel` is None.
-    clean : bool
-        Leave out lone points and small islands (sky, echoes under the ground).
-    kernels : {"flat", "round"}
-        Flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA).
-    opacity : float or None
-        Of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones.
-    size : float
-        Factor on the standard deviations.
-    """
-
+    # edge of a voxel that keeps one point, scene units; 0 keeps all points. None: the spacing of a single scan, since
+    # many scans of one place say it many times; of a plain cloud, all points; more if `most` asks for it
     voxel: float | None = None
-    most: int = 500_000
-    clean: bool = True
+    most: int = 500_000  # points wanted at most, where `voxel` is None
+    clean: bool = True  # leave out lone points and small islands (sky, echoes under the ground)
+    # flat ones lie on the surfaces and are for looking at; round ones are what training starts from (INRIA)
     kernels: Literal["flat", "round"] = "flat"
-    opacity: float | None = None
-    size: float = 1.0
+    opacity: float | None = None  # of every kernel, in (0, 1); None: 0.95 of flat ones, 0.1 of round ones
+    size: float = 1.0  # factor on the standard deviations
 
     def __post_init__(self) -> None:
         if self.most < 4:
@@ -67,21 +53,13 @@ class CloudConfig:
 
 @dataclass(frozen=True, eq=False)
 class CloudModel:
-    """A model made of points.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        What it was made of: one point for each Gaussian, in the points' own frame.
-    origin : (3,) float64
-        Where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids).
-    report : dict
-        Plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds.
-    """
+    """A model made of points."""
 
     model: GaussianModel
-    cloud: PointCloud
+    cloud: PointCloud  # what it was made of: one point for each Gaussian, in the points' own frame
+    # (3,) where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids)
     origin: Float64
+    # plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds
     report: dict[str, Any]
 
 
@@ -92,7 +70,7 @@ def points_to_model(
     clock = Clock(progress)
     with clock.stage("read"):
         cloud, repairs = read_point_cloud(path)
-    return _to_model(cloud, config or CloudConfig(), clock, _repaired(repairs))
+    return _to_model(cloud, repairs, config or CloudConfig(), clock, {})
 
 
 def scans_to_model(
@@ -103,18 +81,10 @@ def scans_to_model(
     mounting: Float64 | None = None,
     progress: Progress | None = None,
 ) -> CloudModel:
-    """Make a model of LiDAR scans and the path of the scanner.
+    """Make a model of LiDAR scans (or their folder or file, see `read_scans`) and the path of the scanner (TUM, KITTI).
 
-    Parameters
-    ----------
-    scans : path or sequence of Scan
-        Folder with a file a scan, or one file whose points have times; see `read_scans`.
-    trajectory : path or Trajectory
-        TUM or KITTI text.
-    mounting : (4, 4), optional
-        From the scanner's frame to the one whose poses the trajectory tells.
-    progress : callable, optional
-        Stages "read", "place", "thin" and "kernels".
+    `mounting` (4, 4) leads from the scanner's frame to the one whose poses the trajectory tells. Progress has the
+    stages "read", "place", "thin" and "kernels".
     """
     clock = Clock(progress)
     repairs: tuple[Repair, ...] = ()
@@ -126,8 +96,8 @@ def scans_to_model(
         clouds, outside = place_scans(scans, path, mounting)
         cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
         spacing = float(np.median([typical_spacing(c.points) for c in clouds[:: max(1, len(clouds) // 8)]]))
-    report = {"scans": len(scans), "poses": len(path), "points_outside": outside, **_repaired(repairs)}
-    return _to_model(cloud, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
+    report = {"scans": len(scans), "poses": len(path), "points_outside": outside}
+    return _to_model(cloud, repairs, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
 
 
 def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tuple[list[Scan], tuple[Repair, ...]]:
@@ -153,7 +123,12 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tupl
 
 
 def _to_model(
-    cloud: PointCloud, config: CloudConfig, clock: Clock, report: dict[str, Any], spacing: float = 0.0
+    cloud: PointCloud,
+    repairs: tuple[Repair, ...],
+    config: CloudConfig,
+    clock: Clock,
+    report: dict[str, Any],
+    spacing: float = 0.0,
 ) -> CloudModel:
     read = len(cloud)
     with clock.stage("thin"):
@@ -165,7 +140,8 @@ def _to_model(
         own = {} if config.opacity is None else {"opacity": config.opacity}
         make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
         model = make(cloud.points - origin, colors, size=config.size, **own)
-    numbers = {
+    report |= {
+        "repairs": {repair.code: repair.count for repair in repairs},
         "points": read,
         "voxel": voxel,
         "strays_dropped": strays,
@@ -174,7 +150,7 @@ def _to_model(
         "origin": origin.tolist(),
         "seconds_by_stage": clock.seconds,
     }
-    return CloudModel(model, cloud, origin, {**report, **numbers})
+    return CloudModel(model, cloud, origin, report)
 
 
 def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[PointCloud, float]:
@@ -211,7 +187,3 @@ def _time_of(stem: str) -> float | None:
     if _SECONDS.fullmatch(stem):
         return float(stem)
     return int(stem) * 1e-9 if _NANOSECONDS.fullmatch(stem) else None
-
-
-def _repaired(repairs: tuple[Repair, ...]) -> dict[str, Any]:
-    return {"repairs": {repair.code: repair.count for repair in repairs}}

@@ -19,11 +19,8 @@ _SMALLEST = 1e-3
 size would never be seen and never be moved. Also, of the median kernel, the size of one whose neighbours all are in
 one place."""
 
-_THINNEST = 0.05
-"""Of the widest axis: thinner kernels flicker when seen from the edge and say nothing more."""
-
-_LONGEST = 3.0
-"""Of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not."""
+_THINNEST = 0.05  # of the widest axis: thinner kernels flicker when seen from the edge and say nothing more
+_LONGEST = 3.0  # of the middle axis: along the edge of a surface the neighbourhood is a line, the surface is not
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -33,22 +30,9 @@ def kernels_from_points(
 ) -> GaussianModel:
     """One round Gaussian for every point, as wide as its three nearest neighbours are far (Kerbl et al. 2023).
 
-    Parameters
-    ----------
-    points : (N, 3)
-        Scene units, finite; N >= 4.
-    colors : (N, 3)
-        0 to 1, or uint8.
-    opacity : float
-        Of every Gaussian, in (0, 1).
-    size : float
-        Factor on the standard deviations; a dense scan that needs no training looks solid at about 0.7.
-
-    Returns
-    -------
-    GaussianModel
-        SH degree 0, in the order of the points; the standard deviation is the root mean square distance to the
-        three nearest others.
+    Points (N, 3) are finite, N >= 4; colours (N, 3) 0 to 1, or uint8. The model has SH degree 0, one opacity in (0, 1)
+    and the order of the points; the standard deviation is `size` times the root mean square distance to the three
+    nearest others: a dense scan that needs no training looks solid at about 0.7.
     """
     from scipy.spatial import cKDTree  # costs 0.2 s, and the command line only passes by
 

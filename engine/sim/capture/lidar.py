@@ -13,17 +13,10 @@ from engine.sim.capture.placing import Scan
 
 __all__ = ["Lidar", "scan_model"]
 
-_FACES = 4
-"""Pictures around the scanner, a quarter turn each."""
-
-FINER, MOST_FOCAL = 3.0, 1000.0
-"""Pixels of a picture a beam, and the longest focal length of one, pixels."""
-
-LUMA = (0.299, 0.587, 0.114)
-"""Of red, green and blue (BT.601)."""
-
-SOLID = 0.5
-"""Accumulated opacity at which light comes back."""
+_FACES = 4  # pictures around the scanner, a quarter turn each
+FINER, MOST_FOCAL = 3.0, 1000.0  # pixels of a picture a beam, and the longest focal length of one, pixels
+LUMA = (0.299, 0.587, 0.114)  # of red, green and blue (BT.601)
+SOLID = 0.5  # accumulated opacity at which light comes back
 
 MIXED = 0.06
 """Standard deviation of the depth under a beam, part of the depth, beyond which no range is measured: the beam meets
@@ -32,29 +25,15 @@ two surfaces, and their mean lies in the air between them."""
 
 @dataclass(frozen=True)
 class Lidar:
-    """A spinning scanner; its frame is x forward, y left, z up.
+    """A spinning scanner; its frame is x forward, y left, z up."""
 
-    Parameters
-    ----------
-    rings : int
-        Beams one above the other, evenly between the elevations.
-    columns : int
-        Beams a turn.
-    lowest, highest : float
-        Elevations of the outermost beams, degrees, within +-60.
-    nearest, farthest : float
-        Ranges it can measure, scene units.
-    noise : float
-        Standard deviation of a range, scene units.
-    """
-
-    rings: int = 64
-    columns: int = 720
-    lowest: float = -40.0
+    rings: int = 64  # beams one above the other, evenly between the elevations
+    columns: int = 720  # beams a turn
+    lowest: float = -40.0  # elevation of the outermost beams, degrees, within +-60
     highest: float = 30.0
-    nearest: float = 0.05
+    nearest: float = 0.05  # ranges it can measure, scene units
     farthest: float = 100.0
-    noise: float = 0.0
+    noise: float = 0.0  # standard deviation of a range, scene units
 
     def __post_init__(self) -> None:
         if not (2 <= self.rings <= 1024 and 8 <= self.columns <= 8192):

@@ -21,8 +21,7 @@ from engine.sim.capture.kernels import principal_axes
 
 __all__ = ["LevelOfDetail", "level_of_quality", "levels_of_detail", "rank_by_weight", "reduce_to"]
 
-VIEWS, VIEW_SIZE = 12, 400
-"""Of the rig around a model that comes without cameras; pixels."""
+VIEWS, VIEW_SIZE = 12, 400  # of the rig around a model that comes without cameras; pixels
 
 REACH = 3.0
 """A Gaussian is merged into a survivor no farther than so many of both's largest standard deviations together."""
@@ -129,7 +128,7 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     from engine.compress.merging import covariances
     from engine.numerics.similarity import rotation_to_quaternion
 
-    result = model.take(kept)
+    result = model.take(kept)  # arrays of its own
     distance, into = cKDTree(result.means).query(model.means[others])
     largest = np.exp(model.log_scales.max(axis=1).astype(np.float64))
     near = distance <= REACH * (largest[others] + largest[kept[into]])
@@ -159,12 +158,9 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     values = np.maximum(values, 1e-30)  # rounding may leave a variance below 0
     opacity = total[touched] / np.sqrt(values[:, 0] * values[:, 1])
     opacity = np.clip(opacity, LEAST_OPAQUE, MOST_OPAQUE)
-    arrays = {name: getattr(result, name).copy() for name in ("means", "log_scales", "quats", "opacity_logits")}
-    arrays["means"][touched] = home[touched] + center[touched]
-    arrays["log_scales"][touched] = 0.5 * np.log(values)
-    arrays["quats"][touched] = rotation_to_quaternion(vectors)
-    arrays["opacity_logits"][touched] = np.log(opacity / (1.0 - opacity))
-    sh = result.sh.copy()
-    sh[touched] = mean(model.sh[rows].astype(np.float64))[touched]
-    merged = result.with_(**arrays, sh=sh)
-    return flatten(merged) if model.is_flat else merged
+    result.means[touched] = home[touched] + center[touched]
+    result.log_scales[touched] = 0.5 * np.log(values)
+    result.quats[touched] = rotation_to_quaternion(vectors)
+    result.opacity_logits[touched] = np.log(opacity / (1.0 - opacity))
+    result.sh[touched] = mean(model.sh[rows].astype(np.float64))[touched]
+    return flatten(result) if model.is_flat else result

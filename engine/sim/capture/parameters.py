@@ -9,8 +9,7 @@ from engine.raster import Gradients
 
 __all__ = ["NAMES", "Parameters"]
 
-SH_REST = 20.0
-"""Higher SH bands move so much slower than DC (INRIA)."""
+SH_REST = 20.0  # higher SH bands move so much slower than DC (INRIA)
 
 NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
@@ -32,10 +31,9 @@ class Parameters:
 
     def finished(self) -> GaussianModel:
         """A model of its own, with unit quaternions."""
-        arrays = {name: array.copy() for name, array in self.arrays.items()}
-        quats = arrays["quats"]
-        quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), np.finfo(np.float32).tiny)
-        return GaussianModel(**arrays)
+        model = self.model.take(np.arange(len(self)))
+        lengths = np.linalg.norm(model.quats, axis=1, keepdims=True)
+        return model.with_(quats=model.quats / np.maximum(lengths, np.finfo(np.float32).tiny))
 
     def step(self, gradients: Gradients, rates: dict[str, float], number: int) -> None:
         """One Adam step of every parameter that has a rate; see `SH_REST`."""
@@ -48,11 +46,8 @@ class Parameters:
         for name in NAMES:
             fresh: Float32 = getattr(new, name)
             self.arrays[name] = np.concatenate([self.arrays[name][kept], fresh])
-            empty = np.zeros_like(fresh)
-            old = self.moments[name]
-            self.moments[name] = AdamMoments(
-                np.concatenate([old.first[kept], empty]), np.concatenate([old.second[kept], empty])
-            )
+            old, empty = self.moments[name], np.zeros_like(fresh)
+            self.moments[name] = AdamMoments(*(np.concatenate([m[kept], empty]) for m in (old.first, old.second)))
 
     def raise_degree(self, coefficients: int) -> None:
         """More SH coefficients a channel; the new ones are 0 and have no moments."""

@@ -27,20 +27,9 @@ _C1, _C2 = np.float32(SSIM_C1), np.float32(SSIM_C2)
 def photo_loss(image: Float32, photo: Float32, ssim_weight: float = 0.2) -> tuple[float, Float32]:
     """Loss of a render against a photo, and its gradient with respect to the render.
 
-    SSIM is `engine.numerics.image_metrics.ssim`: the mean over all windows that lie inside the image. Nothing
-    is clipped here: a render above 1 is pulled back. The same bits whatever the number of threads.
-
-    Parameters
-    ----------
-    image, photo : (H, W, 3) float32
-        At least 11 by 11 pixels when SSIM counts; nominal range 0 to 1.
-    ssim_weight : float
-        w, from 0 (L1 alone) to 1.
-
-    Returns
-    -------
-    loss : float
-    gradient : (H, W, 3) float32
+    Both are (H, W, 3) of nominal range 0 to 1, at least 11 by 11 pixels unless w = `ssim_weight` is 0. SSIM is
+    `engine.numerics.image_metrics.ssim`: the mean over all windows that lie inside the image. Nothing is clipped here:
+    a render above 1 is pulled back. The same bits whatever the number of threads.
     """
     if image.shape != photo.shape or image.ndim != 3:
         raise InputError(f"render and photo must both be (H, W, C), got {image.shape} and {photo.shape}")

@@ -52,27 +52,16 @@ def poses_at(trajectory: Trajectory, times: npt.NDArray[Any]) -> tuple[Any, Floa
 def place_scans(
     scans: Sequence[Scan], trajectory: Trajectory, mounting: Float64 | None = None
 ) -> tuple[list[PointCloud], int]:
-    """Scans in the world.
+    """Scans in the world, in the order in which they were taken, and the number of their points left out.
+
+    Points taken before the first pose or after the last are left out; times are those of the trajectory's clock.
+    `mounting`, a rigid (4, 4), leads from the scanner's frame to that of the poses (KITTI's ``Tr``).
 
     1. A trajectory without times (KITTI) has one pose for each scan.
     2. Points with times of the trajectory's clock are placed each by its own pose. Several scans must follow each
        other in time, or their times are taken to start anew with each.
     3. Scans with a time of their own: their points' times count from it.
     4. As many scans as poses: each scan begins at its pose's time.
-
-    Parameters
-    ----------
-    scans : sequence of Scan
-        In the order in which they were taken.
-    mounting : (4, 4), optional
-        Rigid; from the scanner's frame to the frame whose poses the trajectory tells (KITTI's ``Tr``).
-
-    Returns
-    -------
-    clouds : list of PointCloud
-        World frame, one for each scan; times are those of the trajectory's clock.
-    outside : int
-        Points left out, since they were taken before the first pose or after the last.
     """
     if trajectory.times is None:
         if len(scans) != len(trajectory):

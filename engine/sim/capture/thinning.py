@@ -20,8 +20,7 @@ STRAY_DEVIATIONS = 3.0
 """Points farther from their neighbours than the mean by so many standard deviations of its logarithm are strays.
 The logarithm, since spacing grows with the distance to the scanner and is nowhere near normal."""
 
-ISLAND_LINK = 6.0
-"""Points closer than this many typical spacings belong together."""
+ISLAND_LINK = 6.0  # points closer than this many typical spacings belong together
 
 ISLAND_SHARE = 2e-4
 """Groups that hold a smaller part of the cloud than this are islands: birds, glints, echoes under the ground."""

@@ -20,52 +20,30 @@ from engine.sim.capture.photo_loss import photo_loss
 __all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
 
 
-MARGIN = 1.1
-"""Extent of the cameras over the largest distance from their middle (INRIA)."""
+MARGIN = 1.1  # extent of the cameras over the largest distance from their middle (INRIA)
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Knobs of a training; rates are Adam steps, and the defaults INRIA's at 30,000 steps.
+    """Knobs of a training; rates are Adam steps, and the defaults INRIA's at 30,000 steps."""
 
-    Parameters
-    ----------
-    steps : int
-        One photo each.
-    trained : {"all", "colors"}
-        Every parameter, or SH alone with the geometry frozen (then nothing is densified).
-    position_rate, position_rate_end : float
-        Of the centres at the first and last step, exponential between, parts of the extent of the cameras.
-    scale_rate, rotation_rate, opacity_rate, color_rate : float
-        Of log-scales, quaternions, opacity logits and DC; higher SH bands move at a twentieth of the last.
-    ssim_weight : float
-        Of D-SSIM in the loss, 0 to 1; the rest is L1.
-    sh_degree : int or None
-        Degree reached in the end, 0 to 3; one more every `sh_every`. None: the model's own, from the start.
-    sh_every : float
-        Part of the training after which the next SH degree joins: 1,000 steps of 30,000.
-    background : float, three floats or "random"
-        Colour behind the Gaussians; "random" draws one for each step, so that nothing may hide in it.
-    densify : DensifyConfig or None
-        None: the number of Gaussians stays.
-    seed : int
-        Of the photos' order, random backgrounds and places of split Gaussians.
-    """
-
-    steps: int = 30_000
+    steps: int = 30_000  # one photo each
+    # every parameter, or SH alone with the geometry frozen (then nothing is densified)
     trained: Literal["all", "colors"] = "all"
-    position_rate: float = 1.6e-4
-    position_rate_end: float = 1.6e-6
-    scale_rate: float = 0.005
-    rotation_rate: float = 0.001
-    opacity_rate: float = 0.05
-    color_rate: float = 0.0025
-    ssim_weight: float = 0.2
+    position_rate: float = 1.6e-4  # of the centres at the first step, part of the extent of the cameras
+    position_rate_end: float = 1.6e-6  # at the last step; exponential between
+    scale_rate: float = 0.005  # of log-scales
+    rotation_rate: float = 0.001  # of quaternions
+    opacity_rate: float = 0.05  # of opacity logits
+    color_rate: float = 0.0025  # of DC; higher SH bands move at a twentieth of it
+    ssim_weight: float = 0.2  # of D-SSIM in the loss, 0 to 1; the rest is L1
+    # degree reached in the end, 0 to 3; one more every `sh_every`. None: the model's own, from the start
     sh_degree: int | None = 3
-    sh_every: float = 1_000 / 30_000
+    sh_every: float = 1_000 / 30_000  # part of the training after which the next SH degree joins: 1,000 steps of 30,000
+    # colour behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
     background: float | tuple[float, float, float] | Literal["random"] = 0.0
-    densify: DensifyConfig | None = field(default_factory=DensifyConfig)
-    seed: int = 0
+    densify: DensifyConfig | None = field(default_factory=DensifyConfig)  # None: the number of Gaussians stays
+    seed: int = 0  # of the photos' order, random backgrounds and places of split Gaussians
 
     def __post_init__(self) -> None:
         if self.steps < 1:

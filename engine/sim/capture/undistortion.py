@@ -15,8 +15,7 @@ __all__ = ["read_photo", "undistort"]
 _MAX_ZOOM = 4.0
 _ZOOM_TOLERANCE = 1e-4
 _ASPECT_TOLERANCE = 0.01
-_RADII = 64
-"""Places between middle and border at which a lens polynomial must still rise."""
+_RADII = 64  # places between middle and border at which a lens polynomial must still rise
 
 
 def read_photo(folder: str | os.PathLike[str], photo: PosedPhoto) -> npt.NDArray[np.uint8]:

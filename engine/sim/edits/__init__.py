@@ -9,10 +9,9 @@ from engine.sim.edits.edit import Attribute, Edit, Edited, Recoloring
 from engine.sim.edits.edit_map import Change, EditMap, map_edits
 from engine.sim.edits.edit_regions import EditedRegion
 from engine.sim.edits.inpainting import InpaintConfig, inpaint
-from engine.sim.edits.object_verification import ObjectFinding, verify_objects
 from engine.sim.edits.objects import FlatScene, PlacedObject, Scene, model_box
 from engine.sim.edits.operations import delete, duplicate, move, place, recolor, recolor_towards, rotate, scale
-from engine.sim.edits.pieces import Pieces, register_pieces, verify_pieces
+from engine.sim.edits.pieces import ObjectFinding, Pieces, register_pieces, verify_objects, verify_pieces
 from engine.sim.edits.selection import (
     lift_masks,
     mask_shares,

@@ -16,21 +16,11 @@ __all__ = ["BoxTree"]
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
-    """Boxes in a binary tree, a value: inserting and removing give a new tree (a copy of 80 bytes a box).
+    """Boxes in a binary tree, a value: inserting and removing give a new tree (a copy of 80 bytes a box)."""
 
-    Parameters
-    ----------
-    boxes : (nodes, 6) float64
-        Low and high corner of every node.
-    links : (nodes, 4) int64
-        Parent, children, item.
-    root : int
-        -1 in an empty tree.
-    """
-
-    boxes: Float64
-    links: Int64
-    root: int
+    boxes: Float64  # (nodes, 6) low and high corner of every node
+    links: Int64  # (nodes, 4) parent, children, item
+    root: int  # -1 in an empty tree
 
     @classmethod
     def empty(cls) -> BoxTree:
@@ -41,14 +31,9 @@ class BoxTree:
         return (len(self.links) + 1) // 2
 
     def inserted(self, lows: npt.ArrayLike, highs: npt.ArrayLike, items: npt.ArrayLike) -> BoxTree:
-        """The tree with more boxes, InputError if one is malformed.
+        """The tree with more boxes, corners low <= high (m, 3); InputError if one is malformed.
 
-        Parameters
-        ----------
-        lows, highs : (m, 3)
-            Corners, finite, low <= high.
-        items : (m,) int
-            What queries answer with; not negative, each in the tree at most once (the caller's business).
+        Queries answer with the items (m,): not negative, each in the tree at most once (the caller's business).
         """
         low, high = (np.asarray(v, dtype=np.float64).reshape(-1, 3) for v in (lows, highs))
         names = np.asarray(items, dtype=np.int64).reshape(-1)

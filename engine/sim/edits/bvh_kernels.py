@@ -14,11 +14,8 @@ __all__ = ["ITEM", "LEFT", "NONE", "along_ray", "insert_all", "overlapping", "re
 
 _KERNEL_VERSION = 2
 
-NONE = -1
-"""No node."""
-
-TIE = 1e-12
-"""Gains no farther apart than this, relatively, are equal: the first swap found stays."""
+NONE = -1  # no node
+TIE = 1e-12  # gains no farther apart than this, relatively, are equal: the first swap found stays
 
 # Columns of the links (nodes, 4): parent, first child, second child (NONE, NONE in a leaf), item of a leaf.
 PARENT, LEFT, RIGHT, ITEM = 0, 1, 2, 3

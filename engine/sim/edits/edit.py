@@ -22,18 +22,10 @@ Attribute = Literal["means", "log_scales", "quats", "opacity_logits", "sh"]
 
 @dataclass(frozen=True, eq=False)
 class Recoloring:
-    """new colour = gain * colour + tint, for every direction of view; before clipping.
+    """new colour = gain * colour + tint, for every direction of view; before clipping."""
 
-    Parameters
-    ----------
-    gain : (3,) float64
-        Factor on red, green and blue, >= 0.
-    tint : (3,) float64
-        Added, colours ranging 0 to 1.
-    """
-
-    gain: Float64
-    tint: Float64
+    gain: Float64  # (3,) factor on red, green and blue, >= 0
+    tint: Float64  # (3,) added, colours ranging 0 to 1
 
     @classmethod
     def none(cls) -> Recoloring:
@@ -63,35 +55,20 @@ class Edited(NamedTuple):
 class Edit:
     """One local edit. It can be carried out again on another model of the same Gaussians, and taken back.
 
-    What is kept to *replay* an edit are its parameters (rows, similarity, recolouring), never the values it
-    gave: replayed on a record's unmarked reference it makes an edited reference in which no trace of a mark
-    is (DESIGN 4.9). What is kept to *take it back* are the values from before.
-
-    Parameters
-    ----------
-    action : {"change", "delete", "duplicate"}
-        `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved
-        and recoloured copies of them are appended.
-    count : int
-        Gaussians of the model before the edit.
-    rows : (n,) int64
-        The Gaussians concerned, ascending.
-    before : GaussianModel
-        Their values before.
-    similarity : Similarity
-        x_new = scale * R @ x + t.
-    filling : GaussianModel, optional
-        New Gaussians appended by a deletion that fills its hole.
+    What is kept to *replay* it are its parameters, never the values it gave: replayed on a record's unmarked reference
+    it makes an edited reference without a trace of a mark (DESIGN 4.9). The values from before *take it back*.
     """
 
     name: str
+    # `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved and
+    # recoloured copies of them are appended
     action: Action
-    count: int
-    rows: Int64
-    before: GaussianModel
-    similarity: Similarity
+    count: int  # Gaussians of the model before the edit
+    rows: Int64  # (n,) the Gaussians concerned, ascending
+    before: GaussianModel  # their values before
+    similarity: Similarity  # x_new = scale * R @ x + t
     recoloring: Recoloring
-    filling: GaussianModel | None = None
+    filling: GaussianModel | None = None  # new Gaussians appended by a deletion that fills its hole
 
     def apply(self, model: GaussianModel, *, filling: bool = True) -> GaussianModel:
         """The model after this edit; `filling` False leaves out what filled a hole.
@@ -117,9 +94,7 @@ class Edit:
         if self.action == "duplicate":
             return model.take(np.arange(self.count))
         both = join(model.take(np.arange(self.count - len(self.rows))), self.before)
-        place = np.empty(self.count, np.int64)
-        place[np.concatenate([self._kept(), self.rows])] = np.arange(self.count)
-        return both.take(place)
+        return both.take(np.argsort(np.concatenate([self._kept(), self.rows])))  # the inverse of that order
 
     def origin(self) -> Int64:
         """(M,) row before the edit of every Gaussian after it: a copy's is its source's, a filling's is -1."""
@@ -145,18 +120,14 @@ class Edit:
         return part
 
     def _kept(self) -> Int64:
-        keep = np.ones(self.count, dtype=np.bool_)
-        keep[self.rows] = False
-        return np.flatnonzero(keep).astype(np.int64)
+        return np.delete(np.arange(self.count, dtype=np.int64), self.rows)
 
 
 def _replaced(model: GaussianModel, rows: Int64, part: GaussianModel) -> GaussianModel:
-    arrays = {}
-    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-        array = getattr(model, name).copy()
+    new = model.take(np.arange(len(model)))
+    for name, array in vars(new).items():
         array[rows] = getattr(part, name)
-        arrays[name] = array
-    return GaussianModel(**arrays)
+    return new
 
 
 def _check_count(what: str, count: int, expected: int) -> None:

@@ -24,29 +24,17 @@ from engine.watermark.spreading import signed_amplitudes
 
 __all__ = ["Change", "EditMap", "map_edits"]
 
-NEIGHBORS = 12
-"""Neighbours over which a displacement must be coherent; the patch of a single code vector holds more."""
-
-NORMAL = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
-
-CHANCE = 1e-6
-"""Rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent."""
-
-ROUNDS = 3
-"""Times tint and mark are fitted in turn; they hardly have anything in common."""
-
-MOST_LEFT = 1.5
-"""Largest factor of the mark that is believed."""
-
-BORDER = 0.25
-"""Share of a Gaussian's neighbours in a patch from which it lies next to it."""
+NEIGHBORS = 12  # neighbours over which a displacement must be coherent; the patch of a single code vector holds more
+NORMAL = 1.4826  # standard deviation of a normal law over its median absolute deviation
+CHANCE = 1e-6  # rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent
+ROUNDS = 3  # times tint and mark are fitted in turn; they hardly have anything in common
+MOST_LEFT = 1.5  # largest factor of the mark that is believed
+BORDER = 0.25  # share of a Gaussian's neighbours in a patch from which it lies next to it
 
 FINEST = 0.1 * MARK_SCALE
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
 
-LEAST_REGION = 24
-"""Gaussians below which a patch of changes is no region."""
+LEAST_REGION = 24  # Gaussians below which a patch of changes is no region
 
 
 class Change(IntEnum):
@@ -61,30 +49,15 @@ class Change(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class EditMap:
-    """Where a suspect differs from the record's reference by more than the mark.
+    """Where a suspect differs from the record's reference by more than the mark."""
 
-    Parameters
-    ----------
-    kinds : (M,) int8
-        `Change` of every suspect Gaussian; recoloured ones that were moved too count as moved.
-    recolored : (M,) bool
-        Displaced in colour by more than the mark, moved or not.
-    removed : (N,) bool
-        Reference Gaussians that are not in the suspect.
-    displacement : (M, 3) float64
-        DC displacement that the mark does not explain, SH units; 0 where not matched.
-    mark_left : float
-        How much of the mark the untouched Gaussians show: 1 all of it, 0 none.
-    regions : tuple of EditedRegion
-        Connected patches of changes, largest first.
-    """
-
+    # (M,) `Change` of every suspect Gaussian; recoloured ones that were moved too count as moved
     kinds: npt.NDArray[np.int8]
-    recolored: Bool
-    removed: Bool
-    displacement: Float64
-    mark_left: float
-    regions: tuple[EditedRegion, ...]
+    recolored: Bool  # (M,) displaced in colour by more than the mark, moved or not
+    removed: Bool  # (N,) reference Gaussians that are not in the suspect
+    displacement: Float64  # (M, 3) DC displacement that the mark does not explain, SH units; 0 where not matched
+    mark_left: float  # how much of the mark the untouched Gaussians show: 1 all of it, 0 none
+    regions: tuple[EditedRegion, ...]  # connected patches of changes, largest first
     pieces: Pieces
 
     @property
@@ -144,11 +117,9 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
 def _placing(pieces: Pieces) -> npt.NDArray[np.int8]:
     """(M,) untouched, moved, copied or foreign, by where the matched Gaussians lie."""
     kinds = np.full(len(pieces.matches), Change.FOREIGN, np.int8)
-    at_home = np.zeros(int(pieces.matches.max(initial=-1)) + 1, np.bool_)
-    at_home[pieces.matches[pieces.piece == 0]] = True
-    kinds[pieces.piece == 0] = Change.UNTOUCHED
-    away = np.flatnonzero(pieces.piece > 0)
-    kinds[away] = np.where(at_home[pieces.matches[away]], Change.COPIED, Change.MOVED)
+    home, away = pieces.piece == 0, pieces.piece > 0
+    kinds[home] = Change.UNTOUCHED
+    kinds[away] = np.where(np.isin(pieces.matches[away], pieces.matches[home]), Change.COPIED, Change.MOVED)
     return kinds
 
 

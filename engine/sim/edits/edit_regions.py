@@ -11,44 +11,23 @@ from engine.sim.edits.edit import Recoloring
 
 __all__ = ["EditedRegion", "describe", "doubt", "group"]
 
-LINKS = 8
-"""Neighbours by which Gaussians of a patch hang together."""
-
-REACH = 4.0
-"""Links longer than this many median links join nothing."""
+LINKS = 8  # neighbours by which Gaussians of a patch hang together
+REACH = 4.0  # links longer than this many median links join nothing
 
 
 @dataclass(frozen=True, eq=False)
 class EditedRegion:
-    """A patch of one kind of change.
+    """A patch of one kind of change."""
 
-    Parameters
-    ----------
-    kind : str
-        "recolored", "moved", "copied", "foreign" or "removed".
-    rows : (n,) int64
-        Gaussians of the suspect; of the reference where removed.
-    center : (3,) float64
-        Median of the centres, in the suspect's frame.
-    radius : float
-        90 % quantile of the distance from it, units of the suspect.
-    recoloring : Recoloring or None
-        New colour = gain * old colour + tint, robustly fitted; None where nothing was matched.
-    mark_left, mark_error : float
-        How much of the mark the patch still shows (1 all, 0 none), and the standard error of that; NaN where
-        nothing was matched.
-    motion : Similarity or None
-        Of moved and copied patches: x_now = scale * R @ x_before + t, in the suspect's frame.
-    """
-
-    kind: str
-    rows: Int64
-    center: Float64
-    radius: float
+    kind: str  # "recolored", "moved", "copied", "foreign" or "removed"
+    rows: Int64  # (n,) Gaussians of the suspect; of the reference where removed
+    center: Float64  # (3,) median of the centres, in the suspect's frame
+    radius: float  # 90 % quantile of the distance from it, units of the suspect
+    # new colour = gain * old colour + tint, robustly fitted; None where nothing was matched
     recoloring: Recoloring | None
-    mark_left: float
-    mark_error: float
-    motion: Similarity | None
+    mark_left: float  # how much of the mark the patch still shows (1 all, 0 none); NaN where nothing was matched
+    mark_error: float  # standard error of that
+    motion: Similarity | None  # of moved and copied patches: x_now = scale * R @ x_before + t, in the suspect's frame
 
     def summary(self) -> str:
         """One line for a person."""

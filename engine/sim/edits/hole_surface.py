@@ -19,35 +19,19 @@ TUKEY = 4.685 * 1.4826
 PLANE_BAND, WIDEST_BAND, FINEST_BAND = 0.15, 0.5, 0.02
 """Distances that count as on the plane, and as on the quadric at first and at last, in radii of the hole."""
 
-BENDING = 0.02
-"""Cost of the quadric's second derivatives: a ring says little about them far inside the hole."""
-
-LEAST_RING = 24
-"""Ring Gaussians below which no surface is fitted: a quadric has 6 coefficients."""
+BENDING = 0.02  # cost of the quadric's second derivatives: a ring says little about them far inside the hole
+LEAST_RING = 24  # ring Gaussians below which no surface is fitted: a quadric has 6 coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class HoleSurface:
-    """x(u, v) = origin + u e1 + v e2 + height(u, v) normal, lengths in scene units.
+    """x(u, v) = origin + u e1 + v e2 + height(u, v) normal, lengths in scene units."""
 
-    Parameters
-    ----------
-    origin : (3,) float64
-    axes : (3, 3) float64
-        Rows e1, e2 and the normal; right-handed.
-    coefficients : (6,) float64
-        Of 1, u, v, u^2, u v, v^2 in the height, u and v divided by `size`.
-    size : float
-        Length that the coefficients count in.
-    band : float
-        Heights above or below the surface within which a Gaussian belongs to it.
-    """
-
-    origin: Float64
-    axes: Float64
-    coefficients: Float64
-    size: float
-    band: float
+    origin: Float64  # (3,)
+    axes: Float64  # (3, 3) rows e1, e2 and the normal; right-handed
+    coefficients: Float64  # (6,) of 1, u, v, u^2, u v, v^2 in the height, u and v divided by `size`
+    size: float  # length that the coefficients count in
+    band: float  # heights above or below the surface within which a Gaussian belongs to it
 
     def local(self, points: npt.NDArray[np.generic]) -> Float64:
         """(n, 3) u, v and height above the surface of points (n, 3)."""

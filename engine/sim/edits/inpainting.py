@@ -27,15 +27,13 @@ from engine.sim.model_placement import join
 
 __all__ = ["InpaintConfig", "inpaint"]
 
-DISTANCE = 40.0
-"""The surface is looked at from so many of its half widths: nearly parallel rays."""
+DISTANCE = 40.0  # the surface is looked at from so many of its half widths: nearly parallel rays
 
 WIDEST_COPY = 0.75
 """Gaussians with a standard deviation above this share of the hole's radius are not copied: no texture of the
 hole, they would smear over its rim."""
 
-LEAST_RING = 300
-"""Gaussians that a ring is widened for."""
+LEAST_RING = 300  # Gaussians that a ring is widened for
 
 SHOWN, STOOD = 0.05, 0.1
 """Opacity from which a cell shows anything at all, and from which the deleted Gaussians stood in it."""
@@ -43,30 +41,18 @@ SHOWN, STOOD = 0.05, 0.1
 BASE_COLOR = 3.0
 """Standard deviation, in cells, of the average that is a surface's base colour; what is finer is texture."""
 
-ROUNDS = 8
-"""Times the surface is looked at again for cells that the copies so far left open."""
+ROUNDS = 8  # times the surface is looked at again for cells that the copies so far left open
 
 
 @dataclass(frozen=True)
 class InpaintConfig:
-    """Knobs of the inpainting.
+    """Knobs of the inpainting."""
 
-    Parameters
-    ----------
-    ring : float
-        Width of the ring that gives surface and texture, in radii of the hole.
-    cells : int
-        Cells across the area looked at; the texture is copied in cells.
-    covered : float
-        Opacity along the normal from which a cell counts as surface, in shares of the ring's own; (0, 1).
-    seed : int
-        Of the surface's search.
-    """
-
-    ring: float = 0.6
-    cells: int = 96
+    ring: float = 0.6  # width of the ring that gives surface and texture, in radii of the hole
+    cells: int = 96  # cells across the area looked at; the texture is copied in cells
+    # opacity along the normal from which a cell counts as surface, in shares of the ring's own; (0, 1)
     covered: float = 0.85
-    seed: int = 0
+    seed: int = 0  # of the surface's search
 
     def __post_init__(self) -> None:
         check_positive(self.ring, "ring width")

@@ -14,6 +14,7 @@ from engine.model import Float64, GaussianModel, Int32
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.umeyama import Similarity
 from engine.sim.edits.bvh import BoxTree
+from engine.sim.model_placement import join
 
 __all__ = ["FlatScene", "PlacedObject", "Scene", "model_box"]
 
@@ -52,21 +53,12 @@ class FlatScene:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Named objects and the hierarchy of their boxes; a value: every change gives a new scene.
+    """Named objects and the hierarchy of their boxes; a value: every change gives a new scene."""
 
-    Parameters
-    ----------
-    objects : mapping of int to PlacedObject
-        By a number that is never used again; ascending, so in the order of insertion.
-    tree : BoxTree
-        Of those numbers.
-    following : int
-        Number of the next object.
-    """
-
+    # by a number that is never used again; ascending, so in the order of insertion
     objects: Mapping[int, PlacedObject] = field(default_factory=lambda: MappingProxyType({}))
-    tree: BoxTree = field(default_factory=BoxTree.empty)
-    following: int = 0
+    tree: BoxTree = field(default_factory=BoxTree.empty)  # of those numbers
+    following: int = 0  # number of the next object
 
     def __len__(self) -> int:
         return len(self.objects)
@@ -136,12 +128,8 @@ class Scene:
         if not self.objects:
             raise InputError("a scene without objects cannot be flattened")
         parts = [o.placed for o in self.objects.values()]
-        width = max(part.sh.shape[1] for part in parts)
-        parts = [p.with_(sh=np.pad(p.sh, ((0, 0), (0, width - p.sh.shape[1]), (0, 0)))) for p in parts]
         owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
-        names = GaussianModel.__dataclass_fields__
-        model = GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-        return FlatScene(model, owner, self.names)
+        return FlatScene(join(*parts), owner, self.names)
 
     def _number(self, name: str) -> int:
         if name not in self.names:

@@ -54,15 +54,7 @@ def place(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edit
 
 
 def recolor(model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0, tint: npt.ArrayLike = 0.0) -> Edited:
-    """Multiply and shift the colours of the selected Gaussians, alike from every direction of view.
-
-    Parameters
-    ----------
-    gain : scalar or (3,)
-        Factor on red, green and blue, >= 0.
-    tint : scalar or (3,)
-        Added afterwards; colours range 0 to 1.
-    """
+    """Multiply the colours of the selected Gaussians by `gain` >= 0, then add `tint`; each scalar or (3,)."""
     change = Recoloring(_channels(gain, "gain"), _channels(tint, "tint"))
     if (change.gain < 0).any():
         raise InputError(f"gain must not be negative, got {change.gain.tolist()}")

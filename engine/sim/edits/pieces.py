@@ -1,53 +1,41 @@
-"""A suspect in which parts of the asset were moved, each in its own way: registered piece by piece."""
+"""Suspects registered piece by piece: parts of the asset were moved, or a file holds many objects."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Float32, GaussianModel, Int32
+from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.searching import count_tries
 from engine.registration.index import ReferenceIndex
 from engine.registration.registering import Registration, RegistrationConfig, register
+from engine.sim.edits.objects import FlatScene
 from engine.watermark.claim import Claim
 
-__all__ = ["Pieces", "check_route", "register_pieces", "verify_pieces"]
+__all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "verify_pieces"]
 
-LEAST_PIECE = 64
-"""Gaussians below which no further piece is looked for, or believed: embedding asks for as many."""
+LEAST_PIECE = 64  # Gaussians below which no further piece is looked for, or believed: embedding asks for as many
 
 RIGID = RegistrationConfig(deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
 
-MOST_PIECES = 8
-"""Pieces looked for where the caller does not say."""
+MOST_PIECES = 8  # pieces looked for where the caller does not say
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Which reference Gaussian each suspect Gaussian is, over all pieces.
+    """Which reference Gaussian each suspect Gaussian is, over all pieces."""
 
-    Parameters
-    ----------
-    registration : Registration
-        Of the first piece, the one that most of the asset is in.
-    matches : (M,) int32
-        Reference Gaussian of each suspect Gaussian, -1 where there is none.
-    quality : (M,) float32
-        Trust in each match, 0 to 1.
-    piece : (M,) int32
-        Number of the piece a suspect Gaussian lies in, -1 where it was not matched.
-    placements : tuple of Similarity
-        Of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found.
-    """
-
-    registration: Registration
-    matches: Int32
-    quality: Float32
-    piece: Int32
+    registration: Registration  # of the first piece, the one that most of the asset is in
+    matches: Int32  # (M,) reference Gaussian of each suspect Gaussian, -1 where there is none
+    quality: Float32  # (M,) trust in each match, 0 to 1
+    piece: Int32  # (M,) number of the piece a suspect Gaussian lies in, -1 where it was not matched
+    # of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found
     placements: tuple[Similarity, ...]
 
 
@@ -90,19 +78,86 @@ def verify_pieces(
     "model"; pieces of this suspect and the record's reference may be registered already.
     """
     config = config or VerifyConfig()
-    check_route(config, "model; pieces are")
+    _check_route(config, "model; pieces are")
     pieces = pieces or register_pieces(opened.reference, suspect, seed=config.seed)
-    matched = pieces.matches >= 0
-    seen = np.zeros(len(opened.reference), np.bool_)
-    seen[pieces.matches[matched]] = True
-    whole = replace(
-        pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=float(seen.mean())
-    )
+    share = len(np.unique(pieces.matches[pieces.matches >= 0])) / len(opened.reference)
+    whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=share)
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     return judge(read_gaussians(suspect, opened, whole), opened, "model", 1, config, whole, notes)
 
 
-def check_route(config: VerifyConfig, what: str) -> None:
+@dataclass(frozen=True, eq=False)
+class ObjectFinding:
+    """One record, looked for in a file: found or not, marked or not, and where."""
+
+    record: str
+    instance: int  # 0 for the first place at which the record's asset was found, then 1, ...
+    claim: Claim
+    rows: Int64  # (n,) Gaussians of the file that are the asset's; empty if nothing of it was found
+    file_share: float  # n over the file's Gaussians
+    asset_share: float  # share of the asset's Gaussians found
+    placement: Similarity | None  # x_file = scale * R @ x_asset + t
+    low: Float64 | None  # (3,) corners of the box of the 1 % to 99 % quantiles of the matched centres
+    high: Float64 | None
+    # with a known scene: its objects that hold those Gaussians, and their shares of them, largest first
+    objects: tuple[tuple[str, float], ...]
+
+
+def verify_objects(
+    suspect: GaussianModel | FlatScene,
+    records: Mapping[str, OpenedRecord],
+    config: VerifyConfig | None = None,
+    *,
+    instances: int = 1,
+) -> list[ObjectFinding]:
+    """Look for every record in a file that may hold many objects, moved, turned and scaled each in its own way.
+
+    An asset is looked for `instances` times; a search that finds nothing ends the record's list. The findings come in
+    the order of the records, one for each at least, and every claim counts len(records) * instances tries. A FlatScene
+    adds which of its objects the finds lie in; the search is the same. The route must be "auto" or "model".
+    """
+    config = config or VerifyConfig()
+    model = suspect.model if isinstance(suspect, FlatScene) else suspect
+    if not len(model):
+        raise InputError("the suspect model is empty")
+    if not records:
+        raise InputError("no record was given")
+    _check_route(config, "file; objects are")
+    if instances < 1:
+        raise InputError(f"an asset is looked for at least once, got instances {instances}")
+    tries = count_tries(len(records), ("model",), config, places=instances)
+    findings = []
+    for name, opened in records.items():
+        index = ReferenceIndex(opened.reference)
+        left = np.arange(len(model), dtype=np.int64)
+        for instance in range(instances):
+            # What earlier instances matched is set aside by geometry and unmarked looks alone: no chip enters.
+            part = model.take(left) if instance else model
+            found = register(index, part, seed=config.seed, config=RIGID)
+            if instance and not found.found:
+                break
+            claim = judge(read_gaussians(part, opened, found), opened, "model", tries, config, found)
+            rows = left[found.matches >= 0]
+            objects = _shares(suspect.owner[rows], suspect.names) if isinstance(suspect, FlatScene) else ()
+            placement, low, high = None, None, None
+            if len(rows):
+                placement = found.similarity.inverse()
+                low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
+            shares = len(rows) / len(model), found.derived_fraction
+            findings.append(ObjectFinding(name, instance, claim, rows, *shares, placement, low, high, objects))
+            left = left[found.matches < 0]
+            if not found.found or len(left) < LEAST_PIECE:
+                break
+    return findings
+
+
+def _shares(owner: Int32, names: tuple[str, ...]) -> tuple[tuple[str, float], ...]:
+    counts = np.bincount(owner, minlength=len(names))
+    order = np.argsort(-counts, kind="stable")
+    return tuple((names[k], float(counts[k] / counts.sum())) for k in order if counts[k])
+
+
+def _check_route(config: VerifyConfig, what: str) -> None:
     """InputError unless the configuration lets matched Gaussians be read."""
     if config.route not in ("auto", "model"):
         raise InputError(f"route {config.route!r} sees the whole {what} read by 'model'")

@@ -26,21 +26,15 @@ __all__ = [
     "select_sphere",
 ]
 
-SEGMENT_SAMPLE = 40_000
-"""Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once."""
-
-FLOATING = 2.0
-"""Robust radii from the centre beyond which a Gaussian is a floater."""
-
-SEGMENT_ROUNDS = 20
-"""Lloyd iterations; the assignment of real scenes settles within 10 to 15."""
+SEGMENT_SAMPLE = 40_000  # Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once
+FLOATING = 2.0  # robust radii from the centre beyond which a Gaussian is a floater
+SEGMENT_ROUNDS = 20  # Lloyd iterations; the assignment of real scenes settles within 10 to 15
 
 LEAST_WEIGHT = 0.05
 """Blending weight (pixels, summed over the views) below which a Gaussian was not really seen: less than a
 twentieth of one pixel says nothing about which side of a mask's edge it lies on."""
 
-HIDDEN_NEIGHBORS = 8
-"""Seen neighbours that decide for a Gaussian no view shows."""
+HIDDEN_NEIGHBORS = 8  # seen neighbours that decide for a Gaussian no view shows
 
 
 def check_selection(model: GaussianModel, selection: npt.ArrayLike) -> Int64:
@@ -59,12 +53,8 @@ def select_box(
 ) -> Bool:
     """(N,) bool: Gaussians whose centre lies in a box, faces included.
 
-    Parameters
-    ----------
-    low, high : (3,)
-        Opposite corners in the box's own axes, scene units; low <= high.
-    rotation : (3, 3), optional
-        Proper rotation from the box's axes to the scene's, about the box's centre. Default: the scene's axes.
+    Its corners low <= high (3,) are in its own axes, scene units; `rotation` (3, 3) takes those to the scene's, about
+    the box's centre.
     """
     bottom, top = check_triple(low, "low"), check_triple(high, "high")
     if (bottom > top).any():
@@ -87,15 +77,8 @@ def select_sphere(model: GaussianModel, center: npt.ArrayLike, radius: float) ->
 def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed: int = 0) -> Int32:
     """(N,) segment of each Gaussian, 0 .. count-1, by k-means over position and base colour, the most populous first.
 
-    Segments may be empty where the model holds fewer distinct Gaussians than asked for.
-
-    Parameters
-    ----------
-    count : int
-        Number of segments, 1 to N.
-    color_weight : float
-        How much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by position
-        alone.
+    `color_weight` is how much a unit of colour (black to white) counts, in robust radii of the model; 0 segments by
+    position alone. Segments may be empty where the model holds fewer distinct Gaussians than the `count` asked for.
     """
     from scipy.cluster.vq import kmeans2  # k-means++ and Lloyd: not this project's business
     from scipy.spatial import cKDTree
@@ -120,8 +103,7 @@ def segment(model: GaussianModel, count: int, *, color_weight: float = 0.3, seed
     centers, _ = kmeans2(sample, count, iter=SEGMENT_ROUNDS, minit="++", missing="warn", rng=rng)
     _, labels = cKDTree(centers).query(features)
     order = np.argsort(-np.bincount(labels, minlength=count), kind="stable")
-    rank = np.empty(count, np.int32)
-    rank[order] = np.arange(count, dtype=np.int32)
+    rank = np.argsort(order).astype(np.int32)  # the inverse of that order
     return np.asarray(rank[labels])
 
 
@@ -144,16 +126,10 @@ def segment_at(model: GaussianModel, labels: Int32, points: npt.ArrayLike) -> Bo
 def mask_shares(
     model: GaussianModel, cameras: Sequence[Camera], masks: Sequence[npt.NDArray[np.generic]]
 ) -> tuple[Float64, Float64]:
-    """Which share of each Gaussian's visible weight lies inside the masks.
+    """Which share (N,) of each Gaussian's visible weight lies inside the masks, and that weight (N,), pixels.
 
-    Masks are (H, W) bool or float, one a camera, of its size; numbers 0 to 1 for soft edges.
-
-    Returns
-    -------
-    share : (N,) float64
-        sum over views and pixels of w * mask / sum of w, w = alpha T the blending weight; 0 where not seen.
-    weight : (N,) float64
-        sum of w, pixels.
+    With w = alpha T the blending weights, over views and pixels: sum of w * mask / sum of w (0 where not seen), and
+    sum of w. Masks are (H, W) bool or float, one a camera, of its size; numbers 0 to 1 for soft edges.
     """
     if not cameras or len(cameras) != len(masks):
         raise InputError(f"each camera needs one mask, got {len(cameras)} cameras and {len(masks)} masks")
@@ -181,14 +157,9 @@ def lift_masks(
 ) -> Bool:
     """(N,) bool: Gaussians that masks in one or several views (see `mask_shares`) show.
 
-    Parameters
-    ----------
-    threshold : float
-        Share of a Gaussian's visible weight that must lie inside, (0, 1). At 0.5 it belongs to the side that
-        shows more of it; higher values keep the selection off the mask's edge, lower ones reach across.
-    hidden : bool
-        Whether Gaussians that no view shows (the inside of an object, its back) follow the majority of their
-        nearest seen neighbours in space. If not, they are left out.
+    The threshold, (0, 1), is the share of a Gaussian's visible weight that must lie inside: higher ones than 0.5 keep
+    the selection off the mask's edge, lower ones reach across. `hidden` Gaussians that no view shows (the inside of an
+    object, its back) follow the majority of their nearest seen neighbours in space, or are left out.
     """
     if not 0 < threshold < 1:
         raise InputError(f"threshold must lie in (0, 1), got {threshold}")

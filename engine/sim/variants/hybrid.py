@@ -12,8 +12,8 @@ from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.sealing import OpenedRecord
-from engine.sim.edits.object_verification import ObjectFinding, verify_objects
 from engine.sim.edits.objects import FlatScene, Scene
+from engine.sim.edits.pieces import ObjectFinding, verify_objects
 from engine.sim.variants.codebook import CodebookModel
 from engine.sim.variants.moving import Moving, move_record, visible
 
