@@ -51,26 +51,10 @@ def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
 
 
 def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt.ArrayLike) -> GaussianModel:
-    """The model moved by a similarity: the same scene, seen from an equally moved camera.
+    """The model moved by a similarity: the same scene, seen from an equally moved camera. Opacities stay as they were.
 
-    Parameters
-    ----------
-    scale : float
-        Positive.
-    R : (3, 3)
-        Proper rotation.
-    t : (3,)
-        Translation, in units of the result.
-
-    Returns
-    -------
-    GaussianModel
-        Means, log scales, quaternions and SH moved; opacities as they were.
-
-    Raises
-    ------
-    InputError
-        If the scale is not positive and finite, R is not a proper rotation, or t is not three finite numbers.
+    `scale` is positive, `R` (3, 3) a proper rotation, `t` (3,) a translation in units of the result; InputError if they
+    are not.
     """
     rotation, shift = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
     if not (np.isfinite(scale) and scale > 0):

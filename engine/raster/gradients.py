@@ -44,31 +44,17 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """dL/d(parameter), each in the shape and dtype of the parameter.
-
-    Parameters
-    ----------
-    quats : (N, 4) float32
-        Through the normalisation: orthogonal to the quaternion.
-    centers : (2, N) float32
-        With respect to x and y of the projected centres, pixels, the projected shapes held.
-    colors : (N, 3) float32
-        With respect to the view-dependent colours.
-    sh : (N, K, 3) float32
-        Empty, (0, K, 3), when the colours were given.
-    viewmat, K : (4, 4), (3, 3) float64
-        The twelve numbers of the pose taken as free, the last row is 0; fx, fy, cx, cy, 0 elsewhere.
-    """
+    """dL/d(parameter), each in the shape and dtype of the parameter."""
 
     means: Float32
-    quats: Float32
+    quats: Float32  # through the normalisation: orthogonal to the quaternion
     log_scales: Float32
     opacity_logits: Float32
-    centers: Float32
-    colors: Float32
-    sh: Float32
-    viewmat: Float64
-    K: Float64
+    centers: Float32  # (2, N) by x and y of the projected centres, pixels, the projected shapes held
+    colors: Float32  # (N, 3) by the view-dependent colours
+    sh: Float32  # empty, (0, K, 3), when the colours were given
+    viewmat: Float64  # the twelve numbers of the pose taken as free, the last row is 0
+    K: Float64  # fx, fy, cx, cy, 0 elsewhere
 
     @classmethod
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
@@ -112,29 +98,12 @@ def draw(
 def backward(
     rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32 | None = None, out: Gradients | None = None
 ) -> Gradients:
-    """Gradients of a scalar L of the image; the same bits whatever the number of threads.
+    """Gradients of a scalar L of the image, from (H, W, 3) dL/dimage and (H, W) dL/dalpha, 0 by default; the same bits
+    whatever the number of threads.
 
-    Parameters
-    ----------
-    rendering : Rendering
-        From `draw`.
-    cotangent : (H, W, 3) float32
-        dL/dimage.
-    cotangent_alpha : (H, W) float32, optional
-        dL/dalpha. Default 0.
-    out : Gradients, optional
-        Arrays to write to, see `Gradients.empty`; fresh memory costs as much as the computation.
-
-    Returns
-    -------
-    Gradients
-        0 for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0,
-        alpha below 1/255, the end of a pixel) the derivative is that of the held branch.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, or discs were drawn.
+    `out` are arrays to write to, see `Gradients.empty`: fresh memory costs as much as the computation. Gradients are 0
+    for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0, alpha below 1/255,
+    the end of a pixel) the derivative is that of the held branch. InputError if a shape is wrong, or discs were drawn.
     """
     model, view = rendering.model, rendering.view
     camera = view.camera
