@@ -65,10 +65,9 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
         raise InputError("R is not a (3, 3) rotation matrix")
     if np.linalg.det(rotation) < 0:
         raise InputError("R mirrors the scene; a similarity of Gaussians needs a proper rotation")
-    turned = bool((rotation != np.eye(3)).any())
     means = model.means.astype(np.float64) @ (scale * rotation).T + shift
     quats, sh = model.quats, model.sh
-    if turned:
+    if (rotation != np.eye(3)).any():
         quats = quaternion_product(rotation_to_quaternion(rotation), model.quats).astype(np.float32)
         if model.sh_degree > 0:
             sh = model.sh.copy()

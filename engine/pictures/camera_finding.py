@@ -129,14 +129,8 @@ def _hypotheses(
     tolerance = TOLERANCE * max(size)
     found = []
     for keypoint, landmark in matches:
-        start = hypothesize(
-            landmarks.points[landmark].astype(np.float64),
-            keypoints.points[keypoint],
-            *size,
-            tolerance,
-            LEAST_START,
-            focals,
-        )
+        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+        start = hypothesize(points, pixels, *size, tolerance, LEAST_START, focals)
         guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
         if guided is not None and guided.support >= LEAST_INLIERS:
             found.append(guided)
@@ -147,12 +141,8 @@ def _guided(keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, 
     """A hypothesis fitted to all that matches where it projects, which is more than stood out at first."""
     for factor in GUIDED:
         keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, 3.0 * factor * tolerance)
-        fitted = fit_camera(
-            landmarks.points[landmark].astype(np.float64),
-            keypoints.points[keypoint],
-            hypothesis.camera,
-            factor * tolerance,
-        )
+        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+        fitted = fit_camera(points, pixels, hypothesis.camera, factor * tolerance)
         if fitted is None:
             return None
         hypothesis = fitted

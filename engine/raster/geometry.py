@@ -71,16 +71,10 @@ def padded(model: GaussianModel) -> GaussianModel:
         return model
 
     def grown(array: Float32, fill: float) -> Float32:
-        rest = np.full((missing, *array.shape[1:]), fill, dtype=np.float32)
-        return np.concatenate([array, rest])
+        return np.concatenate([array, np.full((missing, *array.shape[1:]), fill, dtype=np.float32)])
 
-    return GaussianModel(
-        grown(model.means, 0.0),
-        grown(model.log_scales, 0.0),
-        grown(model.quats, 0.5),
-        grown(model.opacity_logits, -100.0),
-        grown(model.sh, 0.0),
-    )
+    means, log_scales, sh = (grown(array, 0.0) for array in (model.means, model.log_scales, model.sh))
+    return GaussianModel(means, log_scales, grown(model.quats, 0.5), grown(model.opacity_logits, -100.0), sh)
 
 
 def build_geometry(
@@ -126,18 +120,10 @@ def build_geometry(
     else:
         project_discs(*raw, lens, chunk, records, discs, *found)
 
-    order = work.array("order b", (rows,), np.int32)
-    seen = sort_by_depth(
-        depths.view(np.uint32),
-        index,
-        counts,
-        chunk,
-        work.array("keys a", (rows,), np.uint32),
-        work.array("keys b", (rows,), np.uint32),
-        work.array("order a", (rows,), np.int32),
-        order,
-        work.array("radix", (workers, BUCKETS), np.int64),
-    )
+    keys = (work.array(f"keys {half}", (rows,), np.uint32) for half in "ab")
+    other, order = (work.array(f"order {half}", (rows,), np.int32) for half in "ab")
+    radix = work.array("radix", (workers, BUCKETS), np.int64)
+    seen = sort_by_depth(depths.view(np.uint32), index, counts, chunk, *keys, other, order, radix)
 
     tiles = tiles_x * tiles_y
     sizes = work.array("sizes", (rows,), np.int32)

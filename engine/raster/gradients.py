@@ -59,22 +59,9 @@ class Gradients:
     @classmethod
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
-        n, k = len(model), model.sh.shape[1]
-
-        def rows(*shape: int) -> Float32:
-            return np.empty(shape, dtype=np.float32)
-
-        return cls(
-            rows(n, 3),
-            rows(n, 4),
-            rows(n, 3),
-            rows(n),
-            rows(2, n),
-            rows(n, 3),
-            rows(n if with_sh else 0, k, 3),
-            np.zeros((4, 4)),
-            np.zeros((3, 3)),
-        )
+        n, sh = len(model), (len(model) if with_sh else 0, model.sh.shape[1], 3)
+        shapes: tuple[tuple[int, ...], ...] = ((n, 3), (n, 4), (n, 3), (n,), (2, n), (n, 3), sh)  # in the fields' order
+        return cls(*(np.empty(shape, dtype=np.float32) for shape in shapes), np.zeros((4, 4)), np.zeros((3, 3)))
 
 
 def draw(
@@ -148,17 +135,10 @@ def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, wor
         return _NONE
     toward: Float32 = work.array("toward", (3 * max(16, len(model)),))
     toward[3 * len(model) :] = 0.0
-    differentiate_sh(
-        result.colors.reshape(-1),
-        rendering.colors.reshape(-1),
-        model.sh.reshape(-1),
-        model.sh.shape[1],
-        model.means.reshape(-1),
-        rendering.view.camera.position.astype(np.float32),
-        work.array("sh", (workers, SH_SCRATCH)),
-        result.sh.reshape(-1),
-        toward,
-    )
+    cotangent, colors, sh = (array.reshape(-1) for array in (result.colors, rendering.colors, model.sh))
+    centre = rendering.view.camera.position.astype(np.float32)
+    means, scratch, d_sh = model.means.reshape(-1), work.array("sh", (workers, SH_SCRATCH)), result.sh.reshape(-1)
+    differentiate_sh(cotangent, colors, sh, model.sh.shape[1], means, centre, scratch, d_sh, toward)
     return toward
 
 
@@ -169,18 +149,11 @@ def _geometry_gradients(model: GaussianModel, view: View, sums: Float32, toward:
     chunks = -(-len(full) // CHUNK)
     into = result if n == len(full) else Gradients.empty(full, with_sh=False)
     by_chunk = np.empty((chunks, 32), dtype=np.float32)
-    raw = (full.means, full.quats, full.log_scales, full.opacity_logits)
-    out = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
-    parameter_gradients(
-        tuple(array.reshape(-1) for array in raw),
-        pack_lens(view.camera, geometry.settings),
-        sums,
-        geometry.firsts,
-        geometry.slots,
-        toward,
-        aligned((chunks, GRADIENT_SCRATCH)),
-        (*(array.reshape(-1) for array in out), by_chunk),
-    )
+    raw = tuple(array.reshape(-1) for array in (full.means, full.quats, full.log_scales, full.opacity_logits))
+    written = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
+    out = (*(array.reshape(-1) for array in written), by_chunk)
+    lens, scratch = pack_lens(view.camera, geometry.settings), aligned((chunks, GRADIENT_SCRATCH))
+    parameter_gradients(raw, lens, sums, geometry.firsts, geometry.slots, toward, scratch, out)
     if into is not result:
         for name in ("means", "quats", "log_scales", "opacity_logits"):
             getattr(result, name)[:] = getattr(into, name)[:n]

@@ -73,14 +73,7 @@ def sh_colors_backward(
         raise InputError(f"colors has shape {seen.shape} and out {result.shape}, expected (N, 3) and {sh.shape}")
     if result.dtype != np.float32 or not result.flags.c_contiguous:
         raise InputError("out must be a C-contiguous float32 array")
+    scratch, out = aligned((thread_count(), SH_SCRATCH)), result.reshape(-1)
     with parallel_section():
-        spread_sh(
-            cotangent.ravel(),
-            seen.ravel(),
-            sh.shape[1],
-            means.ravel(),
-            position,
-            aligned((thread_count(), SH_SCRATCH)),
-            result.reshape(-1),
-        )
+        spread_sh(cotangent.ravel(), seen.ravel(), sh.shape[1], means.ravel(), position, scratch, out)
     return result

@@ -211,16 +211,8 @@ def _search(
         turn = quaternion_product(index.model.quats[pairs.reference], conjugate)
         for level in (EXACT, LOOSE):
             for agreement in (level, Agreement(level.size, level.edge, np.inf)):
-                hypotheses, count = propose(
-                    pairs,
-                    turn,
-                    agreement,
-                    index.extent,
-                    index.chance,
-                    seeds=SEEDS,
-                    draws=DRAWS,
-                    seed=int(rng.integers(2**31)),
-                )
+                scene, seed = (index.extent, index.chance), int(rng.integers(2**31))
+                hypotheses, count = propose(pairs, turn, agreement, *scene, seeds=SEEDS, draws=DRAWS, seed=seed)
                 tried += count
                 for h in hypotheses[:2]:
                     if h.evidence < MIN_EVIDENCE:

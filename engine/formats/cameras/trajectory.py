@@ -130,7 +130,6 @@ def _kitti(table: Float64, file: str) -> Trajectory:
     fault = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero(~((fault <= _TOLERANCE) & (np.linalg.det(rotations) > 0.0)))
     if len(bad):
-        message = f"the matrix is no rotation (off by {fault[bad[0]]:.4g})"
-        raise FormatError(message, file=file, row=int(bad[0]))
+        raise FormatError(f"the matrix is no rotation (off by {fault[bad[0]]:.4g})", file=file, row=int(bad[0]))
     u, _, vt = np.linalg.svd(rotations)  # the nearest rotations
     return Trajectory(np.ascontiguousarray(matrices[:, :, 3]), rotation_to_quaternion(u @ vt))
