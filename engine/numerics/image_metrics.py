@@ -85,8 +85,7 @@ def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float3
 def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:
     """`gain * |a - b|` of two images as for `psnr`, clipped to 0..1: what an eye can see of a difference."""
     x, y = _pair(a, b)
-    picture: Float32 = np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0)
-    return picture
+    return np.asarray(np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0))
 
 
 def ms_ssim_distance(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,9 +60,11 @@ class Gradients:
     @classmethod
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
-        n, sh = len(model), (len(model) if with_sh else 0, model.sh.shape[1], 3)
-        shapes: tuple[tuple[int, ...], ...] = ((n, 3), (n, 4), (n, 3), (n,), (2, n), (n, 3), sh)  # in the fields' order
-        return cls(*(np.empty(shape, dtype=np.float32) for shape in shapes), np.zeros((4, 4)), np.zeros((3, 3)))
+        n = len(model)
+        shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
+        shapes |= {"centers": (2, n), "colors": (n, 3), "sh": (n if with_sh else 0, model.sh.shape[1], 3)}
+        arrays: dict[str, Any] = {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
+        return cls(**arrays, viewmat=np.zeros((4, 4)), K=np.zeros((3, 3)))
 
 
 def draw(

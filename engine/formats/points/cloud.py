@@ -54,8 +54,7 @@ def unit_colors(raw: npt.NDArray[Any], full: float) -> Float32:
     """(N, 3) colours 0 to 1 of stored ones in 0 to full; beyond either end they are clipped, NaN is black."""
     with np.errstate(invalid="ignore", over="ignore"):
         shades = np.clip(raw.astype(np.float32) / np.float32(full), 0.0, 1.0)
-    result: Float32 = np.where(np.isnan(shades), np.float32(0.0), shades)
-    return result
+    return np.where(np.isnan(shades), np.float32(0.0), shades)
 
 
 def clean_points(

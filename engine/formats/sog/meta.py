@@ -152,8 +152,7 @@ class _Reader:
     def _ramps(self, key: str, channels: int) -> Float64:
         """(channels, 256) linear ranges of version 1."""
         low, high = self._numbers(key, "mins", channels), self._numbers(key, "maxs", channels)
-        steps: Float64 = low[:, None] + (high - low)[:, None] * (np.arange(LEVELS) / (LEVELS - 1.0))
-        return steps
+        return low[:, None] + (high - low)[:, None] * (np.arange(LEVELS) / (LEVELS - 1.0))
 
     def _codebook(self, key: str) -> Float64:
         """(256,) codebook of version 2; what a short one lacks is NaN, so that those rows fall out."""
