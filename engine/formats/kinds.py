@@ -18,24 +18,12 @@ Read = tuple[GaussianModel, tuple[Repair, ...]]
 
 @dataclass(frozen=True)
 class Kind:
-    """One format.
-
-    Parameters
-    ----------
-    name : str
-        Also the ending of its files.
-    told_by : callable
-        (content, name of the file for messages) -> whether this is one.
-    read : callable
-        (content, name of the file for messages, axes of an SPZ file) -> model and repairs.
-    write : callable
-        Model of at least one Gaussian -> pieces of the file.
-    """
+    """One format; its name is also the ending of its files. `file` is what messages call the file."""
 
     name: str
-    told_by: Callable[[bytes, str], bool]
-    read: Callable[[bytes, str, str], Read]
-    write: Callable[[GaussianModel], Iterable[bytes]]
+    told_by: Callable[[bytes, str], bool]  # (content, file) -> whether this is one
+    read: Callable[[bytes, str, str], Read]  # (content, file, axes of an SPZ file) -> model and repairs
+    write: Callable[[GaussianModel], Iterable[bytes]]  # model of at least one Gaussian -> pieces of the file
 
 
 def _read_spz(data: bytes, file: str, spz_frame: str) -> Read:

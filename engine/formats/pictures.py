@@ -31,13 +31,8 @@ def is_picture(path: Path) -> bool:
 
 
 def read_picture(path: Path) -> Float32:
-    """(H, W, 3) float32 in 0..1, upright, transparent parts over black.
-
-    Raises
-    ------
-    InputError
-        If it is no picture, is damaged, or has more than MAX_PICTURE_PIXELS pixels.
-    """
+    """(H, W, 3) float32 in 0..1, upright, transparent parts over black. FormatError if it is no picture, is damaged, or
+    has more than MAX_PICTURE_PIXELS pixels."""
     name = str(path)
     try:
         with Image.open(path) as picture:

@@ -16,26 +16,15 @@ _META = "meta.json"
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model as it came from a file, with what is worth knowing about that file.
-
-    Parameters
-    ----------
-    format : str
-        One of `FORMATS`.
-    repairs : tuple of Repair
-        Harmless faults that were mended or ignored.
-    source_bytes : int
-        Size of the file, or of all files of a folder, bytes.
-    sha256 : str
-        Of the file, hexadecimal. Of a folder: of the list of its files' own SHA-256, sorted by name, a line
-        ``<sha256>  <name>`` each, as ``sha256sum`` prints them.
-    """
+    """A model as it came from a file, with what is worth knowing about that file."""
 
     model: GaussianModel
-    format: str
-    repairs: tuple[Repair, ...]
-    source_bytes: int
+    format: str  # one of `FORMATS`
+    repairs: tuple[Repair, ...]  # harmless faults that were mended or ignored
+    source_bytes: int  # of the file, or of all files of a folder
     sha256: str
+    """Of the file, hexadecimal. Of a folder: of the list of its files' own SHA-256, sorted by name, a line
+    ``<sha256>  <name>`` each, as ``sha256sum`` prints them."""
 
 
 def read_model(
@@ -44,25 +33,15 @@ def read_model(
     name: str | None = None,
     spz_frame: str = "auto",
 ) -> LoadedModel:
-    """Read a Gaussian model of any format in `FORMATS`.
+    """Read a Gaussian model of any format in `FORMATS`: a file, the folder of an unpacked SOG scene (or its
+    ``meta.json``), or the content of a file.
 
-    Parameters
-    ----------
-    path_or_bytes : path or bytes-like
-        A file, the folder of an unpacked SOG scene (or its ``meta.json``), or the content of a file.
-    name : str, optional
-        What to call the input in messages; the path by default. Never opened.
-    spz_frame : str, default "auto"
-        Axes of an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
+    `name` is what to call the input in messages, by default its path; it is never opened. `spz_frame` are the axes of
+    an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
 
-    Raises
-    ------
-    FormatError
-        The file cannot be read; the message names file, element, row and property.
-    UnsupportedFormatError
-        It is of no known format, or of one that is not read here, such as ``.ksplat``.
-    InputError
-        There is no such file, or it may not be opened.
+    FormatError if the file cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of
+    no known format, or of one that is not read here, such as ``.ksplat``; InputError if there is no such file, or it
+    may not be opened.
     """
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
         return _decode(bytes(path_or_bytes), name or "(bytes)", spz_frame)

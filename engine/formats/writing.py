@@ -13,14 +13,7 @@ from engine.model import GaussianModel
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
     """The bytes of a file in one of `FORMATS`. All but "ply" round; "splat" drops every coefficient beyond degree 0.
-
-    Raises
-    ------
-    InputError
-        The model is empty.
-    UnsupportedFormatError
-        No such format.
-    """
+    InputError if the model is empty, UnsupportedFormatError if there is no such format."""
     return b"".join(_encode(model, format))
 
 
@@ -44,19 +37,8 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
 def write_model(model: GaussianModel, path: str | os.PathLike[str], format: str | None = None) -> int:
     """Write a model and return the bytes written; an earlier file of that name is replaced in one step.
 
-    Parameters
-    ----------
-    path : path
-        Its ending chooses the format unless one is given.
-    format : str, optional
-        One of `FORMATS`.
-
-    Raises
-    ------
-    InputError
-        The model is empty, or the file cannot be written.
-    UnsupportedFormatError
-        No such format.
+    The ending of `path` chooses the format unless one of `FORMATS` is given. InputError if the model is empty, or the
+    file cannot be written; UnsupportedFormatError if there is no such format.
     """
     return write_whole(path, _encode(model, format or kind_of(Path(path).name).name))
 

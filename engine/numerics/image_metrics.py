@@ -24,18 +24,10 @@ LEAST_SIDE = (2 * SSIM_RADIUS + 1) * 2 ** (len(SCALE_WEIGHTS) - 1)
 
 
 def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
-    """Peak signal-to-noise ratio over all pixels and channels of the clipped images, dB at a peak of 1; infinity for
-    equal images.
+    """Peak signal-to-noise ratio over all pixels and channels, dB at a peak of 1; infinity for equal images.
 
-    Parameters
-    ----------
-    a, b : (H, W, C) or (H, W)
-        Images, nominal range 0 to 1; values outside are clipped first, as a screen does.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, an image is empty or does not hold floats.
+    Of images (H, W, C) or (H, W), nominal range 0 to 1; values outside are clipped first, as a screen does. InputError
+    if the shapes differ, an image is empty or does not hold floats.
     """
     x, y = _pair(a, b)
     error = np.subtract(x, y)
@@ -46,22 +38,12 @@ def psnr(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
 def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
     """Mean structural similarity, averaged over channels: 1 for equal images, lower is worse, -1 is the floor.
 
-    The same number as scikit-image's `structural_similarity` with `gaussian_weights=True, sigma=1.5,
-    use_sample_covariance=False, data_range=1`, in a third of its time: the window is run as one separable filter over
-    all channels, and the two variances are only needed as a sum.
+    Of images (H, W, C) or (H, W) of at least 11 by 11 pixels, clipped as for `psnr`. The same number as scikit-image's
+    `structural_similarity` with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1`, in a
+    third of its time: the window is run as one separable filter over all channels, and the two variances are only
+    needed as a sum. InputError if the shapes differ, a side is shorter than the window, or an image does not hold
+    floats.
 
-    Parameters
-    ----------
-    a, b : (H, W, C) or (H, W)
-        Images of at least 11 by 11 pixels, nominal range 0 to 1, clipped first.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, a side is shorter than the window, or an image does not hold floats.
-
-    References
-    ----------
     Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity", IEEE
     TIP 13(4), 2004.
     """
@@ -103,29 +85,18 @@ def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float3
 def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:
     """`gain * |a - b|` of two images as for `psnr`, clipped to 0..1: what an eye can see of a difference."""
     x, y = _pair(a, b)
-    picture: Float32 = np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0)
-    return picture
+    return np.asarray(np.clip(np.abs(x - y) * np.float32(gain), 0.0, 1.0))
 
 
 def ms_ssim_distance(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
     """1 - MS-SSIM: a perceptual distance that needs no trained network, 0 for equal pictures, 1 for unrelated ones. It
     is not LPIPS.
 
-    Every scale halves the picture by 2 x 2 means; contrast and structure count at all scales, luminance at the
-    coarsest. A scale whose mean is negative (structure inverted) counts as 0.
+    Of pictures (H, W, C) or (H, W) of at least 176 x 176 pixels, clipped as for `psnr`. Every scale halves the picture
+    by 2 x 2 means; contrast and structure count at all scales, luminance at the coarsest. A scale whose mean is
+    negative (structure inverted) counts as 0. InputError if the shapes differ, a side is too short, or a picture does
+    not hold floats.
 
-    Parameters
-    ----------
-    a, b : (H, W, C) or (H, W)
-        Pictures of at least 176 x 176 pixels, nominal range 0 to 1, clipped first.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ, a side is too short, or a picture does not hold floats.
-
-    References
-    ----------
     Wang, Simoncelli, Bovik, "Multiscale structural similarity for image quality assessment", Asilomar 2003.
     """
     if min(a.shape[:2], default=0) < LEAST_SIDE:

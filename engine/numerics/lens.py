@@ -39,13 +39,9 @@ class BrownLens:
         x, y = points[..., 0], points[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return np.stack(
-            [
-                x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
-                y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
-            ],
-            axis=-1,
-        )
+        across = x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x)
+        down = y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y
+        return np.stack([across, down], axis=-1)
 
     def undistort(self, points: Float64) -> Float64:
         """(..., 2) the pinhole's points that are seen at (..., 2), by Newton; NaN where there are none."""
@@ -55,22 +51,18 @@ class BrownLens:
             missing = points - self.distort(at)
             if np.abs(missing).max(initial=0.0) < _CLOSE:
                 break
-            a, b, c, d = self._jacobian(at)
+            a, b, d = self._jacobian(at)
             # Beyond the fold the picture turns back on itself: no step across it.
-            scale = np.maximum(a * d - b * c, 0.1)
-            at = (
-                at
-                + np.stack(
-                    [d * missing[..., 0] - b * missing[..., 1], a * missing[..., 1] - c * missing[..., 0]], axis=-1
-                )
-                / scale[..., None]
-            )
-            at = np.clip(at, -1e3, 1e3)
-        a, b, c, d = self._jacobian(at)
-        found = (np.abs(points - self.distort(at)).max(axis=-1) < 1e-7) & (a * d - b * c > 0) & (a + d > 0)
+            scale = np.maximum(a * d - b * b, 0.1)
+            dx, dy = missing[..., 0], missing[..., 1]
+            step = np.stack([d * dx - b * dy, a * dy - b * dx], axis=-1)
+            at = np.clip(at + step / scale[..., None], -1e3, 1e3)
+        a, b, d = self._jacobian(at)
+        found = (np.abs(points - self.distort(at)).max(axis=-1) < 1e-7) & (a * d - b * b > 0) & (a + d > 0)
         return np.where(found[..., None], at, np.nan)
 
-    def _jacobian(self, points: Float64) -> tuple[Float64, Float64, Float64, Float64]:
+    def _jacobian(self, points: Float64) -> tuple[Float64, Float64, Float64]:
+        """xx, xy (which is yx, too) and yy of d distort / d point."""
         x, y = points[..., 0], points[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -78,7 +70,7 @@ class BrownLens:
         a = radial + 2.0 * x * x * slope + 2.0 * self.p1 * y + 6.0 * self.p2 * x
         d = radial + 2.0 * y * y * slope + 6.0 * self.p1 * y + 2.0 * self.p2 * x
         b = 2.0 * x * y * slope + 2.0 * self.p1 * x + 2.0 * self.p2 * y
-        return a, b, b, d
+        return a, b, d
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,7 @@ def load_per_core() -> float | None:
 
 
 def _cpu_model() -> str:
-    fields = _key_values(Path("/proc/cpuinfo"))
-    return fields.get("model name") or platform.processor() or platform.machine()
+    return _key_values(Path("/proc/cpuinfo")).get("model name") or platform.processor() or platform.machine()
 
 
 def _usable_cores() -> int:

@@ -51,26 +51,10 @@ def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
 
 
 def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt.ArrayLike) -> GaussianModel:
-    """The model moved by a similarity: the same scene, seen from an equally moved camera.
+    """The model moved by a similarity: the same scene, seen from an equally moved camera. Opacities stay as they were.
 
-    Parameters
-    ----------
-    scale : float
-        Positive.
-    R : (3, 3)
-        Proper rotation.
-    t : (3,)
-        Translation, in units of the result.
-
-    Returns
-    -------
-    GaussianModel
-        Means, log scales, quaternions and SH moved; opacities as they were.
-
-    Raises
-    ------
-    InputError
-        If the scale is not positive and finite, R is not a proper rotation, or t is not three finite numbers.
+    `scale` is positive, `R` (3, 3) a proper rotation, `t` (3,) a translation in units of the result; InputError if they
+    are not.
     """
     rotation, shift = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
     if not (np.isfinite(scale) and scale > 0):
@@ -81,10 +65,9 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
         raise InputError("R is not a (3, 3) rotation matrix")
     if np.linalg.det(rotation) < 0:
         raise InputError("R mirrors the scene; a similarity of Gaussians needs a proper rotation")
-    turned = bool((rotation != np.eye(3)).any())
     means = model.means.astype(np.float64) @ (scale * rotation).T + shift
     quats, sh = model.quats, model.sh
-    if turned:
+    if (rotation != np.eye(3)).any():
         quats = quaternion_product(rotation_to_quaternion(rotation), model.quats).astype(np.float32)
         if model.sh_degree > 0:
             sh = model.sh.copy()

@@ -27,8 +27,7 @@ class Similarity:
 
     def apply(self, points: npt.NDArray[Any]) -> Float64:
         """Points (..., 3) moved, float64."""
-        moved: Float64 = points.astype(np.float64) @ (self.scale * self.R).T + self.t
-        return moved
+        return points.astype(np.float64) @ (self.scale * self.R).T + self.t
 
     def inverse(self) -> Similarity:
         """The similarity that undoes this one."""

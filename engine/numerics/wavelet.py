@@ -53,13 +53,9 @@ def dwt2(image: ArrayLike2d, levels: int) -> tuple[ArrayLike2d, Details]:
     """Haar transform of an image (H, W) or (H, W, C) of any size, odd ones included (differentiable when given a
     tensor).
 
-    Returns
-    -------
-    approx : (ceil(H / 2^levels), ceil(W / 2^levels)[, C])
-        Low-pass band; a constant image c gives c * 2^levels.
-    details : list of (LH, HL, HH)
-        Finest level first. From a level's input of h x w: LH (low along x, high along y: horizontal edges) is
-        floor(h/2) x ceil(w/2), HL ceil(h/2) x floor(w/2), HH floor(h/2) x floor(w/2).
+    Returns the low-pass band (ceil(H / 2^levels), ceil(W / 2^levels)[, C]), in which a constant image c gives c *
+    2^levels; and (LH, HL, HH) of each level, finest first. From a level's input of h x w: LH (low along x, high along
+    y: horizontal edges) is floor(h/2) x ceil(w/2), HL ceil(h/2) x floor(w/2), HH floor(h/2) x floor(w/2).
     """
     details: Details = []
     approx = image

@@ -46,30 +46,14 @@ SUSPICIOUS = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A suspect picture in the reference's frame.
+    """A suspect picture in the reference's frame."""
 
-    Parameters
-    ----------
-    matrix : (3, 3) float64
-        Homography from reference pixel to suspect pixel coordinates.
-    warped : (H, W, 3) float32
-        The suspect resampled into the reference's pixels, 0 outside.
-    mask : (H, W) bool
-        Pixels that carry evidence: inside the suspect, not painted over or black from a rotation.
-    inliers : int
-        Brightness samples that agree with the fit.
-    rms : float
-        Robust residual of brightness after gain and offset, image units.
-    correlation : float
-        Correlation of both images' brightness on the pixels fitted, -1..1.
-    """
-
-    matrix: Float64
-    warped: Float32
-    mask: Bool
-    inliers: int
-    rms: float
-    correlation: float
+    matrix: Float64  # (3, 3) homography from reference pixel to suspect pixel coordinates
+    warped: Float32  # (H, W, 3) the suspect resampled into the reference's pixels, 0 outside
+    mask: Bool  # (H, W) pixels that carry evidence: inside the suspect, not painted over or black from a rotation
+    inliers: int  # brightness samples that agree with the fit
+    rms: float  # robust residual of brightness after gain and offset, image units
+    correlation: float  # of both images' brightness on the pixels fitted, -1..1
 
 
 def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment | None:

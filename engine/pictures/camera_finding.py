@@ -53,46 +53,25 @@ GUIDED = (1.0, 1.0, 0.5)
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """How hard `find_camera` tries.
-
-    Parameters
-    ----------
-    sure_correlation : float
-        Correlation of brightness with the render above which a refinement that converged has not failed.
-    focals : tuple of float
-        Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after.
-    other_focals : tuple of float
-        Focal lengths to start from where the refinement from the keypoints' own fails, in those.
-    """
+    """How hard `find_camera` tries."""
 
     sure_correlation: float = 0.98
+    """Correlation of brightness with the render above which a refinement that converged has not failed."""
     focals: tuple[float, ...] = LADDER
+    """Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after."""
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
+    """Focal lengths to start from where the refinement from the keypoints' own fails, in those."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundCamera:
-    """The camera of a picture.
+    """The camera of a picture."""
 
-    Parameters
-    ----------
-    camera : Camera
-        Of the picture's size; square pixels, principal point in the centre.
-    inliers : int
-        Matches that agree with the pose found from keypoints.
-    rms : float
-        Robust standard deviation of the brightness residual, 0..1.
-    correlation : float
-        Of picture and render, -1..1.
-    step : float
-        Root mean square flow of the last step of the refinement, pixels.
-    """
-
-    camera: Camera
-    inliers: int
-    rms: float
-    correlation: float
-    step: float
+    camera: Camera  # of the picture's size; square pixels, principal point in the centre
+    inliers: int  # matches that agree with the pose found from keypoints
+    rms: float  # robust standard deviation of the brightness residual, 0..1
+    correlation: float  # of picture and render, -1..1
+    step: float  # root mean square flow of the last step of the refinement, pixels
 
 
 def find_camera(
@@ -150,14 +129,8 @@ def _hypotheses(
     tolerance = TOLERANCE * max(size)
     found = []
     for keypoint, landmark in matches:
-        start = hypothesize(
-            landmarks.points[landmark].astype(np.float64),
-            keypoints.points[keypoint],
-            *size,
-            tolerance,
-            LEAST_START,
-            focals,
-        )
+        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+        start = hypothesize(points, pixels, *size, tolerance, LEAST_START, focals)
         guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
         if guided is not None and guided.support >= LEAST_INLIERS:
             found.append(guided)
@@ -168,12 +141,8 @@ def _guided(keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, 
     """A hypothesis fitted to all that matches where it projects, which is more than stood out at first."""
     for factor in GUIDED:
         keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, 3.0 * factor * tolerance)
-        fitted = fit_camera(
-            landmarks.points[landmark].astype(np.float64),
-            keypoints.points[keypoint],
-            hypothesis.camera,
-            factor * tolerance,
-        )
+        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
+        fitted = fit_camera(points, pixels, hypothesis.camera, factor * tolerance)
         if fitted is None:
             return None
         hypothesis = fitted

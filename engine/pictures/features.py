@@ -46,8 +46,7 @@ def noise_level(grey: Float32) -> float:
     """Standard deviation of white noise, from the median of the finest diagonal band (Donoho 1994)."""
     if min(grey.shape) < 2:
         return 0.0
-    hh = dwt2(grey, 1)[1][0][2]
-    return float(np.median(np.abs(hh)) / 0.6745)
+    return float(np.median(np.abs(dwt2(grey, 1)[1][0][2])) / 0.6745)
 
 
 def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = None) -> Keypoints:

@@ -59,12 +59,7 @@ def make_landmarks(
 ) -> Landmarks:
     """Detect landmarks in renders of the unmarked reference, in the order of the cameras, strongest first within each.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Views that cover it; about 48 of 640 x 480 pixels.
-    advance : callable, optional
-        Called with the fraction done, 0 to 1, after every view.
+    The cameras cover it, about 48 of 640 x 480 pixels; `advance` is called with the fraction done, 0 to 1, after each.
     """
     points, descriptors, views = [], [], []
     for number, camera in enumerate(cameras):

@@ -34,22 +34,13 @@ def rasterize(
     Tensors on the CPU go through this package's kernels, without copies where they are contiguous float32. Tensors on a
     CUDA device go through `gsplat` if that is installed, with the same definition of the image.
 
-    Parameters
-    ----------
-    means, quats, log_scales, opacity_logits : (N, 3), (N, 4), (N, 3), (N,) float
-        As in `GaussianModel`; quaternions of any length but 0.
-    viewmat : (4, 4) float
-        World to camera. Its gradient takes twelve numbers as free; the camera's centre is -R^T t.
-    K : (3, 3) float
-        Intrinsics, pixels; gradients at fx, fy, cx, cy.
-    sh, colors : (N, 1, 4, 9 or 16, 3) or (N, 3) float
-        Spherical-harmonic colours, or colours as they are: one of them.
+    Gaussians are as in `GaussianModel`, with quaternions of any length but 0; `sh` (N, 1, 4, 9 or 16, 3) are
+    spherical-harmonic colours, `colors` (N, 3) colours as they are: one of them. `viewmat` (4, 4) is world to camera;
+    its gradient takes twelve numbers as free, and the camera's centre is -R^T t. Of `K` (3, 3), in pixels, fx, fy, cx
+    and cy have gradients.
 
-    Raises
-    ------
-    InputError
-        If not exactly one of `sh` and `colors` is given, a shape is wrong, or tensors are on a CUDA device and gsplat
-        is missing or cannot honour the settings.
+    InputError if not exactly one of `sh` and `colors` is given, a shape is wrong, or tensors are on a CUDA device and
+    gsplat is missing or cannot honour the settings.
     """
     if (sh is None) == (colors is None):
         raise InputError("give either sh or colors")

@@ -28,31 +28,18 @@ _EMPTY = np.zeros(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A model of `count` Gaussians N seen by a camera: everything blending needs except colours.
-
-    Parameters
-    ----------
-    records, discs : flat (at least N * RECORD,)
-        See `engine.raster.projection` and `disc_projection` (None where Gaussians are drawn); only the visible rows are
-        written.
-    visible : (V,) int32
-        Indices of the visible Gaussians, nearest first.
-    ids, starts : (P,) int32, (tiles + 1,) int64
-        The tiles' lists, one after the other, and where each begins.
-    firsts, slots : (max(N, 16) + 1,) int32, (P,) int32
-        ``slots[firsts[i]:firsts[i + 1]]``: places of Gaussian i in `ids`. Empty if they were not asked for.
-    """
+    """A model of `count` Gaussians N seen by a camera: everything blending needs except colours."""
 
     camera: Camera
     settings: RasterSettings
     count: int
-    records: Float32
-    discs: Float32 | None
-    visible: Int32
-    ids: Int32
-    starts: Int64
-    firsts: Int32
-    slots: Int32
+    records: Float32  # flat (at least N * RECORD,), see `engine.raster.projection`; only visible rows are written
+    discs: Float32 | None  # the same of `engine.raster.disc_projection`; None where Gaussians are drawn
+    visible: Int32  # (V,) indices of the visible Gaussians, nearest first
+    ids: Int32  # (P,) the tiles' lists, one after the other
+    starts: Int64  # (tiles + 1,) where each begins
+    firsts: Int32  # (max(N, 16) + 1,) empty, as `slots`, if they were not asked for
+    slots: Int32  # (P,) places of Gaussian i in `ids`: ``slots[firsts[i]:firsts[i + 1]]``
 
     @property
     def tiles_x(self) -> int:
@@ -84,16 +71,10 @@ def padded(model: GaussianModel) -> GaussianModel:
         return model
 
     def grown(array: Float32, fill: float) -> Float32:
-        rest = np.full((missing, *array.shape[1:]), fill, dtype=np.float32)
-        return np.concatenate([array, rest])
+        return np.concatenate([array, np.full((missing, *array.shape[1:]), fill, dtype=np.float32)])
 
-    return GaussianModel(
-        grown(model.means, 0.0),
-        grown(model.log_scales, 0.0),
-        grown(model.quats, 0.5),
-        grown(model.opacity_logits, -100.0),
-        grown(model.sh, 0.0),
-    )
+    means, log_scales, sh = (grown(array, 0.0) for array in (model.means, model.log_scales, model.sh))
+    return GaussianModel(means, log_scales, grown(model.quats, 0.5), grown(model.opacity_logits, -100.0), sh)
 
 
 def build_geometry(
@@ -139,18 +120,10 @@ def build_geometry(
     else:
         project_discs(*raw, lens, chunk, records, discs, *found)
 
-    order = work.array("order b", (rows,), np.int32)
-    seen = sort_by_depth(
-        depths.view(np.uint32),
-        index,
-        counts,
-        chunk,
-        work.array("keys a", (rows,), np.uint32),
-        work.array("keys b", (rows,), np.uint32),
-        work.array("order a", (rows,), np.int32),
-        order,
-        work.array("radix", (workers, BUCKETS), np.int64),
-    )
+    keys = (work.array(f"keys {half}", (rows,), np.uint32) for half in "ab")
+    other, order = (work.array(f"order {half}", (rows,), np.int32) for half in "ab")
+    radix = work.array("radix", (workers, BUCKETS), np.int64)
+    seen = sort_by_depth(depths.view(np.uint32), index, counts, chunk, *keys, other, order, radix)
 
     tiles = tiles_x * tiles_y
     sizes = work.array("sizes", (rows,), np.int32)

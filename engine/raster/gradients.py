@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,51 +45,26 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """dL/d(parameter), each in the shape and dtype of the parameter.
-
-    Parameters
-    ----------
-    quats : (N, 4) float32
-        Through the normalisation: orthogonal to the quaternion.
-    centers : (2, N) float32
-        With respect to x and y of the projected centres, pixels, the projected shapes held.
-    colors : (N, 3) float32
-        With respect to the view-dependent colours.
-    sh : (N, K, 3) float32
-        Empty, (0, K, 3), when the colours were given.
-    viewmat, K : (4, 4), (3, 3) float64
-        The twelve numbers of the pose taken as free, the last row is 0; fx, fy, cx, cy, 0 elsewhere.
-    """
+    """dL/d(parameter), each in the shape and dtype of the parameter."""
 
     means: Float32
-    quats: Float32
+    quats: Float32  # through the normalisation: orthogonal to the quaternion
     log_scales: Float32
     opacity_logits: Float32
-    centers: Float32
-    colors: Float32
-    sh: Float32
-    viewmat: Float64
-    K: Float64
+    centers: Float32  # (2, N) by x and y of the projected centres, pixels, the projected shapes held
+    colors: Float32  # (N, 3) by the view-dependent colours
+    sh: Float32  # empty, (0, K, 3), when the colours were given
+    viewmat: Float64  # the twelve numbers of the pose taken as free, the last row is 0
+    K: Float64  # fx, fy, cx, cy, 0 elsewhere
 
     @classmethod
     def empty(cls, model: GaussianModel, *, with_sh: bool = True) -> Gradients:
         """Uninitialised arrays for a model, to be reused from call to call (`out` of `backward`)."""
-        n, k = len(model), model.sh.shape[1]
-
-        def rows(*shape: int) -> Float32:
-            return np.empty(shape, dtype=np.float32)
-
-        return cls(
-            rows(n, 3),
-            rows(n, 4),
-            rows(n, 3),
-            rows(n),
-            rows(2, n),
-            rows(n, 3),
-            rows(n if with_sh else 0, k, 3),
-            np.zeros((4, 4)),
-            np.zeros((3, 3)),
-        )
+        n = len(model)
+        shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
+        shapes |= {"centers": (2, n), "colors": (n, 3), "sh": (n if with_sh else 0, model.sh.shape[1], 3)}
+        arrays: dict[str, Any] = {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
+        return cls(**arrays, viewmat=np.zeros((4, 4)), K=np.zeros((3, 3)))
 
 
 def draw(
@@ -112,29 +88,12 @@ def draw(
 def backward(
     rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32 | None = None, out: Gradients | None = None
 ) -> Gradients:
-    """Gradients of a scalar L of the image; the same bits whatever the number of threads.
+    """Gradients of a scalar L of the image, from (H, W, 3) dL/dimage and (H, W) dL/dalpha, 0 by default; the same bits
+    whatever the number of threads.
 
-    Parameters
-    ----------
-    rendering : Rendering
-        From `draw`.
-    cotangent : (H, W, 3) float32
-        dL/dimage.
-    cotangent_alpha : (H, W) float32, optional
-        dL/dalpha. Default 0.
-    out : Gradients, optional
-        Arrays to write to, see `Gradients.empty`; fresh memory costs as much as the computation.
-
-    Returns
-    -------
-    Gradients
-        0 for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0,
-        alpha below 1/255, the end of a pixel) the derivative is that of the held branch.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong, or discs were drawn.
+    `out` are arrays to write to, see `Gradients.empty`: fresh memory costs as much as the computation. Gradients are 0
+    for Gaussians that are not seen. Where a threshold holds (alpha clamped at 0.999, a colour at 0, alpha below 1/255,
+    the end of a pixel) the derivative is that of the held branch. InputError if a shape is wrong, or discs were drawn.
     """
     model, view = rendering.model, rendering.view
     camera = view.camera
@@ -179,17 +138,10 @@ def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, wor
         return _NONE
     toward: Float32 = work.array("toward", (3 * max(16, len(model)),))
     toward[3 * len(model) :] = 0.0
-    differentiate_sh(
-        result.colors.reshape(-1),
-        rendering.colors.reshape(-1),
-        model.sh.reshape(-1),
-        model.sh.shape[1],
-        model.means.reshape(-1),
-        rendering.view.camera.position.astype(np.float32),
-        work.array("sh", (workers, SH_SCRATCH)),
-        result.sh.reshape(-1),
-        toward,
-    )
+    cotangent, colors, sh = (array.reshape(-1) for array in (result.colors, rendering.colors, model.sh))
+    centre = rendering.view.camera.position.astype(np.float32)
+    means, scratch, d_sh = model.means.reshape(-1), work.array("sh", (workers, SH_SCRATCH)), result.sh.reshape(-1)
+    differentiate_sh(cotangent, colors, sh, model.sh.shape[1], means, centre, scratch, d_sh, toward)
     return toward
 
 
@@ -200,18 +152,11 @@ def _geometry_gradients(model: GaussianModel, view: View, sums: Float32, toward:
     chunks = -(-len(full) // CHUNK)
     into = result if n == len(full) else Gradients.empty(full, with_sh=False)
     by_chunk = np.empty((chunks, 32), dtype=np.float32)
-    raw = (full.means, full.quats, full.log_scales, full.opacity_logits)
-    out = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
-    parameter_gradients(
-        tuple(array.reshape(-1) for array in raw),
-        pack_lens(view.camera, geometry.settings),
-        sums,
-        geometry.firsts,
-        geometry.slots,
-        toward,
-        aligned((chunks, GRADIENT_SCRATCH)),
-        (*(array.reshape(-1) for array in out), by_chunk),
-    )
+    raw = tuple(array.reshape(-1) for array in (full.means, full.quats, full.log_scales, full.opacity_logits))
+    written = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
+    out = (*(array.reshape(-1) for array in written), by_chunk)
+    lens, scratch = pack_lens(view.camera, geometry.settings), aligned((chunks, GRADIENT_SCRATCH))
+    parameter_gradients(raw, lens, sums, geometry.firsts, geometry.slots, toward, scratch, out)
     if into is not result:
         for name in ("means", "quats", "log_scales", "opacity_logits"):
             getattr(result, name)[:] = getattr(into, name)[:n]

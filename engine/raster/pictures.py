@@ -18,20 +18,8 @@ __all__ = ["render", "render_depth"]
 def render(
     model: GaussianModel, camera: Camera, background: npt.ArrayLike = 0.0, settings: RasterSettings = RasterSettings()
 ) -> Float32:
-    """(H, W, 3) float32 image of a model, at least 0, not clipped at 1.
-
-    Parameters
-    ----------
-    background : scalar or (3,), optional
-        Colour behind everything.
-    settings : RasterSettings, optional
-        Definition of the image.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or the image is too large.
-    """
+    """(H, W, 3) float32 image of a model, at least 0, not clipped at 1, over a background of one number or three.
+    InputError if a shape is wrong or the image is too large."""
     behind = np.zeros(3, dtype=np.float32)
     try:
         behind[:] = background

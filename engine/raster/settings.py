@@ -28,33 +28,18 @@ FRUSTUM_MARGIN = 0.3
 
 @dataclass(frozen=True)
 class RasterSettings:
-    """Definition of the image. The defaults are gsplat's, so that CPU and GPU agree.
+    """Definition of the image. The defaults are gsplat's, so that CPU and GPU agree."""
 
-    Parameters
-    ----------
-    eps2d : float
-        Dilation added to both variances of the projected Gaussian, square pixels. Default 0.3.
-    near : float
-        Gaussians whose centre is nearer than this are not drawn, scene units. Default 0.01.
-    alpha_clamp : float
-        Largest alpha, in (0, 1). Default 0.999 (gsplat); INRIA's code has 0.99.
-    alpha_skip : float
-        Smallest alpha that is blended, in (0, alpha_clamp). Default 1/255.
-    transmittance_stop : float
-        A Gaussian that would bring a pixel's transmittance to this or less is not blended and ends the pixel.
-        Default 1e-4.
-    kernel : {"auto", "gaussian", "disc"}
-        What is drawn: Gaussians, or the discs of 2DGS, which rays meet exactly in perspective and which have a
-        low pass of their own in place of `eps2d` (`engine.raster.disc_projection`). Discs have the first two
-        scales. Default "auto": discs where the model is flat (`GaussianModel.is_flat`), else Gaussians.
-    """
-
-    eps2d: float = 0.3
-    near: float = 0.01
-    alpha_clamp: float = 0.999
-    alpha_skip: float = ALPHA_SKIP
+    eps2d: float = 0.3  # added to both variances of the projected Gaussian, square pixels
+    near: float = 0.01  # Gaussians whose centre is nearer than this are not drawn, scene units
+    alpha_clamp: float = 0.999  # largest alpha, in (0, 1); INRIA's code has 0.99
+    alpha_skip: float = ALPHA_SKIP  # smallest alpha that is blended, in (0, alpha_clamp)
     transmittance_stop: float = 1e-4
+    """A Gaussian that would bring a pixel's transmittance to this or less is not blended and ends the pixel."""
     kernel: str = "auto"
+    """What is drawn: "gaussian", or "disc", those of 2DGS, of the first two scales, which rays meet exactly in
+    perspective and which have a low pass of their own in place of `eps2d` (`engine.raster.disc_projection`); "auto":
+    discs where the model is flat (`GaussianModel.is_flat`), else Gaussians."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.eps2d <= 100.0:

@@ -31,19 +31,8 @@ def sh_colors(sh: Float32, means: Float32, camera_position: npt.ArrayLike, wante
     """Colours (N, 3) of Gaussians seen from a point: ``max(0, 0.5 + sum_k Y_k(d) sh[k])``, d from camera to Gaussian;
     not clipped at 1.
 
-    Parameters
-    ----------
-    sh, means : (N, K, 3), (N, 3) float32
-        Coefficients, K = 1, 4, 9 or 16, and centres.
-    camera_position : (3,)
-        Centre of the camera, scene units.
-    wanted : (N,) int32, optional
-        Gaussians where it is 0 are left out (their colours are undefined).
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong.
+    `sh` (N, K, 3) has K = 1, 4, 9 or 16; Gaussians where `wanted` (N,) is 0 are left out (their colours are undefined).
+    InputError if a shape is wrong.
     """
     sh, means, position = _checked(sh, means, camera_position)
     colors = np.empty((len(sh), 3), dtype=np.float32)
@@ -67,21 +56,12 @@ def sh_colors_backward(
     colors: Float32 | None = None,
     out: Float32 | None = None,
 ) -> Float32:
-    """Gradient (N, K, 3) of `sh_colors` with respect to the coefficients; 0 for a channel clamped at 0.
+    """Gradient (N, K, 3) of `sh_colors` with respect to the coefficients, for (N, 3) dL/dcolors; 0 for a channel
+    clamped at 0.
 
-    Parameters
-    ----------
-    cotangent : (N, 3) float32
-        dL/dcolors.
-    colors : (N, 3) float32, optional
-        What `sh_colors` returned, to spare its evaluation (it says where the clamp at 0 holds).
-    out : (N, K, 3) float32, optional
-        C-contiguous array for the result; fresh memory costs more than the computation.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong.
+    `colors` (N, 3) are what `sh_colors` returned, to spare its evaluation (they say where the clamp at 0 holds); `out`
+    (N, K, 3) is a C-contiguous array for the result: fresh memory costs more than the computation. InputError if a
+    shape is wrong.
     """
     sh, means, position = _checked(sh, means, camera_position)
     cotangent = np.ascontiguousarray(cotangent, np.float32)
@@ -93,14 +73,7 @@ def sh_colors_backward(
         raise InputError(f"colors has shape {seen.shape} and out {result.shape}, expected (N, 3) and {sh.shape}")
     if result.dtype != np.float32 or not result.flags.c_contiguous:
         raise InputError("out must be a C-contiguous float32 array")
+    scratch, out = aligned((thread_count(), SH_SCRATCH)), result.reshape(-1)
     with parallel_section():
-        spread_sh(
-            cotangent.ravel(),
-            seen.ravel(),
-            sh.shape[1],
-            means.ravel(),
-            position,
-            aligned((thread_count(), SH_SCRATCH)),
-            result.reshape(-1),
-        )
+        spread_sh(cotangent.ravel(), seen.ravel(), sh.shape[1], means.ravel(), position, scratch, out)
     return result

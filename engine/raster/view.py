@@ -177,17 +177,8 @@ def prepare_view(
 ) -> View:
     """Project, sort and bin a model once, for many images or gradients of its colours, which are not looked at.
 
-    Parameters
-    ----------
-    settings : RasterSettings, optional
-        Definition of the image.
-    tile_mask : (ceil(H / 16), ceil(W / 16)) bool, optional
-        Tiles to draw; the others show the background. Cost follows the mask.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or the image is too large.
+    `tile_mask` (ceil(H / 16), ceil(W / 16)) are the tiles to draw; the others show the background. Cost follows the
+    mask. InputError if a shape is wrong or the image is too large.
     """
     with parallel_section(), borrow_workspace() as work:
         geometry, _ = build_geometry(model, camera, settings, work, keep=True, tile_mask=tile_mask)

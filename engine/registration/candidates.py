@@ -102,8 +102,7 @@ class FeatureIndex:
 
     def _rarity(self, white: Float64) -> Float64:
         """Squared Mahalanobis distance from the reference's middle: the rarer a look, the fewer impostors."""
-        rarity: Float64 = np.einsum("ij,ij->i", white @ self.precision, white)
-        return rarity
+        return np.asarray(np.einsum("ij,ij->i", white @ self.precision, white))
 
     def candidates(
         self, suspect: GaussianModel, count: int, rng: np.random.Generator, *, queries: int, deep: bool
@@ -155,5 +154,4 @@ def by_region(means: npt.NDArray[np.float32], priority: Float64, count: int, par
 
 def sample_rows(m: int, count: int, rng: np.random.Generator) -> Int64:
     """At most `count` of m indices, in rising order."""
-    rows: Int64 = np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))
-    return rows
+    return np.arange(m) if m <= count else np.sort(rng.choice(m, count, replace=False))

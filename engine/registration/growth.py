@@ -128,8 +128,7 @@ def _first_map(source: Float64, target: Float64) -> Affine:
     """One map for all, as a prior for the first fits: of least squares."""
     design = np.concatenate([source, np.ones((len(source), 1))], axis=1)  # (n, 4)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
-    out: Affine = solution.T
-    return out
+    return np.asarray(solution.T)
 
 
 def _fit_nodes(

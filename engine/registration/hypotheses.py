@@ -54,8 +54,7 @@ def chance_table(means: Float64, extent: float, rng: np.random.Generator) -> Flo
     # Below the reach of the sample the chance falls with the volume; 8 per bin pair is 2^1.5 per bin.
     for b_ in range(1, BINS):
         share[b_] = max(share[b_], share[b_ - 1] * 2.0**-1.5, 1e-7)
-    out: Float64 = np.maximum(share, 1e-7)
-    return out
+    return np.maximum(share, 1e-7)
 
 
 def propose(

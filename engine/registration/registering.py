@@ -53,53 +53,26 @@ MIN_MATCHES = 5
 
 @dataclass(frozen=True)
 class RegistrationConfig:
-    """What the registration looks for.
+    """What the registration looks for."""
 
-    Parameters
-    ----------
-    colorless : bool
-        Whether to search once more without colours, which costs time where nothing is found.
-    deformed : bool
-        Whether to look for a deformation where no similarity is the whole story.
-    """
-
-    colorless: bool = True
-    deformed: bool = True
+    colorless: bool = True  # search once more without colours, which costs time where nothing is found
+    deformed: bool = True  # look for a deformation where no similarity is the whole story
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where the reference is in the suspect: x_reference = scale * R @ x_suspect + t.
-
-    Parameters
-    ----------
-    R : (3, 3) float64
-        Proper rotation.
-    t : (3,) float64
-    matches : (M,) int32
-        Reference Gaussian of each suspect Gaussian, -1 where there is none.
-    match_quality : (M,) float32
-        Trust in each match, 0..1; 0 where there is none.
-    derived_fraction : float
-        Share of the reference's Gaussians that were found.
-    found : bool
-        Whether the suspect holds a piece of the reference. If not, the similarity is the identity, and
-        nothing is matched.
-    hypotheses_tried : int
-        Alignments weighed, at least 1. They were chosen without the chips.
-    deformed : bool
-        Whether the matches come from a field of local maps; the similarity is then the nearest single one.
-    """
+    """Where the reference is in the suspect: x_reference = scale * R @ x_suspect + t. Where it was not found, the
+    similarity is the identity, and nothing is matched."""
 
     scale: float
-    R: Float64
+    R: Float64  # (3, 3) proper rotation
     t: Float64
-    matches: Int32
-    match_quality: Float32
-    derived_fraction: float
-    found: bool
-    hypotheses_tried: int
-    deformed: bool = False
+    matches: Int32  # (M,) reference Gaussian of each suspect Gaussian, -1 where there is none
+    match_quality: Float32  # (M,) trust in each match, 0..1; 0 where there is none
+    derived_fraction: float  # share of the reference's Gaussians that were found
+    found: bool  # whether the suspect holds a piece of the reference
+    hypotheses_tried: int  # alignments weighed, at least 1; they were chosen without the chips
+    deformed: bool = False  # the matches come from a field of local maps; the similarity is the nearest single one
 
     @property
     def similarity(self) -> Similarity:
@@ -238,16 +211,8 @@ def _search(
         turn = quaternion_product(index.model.quats[pairs.reference], conjugate)
         for level in (EXACT, LOOSE):
             for agreement in (level, Agreement(level.size, level.edge, np.inf)):
-                hypotheses, count = propose(
-                    pairs,
-                    turn,
-                    agreement,
-                    index.extent,
-                    index.chance,
-                    seeds=SEEDS,
-                    draws=DRAWS,
-                    seed=int(rng.integers(2**31)),
-                )
+                scene, seed = (index.extent, index.chance), int(rng.integers(2**31))
+                hypotheses, count = propose(pairs, turn, agreement, *scene, seeds=SEEDS, draws=DRAWS, seed=seed)
                 tried += count
                 for h in hypotheses[:2]:
                     if h.evidence < MIN_EVIDENCE:

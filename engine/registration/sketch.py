@@ -163,8 +163,7 @@ def _rarity(looks: Float64) -> Float64:
     middle, spread = np.median(sample, axis=0), np.maximum(sample.std(axis=0), 1e-3)
     white = (looks - middle) / spread
     covariance = np.cov(((sample - middle) / spread).T) if len(sample) > 1 else np.eye(looks.shape[1])
-    precision = np.linalg.inv(covariance + 0.01 * np.eye(looks.shape[1]))
-    return np.asarray(np.einsum("ij,ij->i", white @ precision, white))
+    return np.asarray(np.einsum("ij,ij->i", white @ np.linalg.inv(covariance + 0.01 * np.eye(looks.shape[1])), white))
 
 
 def _no_turn(count: int) -> Float32:

@@ -54,14 +54,12 @@ def _turned(linear: Float64, cross: Float64, spread: Float64) -> Float64:
     """The prior's linear parts (B, 3, 3), turned by the rotation that fits them best to the pairs."""
     u, _, vt = np.linalg.svd(cross @ np.swapaxes(linear, 1, 2))
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    turned: Float64 = u @ vt @ linear
-    return turned
+    return np.asarray(u @ vt @ linear)
 
 
 def apply(maps: Affine, points: npt.NDArray[np.floating]) -> Float64:
     """Points (..., 3) under maps (..., 3, 4)."""
-    moved: Float64 = (maps[..., :3] @ points.astype(np.float64)[..., None])[..., 0] + maps[..., 3]
-    return moved
+    return (maps[..., :3] @ points.astype(np.float64)[..., None])[..., 0] + maps[..., 3]
 
 
 def warped(model: GaussianModel, maps: Affine) -> GaussianModel:
@@ -82,8 +80,7 @@ def blend(nodes: npt.NDArray[np.floating], maps: Affine, points: npt.NDArray[np.
     reach = np.maximum(distance[:, -1:], 1e-30)
     weights = np.square(1.0 - np.square(0.999 * distance / reach))
     weights /= weights.sum(axis=1, keepdims=True)
-    out: Affine = np.einsum("nk,nkij->nij", weights, maps[index])  # (N, 3, 4)
-    return out
+    return np.asarray(np.einsum("nk,nkij->nij", weights, maps[index]))  # (N, 3, 4)
 
 
 def unturned(deviations: Deviations) -> Deviations:

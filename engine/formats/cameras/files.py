@@ -22,32 +22,15 @@ _JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 
 
 def read_cameras(path: str | os.PathLike[str]) -> list[Camera]:
-    """Read cameras from INRIA's cameras.json, NeRF's transforms.json or a COLMAP model.
+    """Read cameras, in the OpenCV frame, from INRIA's cameras.json, NeRF's transforms.json or a COLMAP model.
 
-    Parameters
-    ----------
-    path : path
-        A JSON file; or a COLMAP model, text or binary, by its folder or by one of its files; or a folder that
-        holds one of these under its usual name (``sparse/0``, ``cameras.json``, ``transforms.json``).
+    `path` is a JSON file; or a COLMAP model, text or binary, by its folder or by one of its files; or a folder that
+    holds one of these under its usual name (``sparse/0``, ``cameras.json``, ``transforms.json``). The order is that of
+    the file; of a COLMAP model, that of the images' names. Where ``transforms.json`` gives an ``applied_transform``
+    (nerfstudio), it is undone: the cameras are then in the frame of the reconstruction.
 
-    Returns
-    -------
-    list of Camera
-        OpenCV frame, in the order of the file; of a COLMAP model in the order of the images' names. Where
-        ``transforms.json`` gives an ``applied_transform`` (nerfstudio), it is undone: the cameras are then in
-        the frame of the reconstruction.
-
-    Raises
-    ------
-    CameraError
-        The file is not what it should be; the message names the file and the entry.
-    InputError
-        There is no such file.
-
-    Warns
-    -----
-    UserWarning
-        Lens distortion is ignored: all cameras of this program are pinholes.
+    CameraError, naming the file and the entry, if the file is not what it should be; InputError if there is none. A
+    UserWarning says where lens distortion is ignored: all cameras of this program are pinholes.
     """
     path = Path(path)
     with opening(path, str(path)):
@@ -91,10 +74,10 @@ def _read_folder(folder: Path) -> list[Camera]:
     for name in _JSON_NAMES:
         if (folder / name).is_file():
             return _read_json(folder / name)
-    message = "holds no cameras: neither a COLMAP model (cameras and images, .txt or .bin) nor " + ", ".join(
-        _JSON_NAMES
+    nor = ", ".join(_JSON_NAMES)
+    raise CameraError(
+        f"{folder}: holds no cameras: neither a COLMAP model (cameras and images, .txt or .bin) nor {nor}"
     )
-    raise CameraError(f"{folder}: {message}")
 
 
 def _colmap_files(folder: Path, suffix: str) -> tuple[Path, Path]:

@@ -21,21 +21,11 @@ _TOLERANCE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of a sensor in the world: x_world = R x_sensor + t.
+    """Poses of a sensor in the world: x_world = R x_sensor + t. InputError if the arrays do not fit together."""
 
-    Parameters
-    ----------
-    positions : (P, 3) float64
-        Scene units, finite; P >= 1.
-    quats : (P, 4) float64
-        Unit quaternions w, x, y, z.
-    times : (P,) float64 or None
-        Seconds, strictly increasing; None where the file knows only an order (KITTI).
-    """
-
-    positions: Float64
-    quats: Float64
-    times: Float64 | None = None
+    positions: Float64  # (P, 3) scene units, finite; P >= 1
+    quats: Float64  # (P, 4) unit quaternions w, x, y, z
+    times: Float64 | None = None  # (P,) seconds, strictly increasing; None where the file knows only an order (KITTI)
 
     def __post_init__(self) -> None:
         n = len(self.positions)
@@ -61,20 +51,11 @@ class Trajectory:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read a trajectory, of either kind.
+    """Read a trajectory from text, a pose a line; lines that start with ``#`` are comments.
 
-    Parameters
-    ----------
-    path : path
-        Text, a pose a line. Eight numbers (TUM): time, position x y z, quaternion x y z w. Twelve (KITTI): the
-        upper three rows of the matrix from sensor to world, row by row. Lines that start with ``#`` are comments.
-
-    Raises
-    ------
-    FormatError
-        A line is no pose, times do not increase, or a rotation is none; the message names file and row.
-    InputError
-        There is no such file.
+    Eight numbers (TUM): time, position x y z, quaternion x y z w. Twelve (KITTI): the upper three rows of the matrix
+    from sensor to world, row by row. FormatError, naming file and row, if a line is no pose, times do not increase, or
+    a rotation is none; InputError if there is no such file.
     """
     try:
         data = read_limited(Path(path))
@@ -149,7 +130,6 @@ def _kitti(table: Float64, file: str) -> Trajectory:
     fault = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero(~((fault <= _TOLERANCE) & (np.linalg.det(rotations) > 0.0)))
     if len(bad):
-        message = f"the matrix is no rotation (off by {fault[bad[0]]:.4g})"
-        raise FormatError(message, file=file, row=int(bad[0]))
+        raise FormatError(f"the matrix is no rotation (off by {fault[bad[0]]:.4g})", file=file, row=int(bad[0]))
     u, _, vt = np.linalg.svd(rotations)  # the nearest rotations
     return Trajectory(np.ascontiguousarray(matrices[:, :, 3]), rotation_to_quaternion(u @ vt))

@@ -26,13 +26,8 @@ def read_ply(
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
 
     `header` if it is parsed already. Repairs tell of ``extra_properties``, ``extra_elements`` and ``flat_discs``, too.
-
-    Raises
-    ------
-    FormatError
-        The bytes are not what the header says, or a property is missing.
-    UnsupportedFormatError
-        The file is a point cloud or a mesh.
+    FormatError if the bytes are not what the header says, or a property is missing; UnsupportedFormatError if the file
+    is a point cloud or a mesh.
     """
     header = header or parse_header(data, file=file)
     vertex, repairs = _check_vertex(header, file)

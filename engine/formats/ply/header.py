@@ -138,8 +138,7 @@ class _Parser:
         if encoding not in _BYTE_ORDERS:
             raise self._fault(f"unknown encoding {_show(encoding)}")
         if version != "1.0":
-            message = f"PLY version {_show(version)} is not read here, only 1.0"
-            raise UnsupportedFormatError(message, file=self.file)
+            raise UnsupportedFormatError(f"PLY version {_show(version)} is not read here, only 1.0", file=self.file)
         self.byte_order = _BYTE_ORDERS[encoding]
 
     def _element(self, name: str, count: str) -> None:
@@ -162,8 +161,7 @@ class _Parser:
 
     def _type(self, name: str, prop: str) -> str:
         if name not in _SCALAR_TYPES:
-            message = f"unknown type {_show(name)}"
-            raise FormatError(message, file=self.file, element=self.current, prop=_clip(prop))
+            raise FormatError(f"unknown type {_show(name)}", file=self.file, element=self.current, prop=_clip(prop))
         return _SCALAR_TYPES[name]
 
     def _check_name(self, name: str) -> None:

@@ -17,24 +17,12 @@ __all__ = ["PointCloud", "clean_points", "unit_colors"]
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """N points, with what their file knows of each.
+    """N points, with what their file knows of each; InputError if the arrays do not fit together."""
 
-    Parameters
-    ----------
-    points : (N, 3) float64
-        Scene units, finite.
-    colors : (N, 3) float32 or None
-        Range 0 to 1.
-    intensity : (N,) float32 or None
-        Strength of the return, in the unit of the device, finite.
-    times : (N,) float64 or None
-        Seconds, of the device's own clock, finite.
-    """
-
-    points: Float64
-    colors: Float32 | None = None
-    intensity: Float32 | None = None
-    times: Float64 | None = None
+    points: Float64  # (N, 3) scene units, finite
+    colors: Float32 | None = None  # (N, 3) range 0 to 1
+    intensity: Float32 | None = None  # (N,) strength of the return, in the unit of the device, finite
+    times: Float64 | None = None  # (N,) seconds, of the device's own clock, finite
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -66,8 +54,7 @@ def unit_colors(raw: npt.NDArray[Any], full: float) -> Float32:
     """(N, 3) colours 0 to 1 of stored ones in 0 to full; beyond either end they are clipped, NaN is black."""
     with np.errstate(invalid="ignore", over="ignore"):
         shades = np.clip(raw.astype(np.float32) / np.float32(full), 0.0, 1.0)
-    result: Float32 = np.where(np.isnan(shades), np.float32(0.0), shades)
-    return result
+    return np.where(np.isnan(shades), np.float32(0.0), shades)
 
 
 def clean_points(

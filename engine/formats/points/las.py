@@ -118,8 +118,7 @@ def _parse_header(data: bytes | memoryview, file: str) -> _LasHeader:
         message = f"the header says it has {header_size} bytes, LAS 1.{minor} has {_HEADER_SIZES[minor]}"
         raise FormatError(message, file=file)
     if offset < header_size + 54 * variables:  # 54 bytes: the head of a variable length record
-        message = f"points start at byte {offset}, inside the header and its {variables} records"
-        raise FormatError(message, file=file)
+        raise FormatError(f"points start at byte {offset}, inside the header and its {variables} records", file=file)
     if minor == 4:
         (wide,) = struct.unpack_from("<Q", data, 247)
         if wide and count and wide != count:
@@ -133,8 +132,7 @@ def _parse_header(data: bytes | memoryview, file: str) -> _LasHeader:
         raise FormatError(message, file=file, element=_ELEMENT, row=there // stride)
     beyond = there - count * stride
     if beyond and not _may_go_on(data, minor):
-        message = f"{beyond} bytes follow the {count} points: the count is wrong"
-        raise FormatError(message, file=file, element=_ELEMENT)
+        raise FormatError(f"{beyond} bytes follow the {count} points: the count is wrong", file=file, element=_ELEMENT)
     scales, origin = struct.unpack_from("<3d", data, 131), struct.unpack_from("<3d", data, 155)
     if not (np.isfinite([*scales, *origin]).all() and all(scales)):
         raise FormatError(f"scale {scales} and offset {origin} of the coordinates", file=file)

@@ -35,8 +35,7 @@ class _PcdHeader:
 
 def looks_like_pcd(data: bytes | memoryview) -> bool:
     """Whether the file starts as PCD files do: with a comment that says so, or at once with VERSION."""
-    head = bytes(data[:64])
-    return head.startswith((b"# .PCD", b"VERSION ", b"VERSION\t"))
+    return bytes(data[:64]).startswith((b"# .PCD", b"VERSION ", b"VERSION\t"))
 
 
 def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:

@@ -23,19 +23,9 @@ def read_point_cloud(
 ) -> tuple[PointCloud, tuple[Repair, ...]]:
     """Read a point cloud, PLY, PCD or LAS, from a file or the content of one; and tell what was mended.
 
-    Parameters
-    ----------
-    name : str, optional
-        What to call the input in messages; the path by default. Never opened.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read; the message names file, element, row and property.
-    UnsupportedFormatError
-        It is of none of these formats, LAZ, or a Gaussian model already.
-    InputError
-        There is no such file, or it may not be opened.
+    `name` is what to call the input in messages, by default its path; it is never opened. FormatError if the file
+    cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of none of these formats,
+    LAZ, or a Gaussian model already; InputError if there is no such file, or it may not be opened.
     """
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
         return _decode(bytes(path_or_bytes), name or "(bytes)")

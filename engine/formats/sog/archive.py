@@ -57,8 +57,7 @@ class ZipArchive:
         if entry is None:
             raise FormatError("zip archive lacks this entry", file=self._file, element=name)
         if entry.file_size > limit:
-            message = f"{entry.file_size} bytes, at most {limit} expected"
-            raise FormatError(message, file=self._file, element=name)
+            raise FormatError(f"{entry.file_size} bytes, at most {limit} expected", file=self._file, element=name)
         if entry.flag_bits & 1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FormatError("is neither stored nor deflated", file=self._file, element=name)
         try:
@@ -85,11 +84,9 @@ class Folder:
             if path.stat().st_size > limit:
                 message = f"{path.stat().st_size} bytes, at most {limit} expected"
                 raise FormatError(message, file=str(self._folder), element=name)
-            part = path.read_bytes()
+            return path.read_bytes()
         except OSError as fault:
-            message = f"cannot be read ({fault.strerror})"
-            raise FormatError(message, file=str(self._folder), element=name) from None
-        return part
+            raise FormatError(f"cannot be read ({fault.strerror})", file=str(self._folder), element=name) from None
 
     def weigh(self, names: tuple[str, ...]) -> None:
         """Set `size` to the sum of the parts named; missing ones count nothing."""

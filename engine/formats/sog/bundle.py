@@ -47,16 +47,9 @@ def write_sog(model: GaussianModel, *, palette: SogPalette | None = None) -> byt
     domain sign(x) log(1 + abs(x)), opacities 1/510, the three smaller components of a quaternion 0.0028 each; log
     scales, DC and code vectors that of the best 256 values for all of them.
 
-    Parameters
-    ----------
-    palette : (codes, labels), optional
-        Spherical harmonics above DC that are vector-quantised already: 1 to 65,536 code vectors (P, K - 1, 3), and
-        which of them each Gaussian has, (N,). They then stand for `model.sh[:, 1:]`. By default a palette of 1k to 64k
-        code vectors is learnt, by the number of Gaussians as PlayCanvas's writer; exact where no more differ.
-
-    Raises
-    ------
-    InputError
-        The model is empty, or the palette does not fit it.
+    A `palette` holds spherical harmonics above DC that are vector-quantised already, in place of `model.sh[:, 1:]`: 1
+    to 65,536 code vectors (P, K - 1, 3), and which of them each Gaussian has, (N,). By default one of 1k to 64k code
+    vectors is learnt, by the number of Gaussians as PlayCanvas's writer; exact where no more differ. InputError if the
+    model is empty, or the palette does not fit it.
     """
     return write_zip(encode_scene(model, palette))

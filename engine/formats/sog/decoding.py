@@ -55,8 +55,7 @@ class _Scene:
         name, count = self._meta.files[key][index], self._meta.count
         data, size = self._load(name, self._pixel_limit)
         if size[0] * size[1] < count:
-            message = f"{size[0]}x{size[1]} pixels for {count} Gaussians"
-            raise FormatError(message, file=self._file, element=name)
+            raise FormatError(f"{size[0]}x{size[1]} pixels for {count} Gaussians", file=self._file, element=name)
         if self._size not in (None, size):
             message = f"is {size[0]}x{size[1]}, other images are {self._size[0]}x{self._size[1]}"
             raise FormatError(message, file=self._file, element=name)

@@ -63,12 +63,8 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
         centroids, codebook = centroid_pixels(book, labels)
         images[FILES["shN"][1]] = label_pixels(labels)
         parts[FILES["shN"][0]] = encode_webp(centroids)
-        meta["shN"] = {
-            "count": len(book),
-            "bands": model.sh_degree,
-            "codebook": codebook.tolist(),
-            "files": FILES["shN"],
-        }
+        named = {"codebook": codebook.tolist(), "files": FILES["shN"]}
+        meta["shN"] = {"count": len(book), "bands": model.sh_degree, **named}
     for name, pixels in images.items():
         parts[name] = encode_webp(_lay_out(pixels, width, height))
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()

@@ -39,40 +39,18 @@ class Palette:
 
 @dataclass(frozen=True, eq=False)
 class SogMeta:
-    """What meta.json says.
+    """What meta.json says."""
 
-    Parameters
-    ----------
-    version : int
-        1 (SOGS, linear ranges) or 2 (codebooks).
-    count : int
-        Gaussians claimed.
-    files : dict
-        Names of the images of each property.
-    mins, maxs : (3,)
-        Range of the centres in the domain sign(x) log(1 + abs(x)).
-    scales : (3, 256)
-        Log scale of each pixel value, by axis.
-    dc : (3, 256)
-        DC coefficient of each pixel value, by channel.
-    opacity : (256,)
-        Opacity logit of each alpha; infinite for 0 and 255 in version 2.
-    palette : Palette or None
-        None for spherical harmonics of degree 0.
-    repairs : tuple of Repair
-        Faults of meta.json that were mended.
-    """
-
-    version: int
-    count: int
-    files: dict[str, tuple[str, ...]]
-    mins: Float64
+    version: int  # 1 (SOGS, linear ranges) or 2 (codebooks)
+    count: int  # Gaussians claimed
+    files: dict[str, tuple[str, ...]]  # names of the images of each property
+    mins: Float64  # (3,) range of the centres in the domain sign(x) log(1 + abs(x))
     maxs: Float64
-    scales: Float64
-    dc: Float64
-    opacity: Float64
-    palette: Palette | None
-    repairs: tuple[Repair, ...]
+    scales: Float64  # (3, 256) log scale of each pixel value, by axis
+    dc: Float64  # (3, 256) DC coefficient of each pixel value, by channel
+    opacity: Float64  # (256,) logit of each alpha; infinite for 0 and 255 in version 2
+    palette: Palette | None  # None for spherical harmonics of degree 0
+    repairs: tuple[Repair, ...]  # faults of meta.json that were mended
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -174,8 +152,7 @@ class _Reader:
     def _ramps(self, key: str, channels: int) -> Float64:
         """(channels, 256) linear ranges of version 1."""
         low, high = self._numbers(key, "mins", channels), self._numbers(key, "maxs", channels)
-        steps: Float64 = low[:, None] + (high - low)[:, None] * (np.arange(LEVELS) / (LEVELS - 1.0))
-        return steps
+        return low[:, None] + (high - low)[:, None] * (np.arange(LEVELS) / (LEVELS - 1.0))
 
     def _codebook(self, key: str) -> Float64:
         """(256,) codebook of version 2; what a short one lacks is NaN, so that those rows fall out."""

@@ -93,8 +93,7 @@ def decode_first_three(section: memoryview) -> Float32:
     w = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("nc,nc->n", xyz, xyz)))
     quats = np.concatenate([w[:, None], xyz], axis=1)  # (N, 4)
     # Rounding can push x, y, z beyond the unit sphere; that is the format's error, not a fault of the file.
-    unit: Float32 = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
-    return unit
+    return np.asarray((quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32))
 
 
 def decode_smallest_three(section: memoryview) -> Float32:
@@ -178,5 +177,4 @@ def encode_all(
 
 
 def _to_bytes(values: npt.NDArray[Any]) -> Bytes:
-    rounded: Bytes = np.clip(np.rint(values), 0, 255).astype(np.uint8)
-    return rounded
+    return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))

@@ -3,6 +3,7 @@
 import struct
 import zlib
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import zstandard
 
@@ -47,8 +48,7 @@ class Header:
     @property
     def section_strides(self) -> tuple[int, ...]:
         """Bytes a Gaussian of positions, alphas, colors, scales, rotations, sh: the order of every file."""
-        coefficients = (self.sh_degree + 1) ** 2 - 1
-        return (9, 1, 3, 3, 3 if self.version == 2 else 4, 3 * coefficients)
+        return (9, 1, 3, 3, 3 if self.version == 2 else 4, 3 * (self.sh_degree + 1) ** 2 - 3)
 
     @property
     def section_sizes(self) -> tuple[int, ...]:
@@ -79,9 +79,12 @@ def unpack(data: bytes, *, file: str) -> Payload:
     raise FormatError("is no SPZ file: neither gzip nor NGSP at its start", file=file)
 
 
-def _check_header(header: Header, magic: int, size: int, *, file: str) -> None:
+def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
         raise FormatError(f"is gzip, but no SPZ file: magic is {magic:#010x}", file=file, element="header")
+    if header.version not in versions:
+        message = f"SPZ version {header.version}, read are 2, 3 and 4"
+        raise UnsupportedFormatError(message, file=file, element="header")
     if header.sh_degree > 3:
         message = f"spherical harmonics of degree {header.sh_degree}, read are 0 to 3"
         raise UnsupportedFormatError(message, file=file, element="header", prop="shDegree")
@@ -94,10 +97,6 @@ def _check_header(header: Header, magic: int, size: int, *, file: str) -> None:
     check_count(header.count, size, file=file)
 
 
-def _unsupported_version(version: int, *, file: str) -> UnsupportedFormatError:
-    return UnsupportedFormatError(f"SPZ version {version}, read are 2, 3 and 4", file=file, element="header")
-
-
 def _unpack_gzip(data: bytes, *, file: str) -> Payload:
     inflater = zlib.decompressobj(wbits=31)
     try:
@@ -106,9 +105,7 @@ def _unpack_gzip(data: bytes, *, file: str) -> Payload:
             raise FormatError(f"header has {len(head)} bytes, expected {_HEADER.size}", file=file)
         magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
         header = Header(version, count, degree, bits, flags)
-        if magic == MAGIC and version not in (2, 3):
-            raise _unsupported_version(version, file=file)
-        _check_header(header, magic, len(data), file=file)
+        _check_header(header, magic, (2, 3), len(data), file=file)
         expected = sum(header.section_sizes)
         spare = MAX_EXTENSION_BYTES if flags & HAS_EXTENSIONS else 0
         # One byte more than may be there: it tells a longer stream apart and lets zlib reach its checksum.
@@ -116,8 +113,7 @@ def _unpack_gzip(data: bytes, *, file: str) -> Payload:
     except zlib.error as fault:
         raise FormatError(f"damaged gzip stream ({fault})", file=file) from None
     if len(body) < expected:
-        message = f"{len(body)} bytes of {count} Gaussians, expected {expected}"
-        raise FormatError(message, file=file)
+        raise FormatError(f"{len(body)} bytes of {count} Gaussians, expected {expected}", file=file)
     if len(body) > expected + spare:
         raise FormatError(f"more than the {expected} bytes that {count} Gaussians take", file=file)
     if not inflater.eof:
@@ -125,15 +121,8 @@ def _unpack_gzip(data: bytes, *, file: str) -> Payload:
     if inflater.unused_data:
         raise FormatError(f"{len(inflater.unused_data)} bytes follow the gzip stream", file=file)
     view = memoryview(body)
-    return Payload(header, _split(view, header), bytes(view[expected:]))
-
-
-def _split(view: memoryview, header: Header) -> tuple[memoryview, ...]:
-    sections, start = [], 0
-    for size in header.section_sizes:
-        sections.append(view[start : start + size])
-        start += size
-    return tuple(sections)
+    borders = pairwise(accumulate(header.section_sizes, initial=0))
+    return Payload(header, tuple(view[start:stop] for start, stop in borders), bytes(view[expected:]))
 
 
 def _unpack_zstd(data: bytes, *, file: str) -> Payload:
@@ -141,9 +130,7 @@ def _unpack_zstd(data: bytes, *, file: str) -> Payload:
         raise FormatError(f"file has {len(data)} bytes, its header alone takes {_HEADER_V4.size}", file=file)
     magic, version, count, degree, bits, flags, streams, toc = _HEADER_V4.unpack_from(data)
     header = Header(version, count, degree, bits, flags)
-    if version != 4:
-        raise _unsupported_version(version, file=file)
-    _check_header(header, magic, len(data), file=file)
+    _check_header(header, magic, (4,), len(data), file=file)
     sizes = header.section_sizes
     wanted = sum(size > 0 for size in sizes)
     if streams != wanted:
@@ -154,8 +141,8 @@ def _unpack_zstd(data: bytes, *, file: str) -> Payload:
     if position > len(data):
         raise FormatError(f"table of contents ends at byte {position} of {len(data)}", file=file)
     entries = list(_TOC_ENTRY.iter_unpack(data[toc:position]))
-    if position + sum(packed for packed, _ in entries) != len(data):
-        total = position + sum(packed for packed, _ in entries)
+    total = position + sum(packed for packed, _ in entries)
+    if total != len(data):
         raise FormatError(f"streams end at byte {total}, the file at {len(data)}", file=file)
     sections, index = [], 0
     for size in sizes:
@@ -165,8 +152,7 @@ def _unpack_zstd(data: bytes, *, file: str) -> Payload:
         packed, unpacked = entries[index]
         element = f"stream {index}"
         if unpacked != size:
-            message = f"holds {unpacked} bytes, {count} Gaussians take {size}"
-            raise FormatError(message, file=file, element=element)
+            raise FormatError(f"holds {unpacked} bytes, {count} Gaussians take {size}", file=file, element=element)
         stream = data[position : position + packed]
         sections.append(memoryview(_unzstd(stream, size, file=file, element=element)))
         position, index = position + packed, index + 1

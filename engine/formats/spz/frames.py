@@ -50,16 +50,14 @@ class FrameChange:
     @property
     def quaternion_signs(self) -> Float32:
         """(3,) signs of x, y, z: M R(q) M has, for a diagonal M, the axis of q times M's cofactors."""
-        signs: Float32 = (np.prod(self.signs) * self.signs).astype(np.float32)
-        return signs
+        return (np.prod(self.signs) * self.signs).astype(np.float32)
 
     def coefficient_signs(self, coefficients: int) -> Float32:
         """(K,) sign of each basis function under the flip: Y_k(signs * d) = sign_k Y_k(d)."""
         degree = round(coefficients**0.5) - 1
         d = _IRRATIONAL_DIRECTION
         flipped: npt.NDArray[Any] = sh_basis(d * self.signs, degree) * sh_basis(d, degree)
-        signs: Float32 = np.sign(flipped).astype(np.float32)
-        return signs
+        return np.asarray(np.sign(flipped).astype(np.float32))
 
 
 SPECIFICATION = FrameChange(np.array([1.0, -1.0, -1.0]))

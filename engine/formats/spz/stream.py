@@ -31,21 +31,12 @@ __all__ = ["Frame", "read_spz", "write_spz"]
 def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read an SPZ file, into PLY's axes.
 
-    Parameters
-    ----------
-    frame : {"auto", "spec", "ply"}
-        The axes of the file. The specification's have y and z negated against PLY, yet half of the tools write PLY's
-        straight in and say nothing. "auto" believes the file's SPZ_ADOBE_coordinate_system extension, and the
-        specification where there is none; "spec" and "ply" overrule the file.
+    The specification's axes have y and z negated against PLY, yet half of the tools write PLY's straight in and say
+    nothing. A `frame` of "auto" believes the file's SPZ_ADOBE_coordinate_system extension, and the specification where
+    there is none; "spec" and "ply" overrule the file.
 
-    Raises
-    ------
-    UnsupportedFormatError
-        Another version, spherical harmonics of degree 4, or a tree of levels of detail.
-    FormatError
-        The bytes are not those that the header implies.
-    InputError
-        `frame` is none of the three.
+    UnsupportedFormatError for another version, spherical harmonics of degree 4, or a tree of levels of detail;
+    FormatError if the bytes are not those that the header implies; InputError if `frame` is none of the three.
     """
     payload = unpack(data, file=file)
     header = payload.header
@@ -77,20 +68,12 @@ def write_spz(
     in an opacity, 1/76.5 in a DC coefficient in [-3.33, 3.33], 2^-8 in another one with 8 bits, 2^-bits + 2^-8 with
     fewer, 0.0007 in each of the three smaller components of a quaternion.
 
-    Parameters
-    ----------
-    version : {3, 4}
-        3 (gzip) is what everything reads; 4 (zstd) packs in half the time.
-    sh_bits : (int, int)
-        Bits of spherical harmonics of degree 1, and of degrees 2 and 3; 1 to 8 each. The reference's default is (5, 4):
-        a third of the size, 8 and 16 times the error. Coefficients are clipped to [-1, 127/128].
-    fractional_bits : int, optional
-        Binary places of a position, 0 to 24. By default 12, as the reference, or what the scene's size asks for.
+    Version 3 (gzip) is what everything reads; 4 (zstd) packs in half the time. `sh_bits`, 1 to 8 each, are those of
+    spherical harmonics of degree 1, and of degrees 2 and 3, clipped to [-1, 127/128]; the reference's (5, 4) take a
+    third of the size for 8 and 16 times the error. `fractional_bits`, 0 to 24, are the binary places of a position: 12,
+    as the reference, or what the scene's size asks for.
 
-    Raises
-    ------
-    InputError
-        An argument is out of its range, or a centre does not fit into 24 bits with that many binary places.
+    InputError if an argument is out of its range, or a centre does not fit into 24 bits with that many binary places.
     """
     if version not in (3, 4):
         raise InputError(f"SPZ version is {version}, written are 3 and 4")
