@@ -67,17 +67,8 @@ def issue_claim(
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
-    Parameters
-    ----------
-    sha256 : sequence of str
-        Of each file handed in, in order.
-    pictures : mapping
-        Name -> SHA-256 of the pictures of the report, stored already.
-
-    Raises
-    ------
-    Problem
-        "internal", if the reply names an asset that the tenant or the log does not have.
+    `sha256` is of each file handed in, in order; `pictures` names those of the report, stored already, by SHA-256.
+    "internal" where the reply names an asset that the tenant or the log does not have.
     """
     alone(connection)
     query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)

@@ -31,15 +31,7 @@ CAPTIONS = {
 def report_html(
     document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None = None
 ) -> str:
-    """One self-contained HTML page.
-
-    Parameters
-    ----------
-    pictures : mapping
-        Name -> PNG bytes, as `document["pictures"]` names them.
-    timestamp : bytes, optional
-        RFC 3161 reply about the JWS.
-    """
+    """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
     words = document_words(document)
     return _template().render(
         claim=document,

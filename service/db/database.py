@@ -26,15 +26,10 @@ POSTGRES_CONNECT = {
 
 
 class Database:
-    """Connections to our tables.
+    """Connections to our tables, at a SQLAlchemy URL.
 
     On SQLite: WAL, synchronous FULL, and every write begins IMMEDIATE, so that there is one writer at a time and
     no deadlock between readers that want to write.
-
-    Parameters
-    ----------
-    url : str
-        SQLAlchemy URL.
     """
 
     def __init__(self, url: str) -> None:

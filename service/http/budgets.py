@@ -11,13 +11,7 @@ from service.problems import Problem
 
 
 def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None:
-    """Count one use.
-
-    Raises
-    ------
-    Problem
-        budget-exceeded with Retry-After, once `limit` uses fell into the present window.
-    """
+    """Count one use; budget-exceeded with Retry-After, once `limit` uses fell into the present window."""
     window, left = _window(hours)
     insert = (sqlite.insert if db.is_sqlite else postgresql.insert)(usage)
     statement = insert.values(subject=subject, window=window, count=1).on_conflict_do_update(

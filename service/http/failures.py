@@ -15,20 +15,8 @@ from service.problems import KINDS, MEDIA_TYPE, Problem
 
 log = logging.getLogger("mark3dgs.http")
 
-_BY_STATUS = {
-    400: "malformed-request",
-    401: "unauthorized",
-    403: "forbidden",
-    404: "not-found",
-    405: "method-not-allowed",
-    411: "length-required",
-    413: "too-large",
-    415: "unsupported-media-type",
-    416: "range-not-satisfiable",
-    422: "invalid-request",
-    429: "budget-exceeded",
-    503: "unavailable",
-}
+_BY_STATUS = {status: kind for kind, (status, _) in reversed(KINDS.items())}
+"""The first kind of each status: what the framework's own errors mean."""
 
 
 def answer(problem: Problem, request: Request) -> Response:
@@ -101,3 +89,8 @@ def responses(*kinds: str) -> dict[int | str, dict[str, Any]]:
         status: {"description": "; ".join(titles), "content": {MEDIA_TYPE: {"schema": schema}}}
         for status, titles in sorted(found.items())
     }
+
+
+OF_LIST = responses("unauthorized", "forbidden", "invalid-request")
+OF_OWN = responses("unauthorized", "forbidden", "not-found")
+"""Of a list, and of one thing of the caller's."""

@@ -21,10 +21,7 @@ KEPT_HOURS = 24.0
 def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str | None:
     """Job of the first request with this key, or None for the first itself.
 
-    Raises
-    ------
-    Problem
-        idempotency-mismatch for another body, request-in-flight while the first is still being answered.
+    idempotency-mismatch for another body, request-in-flight while the first is still being answered.
     """
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
     mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)

@@ -78,21 +78,11 @@ class Children:
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
     ) -> dict[str, Any]:
-        """Do a task and return its reply. Secrets may be in the request: it goes through a pipe.
+        """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
-        Parameters
-        ----------
-        folder : Path
-            For the files that the task makes.
-        go_on : callable
-            Told stage and fraction about three times a second, changed or not; False ends the task with `Cancelled`.
-
-        Raises
-        ------
-        Stopped
-            By `stop`.
-        Problem
-            The one that the task replied, or engine-limit where the process died.
+        `go_on` is told stage and fraction about three times a second, changed or not; False ends the task with
+        `Cancelled`. Raises `Stopped` after `stop`, and the `Problem` that the task replied, or engine-limit where the
+        process died.
         """
         limits = asdict(self._limits)
         envelope = {"task": task, "request": request, "folder": str(folder), "limits": limits}

@@ -28,17 +28,10 @@ _log = logging.getLogger(__name__)
 
 
 class Worker:
-    """One worker process.
+    """One worker process; with `die_with_parent` it ends when standard input does. `command` starts a task's process.
 
-    Parameters
-    ----------
-    name : str, optional
-        Letters, digits, dots and dashes. A worker that comes back under its name takes up its jobs at once; at most
-        one process may use a name. Without one, a fresh name is made.
-    die_with_parent : bool
-        Shut down when standard input ends.
-    command : sequence of str
-        Starts the process of a task.
+    A worker that comes back under its `name` (letters, digits, dots and dashes) takes up its jobs at once; at most one
+    process may use a name. Without one, a fresh name is made.
     """
 
     def __init__(

@@ -23,10 +23,7 @@ _CHUNK = 1 << 20
 def inspect(service: Service, row: Any) -> Any:
     """The row with what the file is. What takes too long to say is left to the job.
 
-    Raises
-    ------
-    Problem
-        unreadable-model and the like: the upload is dropped.
+    Where it is unreadable-model and the like, the upload is dropped.
     """
     with task_folder(service.settings) as folder:
         path = service.blobs.local(row.sha256, folder)
@@ -54,11 +51,7 @@ def gather(
 ) -> list[Any]:
     """Rows of the complete uploads that a request names, and of those that its files become.
 
-    Raises
-    ------
-    Problem
-        not-found, conflict where an upload is not complete, or unreadable-... where it is no model, picture or cameras
-        as `kind` says.
+    conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
     rows = [_whole(service, tenant, upload_id) for upload_id in upload_ids]
     rows += [_take(service, tenant, file) for file in files]

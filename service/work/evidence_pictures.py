@@ -34,15 +34,7 @@ _LEGEND = 40
 def draw_evidence(
     folder: Path, opened: OpenedRecord, found: Verification, model: GaussianModel | None, picture: Float32 | None
 ) -> dict[str, str]:
-    """Draw `suspect`, `reference` and `heatmap`; names of their files in the folder.
-
-    Parameters
-    ----------
-    found : Verification
-        Of this record.
-    model, picture : GaussianModel, (H, W, 3) float32
-        The suspect: one of the two.
-    """
+    """Draw `suspect` (the model, or the (H, W, 3) picture), `reference` and `heatmap`; names of their files."""
     reference = opened.reference
     camera = choose_view(reference, *SIZE)
     view = prepare_view(reference, camera)
@@ -73,15 +65,10 @@ def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> 
 
 
 def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Bool]:
-    """How much each cell of the asset speaks for the mark.
+    """How much each cell of the asset speaks for the mark: for each of N Gaussians, by its cell, `(z, seen)`.
 
-    Returns
-    -------
-    z : (N,) float64
-        For each Gaussian its cell's share of the claim's statistic in standard deviations: around 0 +- 1 where
-        there is no mark.
-    seen : (N,) bool
-        Whether the suspect says anything about that cell; not where the mark leaves a Gaussian as it was (`masses`).
+    `z`, (N,) float64, is the cell's share of the claim's statistic in standard deviations, around 0 +- 1 where there is
+    no mark; `seen`, (N,) bool, whether the suspect says anything about it (never where a Gaussian is unmarked).
     """
     layout, evidence = opened.layout, found.evidence
     signs = opened.spreading.chips * opened.message[opened.spreading.bit_of]

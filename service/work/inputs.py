@@ -28,13 +28,7 @@ def load_model(request: Mapping[str, Any]) -> LoadedModel:
 
 
 def load_pictures(paths: Sequence[str]) -> list[Float32]:
-    """1 to MOST_PICTURES pictures, each (H, W, 3) float32.
-
-    Raises
-    ------
-    Problem
-        "unreadable-image" naming the picture by its number, or "invalid-request" for their number.
-    """
+    """1 to MOST_PICTURES pictures, each (H, W, 3) float32; "unreadable-image" names the picture by its number."""
     if not 1 <= len(paths) <= MOST_PICTURES:
         raise Problem("invalid-request", f"1 to {MOST_PICTURES} pictures go together, got {len(paths)}")
     with warnings.catch_warnings():
@@ -49,13 +43,7 @@ def load_pictures(paths: Sequence[str]) -> list[Float32]:
 
 
 def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] | None:
-    """The cameras of a request, if it names any.
-
-    Parameters
-    ----------
-    count : int, optional
-        How many there must be: one for each picture.
-    """
+    """The cameras of a request, if it names any; where there are `count` pictures, one for each."""
     if path is None:
         return None
     try:
