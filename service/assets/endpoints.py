@@ -7,7 +7,7 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.core import Service
-from service.db.pages import own, page
+from service.db import own, page
 from service.db.schema import assets, conversions
 from service.http.access import After, Core, Limit, Reader
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob

@@ -182,11 +182,7 @@ def build_document(
             "format": subject["format"] or "pictures",
             "gaussians": subject["gaussians"],
         },
-        "asset": None,
-        "original": None,
-        "record_id": None,
-        "copy": None,
-        "registered_at": None,
+        **dict.fromkeys(("asset", "original", "record_id", "copy", "registered_at")),
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
         "pictures": dict(pictures),
@@ -208,17 +204,8 @@ def build_document(
     return ClaimDocument.model_validate(plain).model_dump(by_alias=True, exclude={"audit"})
 
 
-_SAME = (
-    "verdict",
-    "confidence",
-    "log10_false_claim",
-    "meets_dishonest_claimant_rate",
-    "derived_fraction",
-    "derived_but_unmarked",
-    "transform",
-    "missing",
-    "notes",
-)
+_BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate")
+_SAME = (*_BOUND, "derived_fraction", "derived_but_unmarked", "transform", "missing", "notes")
 _MESSAGE = {
     "hex": "message",
     "bits": "bits",

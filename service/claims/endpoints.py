@@ -8,7 +8,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
-from service.db.pages import own, page
+from service.db import own, page
 from service.db.schema import claims
 from service.http.access import After, Core, Limit, Reader
 from service.http.failures import OF_LIST, OF_OWN, responses

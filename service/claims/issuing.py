@@ -36,15 +36,10 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any
 
     Returns the job's result.
     """
+    files = [job.request["model"]] if job.request["model"] else list(job.request["images"])
     with service.db.write() as connection:
         claim = issue_claim(
-            connection,
-            service.master,
-            tenant=job.tenant,
-            job=job.id,
-            reply=reply,
-            pictures=reply["kept"],
-            sha256=[job.request["model"]] if job.request["model"] else list(job.request["images"]),
+            connection, service.master, tenant=job.tenant, job=job.id, reply=reply, pictures=reply["kept"], sha256=files
         )
     result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
         name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
@@ -89,18 +84,9 @@ def issue_claim(
     document["audit"] = commit_claim(connection, tenant, document, registration)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
-    connection.execute(
-        claims.insert().values(
-            id=claim_id,
-            tenant=tenant,
-            job=job,
-            asset=document["asset"],
-            document=payload.decode(),
-            jws=jws,
-            pictures=canonical(dict(pictures)).decode(),
-            created_at=created_at,
-        )
-    )
+    values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
+    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(pictures)).decode()}
+    connection.execute(claims.insert().values(values))
     return IssuedClaim(claim_id, json.loads(payload), jws)
 
 

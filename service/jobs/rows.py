@@ -9,8 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from service.clock import now
-from service.db import Database
-from service.db.pages import page
+from service.db import Database, page
 from service.db.schema import jobs
 from service.jobs.port import FINAL, Job, State
 

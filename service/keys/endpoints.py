@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
-from service.db import schema
-from service.db.pages import page
+from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
 from service.http.failures import OF_LIST, responses

@@ -11,8 +11,7 @@ from service.http.failures import OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.receiving import receive
-from service.uploads.taking import inspect
+from service.uploads.taking import inspect, receive
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}

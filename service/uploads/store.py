@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from engine.formats.pictures import starts_like_picture
 from service.clock import now
 from service.core import Service
-from service.db.pages import own
+from service.db import own
 from service.db.schema import uploads
 from service.problems import Problem
 
