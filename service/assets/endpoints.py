@@ -13,7 +13,7 @@ from service.http.access import After, Core, Limit, Reader
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
-from service.jobs.once import run_once, task_folder
+from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])

@@ -50,8 +50,7 @@ class Worker:
         self._settings, self._jobs, self._die_with_parent = settings, jobs, die_with_parent
         self._stopping = threading.Event()
         self._idle: set[str] = set()
-        limits = Limits(settings.child_memory_bytes, settings.child_cpu_seconds, settings.child_file_bytes)
-        self._children = Children(limits, command)
+        self._children = Children(Limits.of(settings), command)
         scratch = _scratch(settings, self.name)
         self._runner = Runner(jobs, flows, self._children, scratch, self.name, self._stopping)
 

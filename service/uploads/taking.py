@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 
 from service.blobs import digest_of
 from service.core import Service
-from service.jobs.once import run_once, task_folder
+from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 from service.uploads import store
 
