@@ -51,9 +51,8 @@ def _one_range(text: str, size: int) -> tuple[int, int] | None:
     first = int(found[1]) if found[1] else max(0, size - int(found[2]))
     last = min(int(found[2]), size - 1) if found[1] and found[2] else size - 1
     if first >= size:
-        raise Problem(
-            "range-not-satisfiable", f"{text!r} of {size} bytes", headers={"Content-Range": f"bytes */{size}"}
-        )
+        headers = {"Content-Range": f"bytes */{size}"}
+        raise Problem("range-not-satisfiable", f"{text!r} of {size} bytes", headers=headers)
     return (first, last) if first <= last else None
 
 

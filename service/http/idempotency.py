@@ -36,11 +36,8 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
         if row.job is not None:
             return str(row.job)
         if row.created_at > ago(IN_FLIGHT_HOURS):
-            raise Problem(
-                "request-in-flight",
-                f"the first request with Idempotency-Key {key!r} is not answered yet",
-                headers={"Retry-After": "1"},
-            )
+            text = f"the first request with Idempotency-Key {key!r} is not answered yet"
+            raise Problem("request-in-flight", text, headers={"Retry-After": "1"})
         connection.execute(sa.update(idempotency).where(mine).values(created_at=now()))
         return None
 

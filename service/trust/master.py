@@ -104,9 +104,8 @@ def bind(purpose: str, *parts: str | int) -> bytes:
 
 def _expected_check(db: Database) -> str | None:
     with db.read() as connection:
-        found: str | None = connection.execute(
-            sa.select(facts.c.value).where(facts.c.name == _FACT)
-        ).scalar_one_or_none()
+        query = sa.select(facts.c.value).where(facts.c.name == _FACT)
+        found: str | None = connection.execute(query).scalar_one_or_none()
     return found
 
 

@@ -86,9 +86,8 @@ async def put_upload(
     if row.state != "open":
         raise Problem("conflict", f"upload {upload_id!r} is complete")
     if upload_offset != row.received:
-        raise Problem(
-            "conflict", f"bytes from {upload_offset} on were sent, {row.received} are here", offset=row.received
-        )
+        text = f"bytes from {upload_offset} on were sent, {row.received} are here"
+        raise Problem("conflict", text, offset=row.received)
     room = (row.size or core.settings.max_upload_bytes) - row.received
     with core.blobs.new_file() as path:
         got = await receive(request.stream(), path, room)
