@@ -9,7 +9,6 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
-from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
@@ -45,6 +44,23 @@ PROBLEM = {
 }
 
 
+class _App(FastAPI):
+    def openapi(self) -> dict[str, Any]:
+        """The document, with our own error body in place of the framework's."""
+        if self.openapi_schema is not None:
+            return self.openapi_schema
+        document = super().openapi()
+        schemas = document.setdefault("components", {}).setdefault("schemas", {})
+        for name in ("HTTPValidationError", "ValidationError"):
+            schemas.pop(name, None)
+        schemas["Problem"] = PROBLEM
+        for methods in document["paths"].values():
+            for operation in methods.values():
+                if "HTTPValidationError" in json.dumps(operation["responses"].get("422", {})):
+                    del operation["responses"]["422"]  # added by the framework where nothing can be invalid
+        return document
+
+
 def make_app(service: Service) -> FastAPI:
     """The application that serves a service."""
 
@@ -53,7 +69,7 @@ def make_app(service: Service) -> FastAPI:
         yield
         service.close()
 
-    app = FastAPI(
+    app = _App(
         title="Mark3DGS",
         version=version("mark3dgs"),
         description=DESCRIPTION,
@@ -65,7 +81,6 @@ def make_app(service: Service) -> FastAPI:
     app.state.service = service
     for router in (keys, uploads, embeds, verifications, jobs, assets, claims, health):
         app.include_router(router)
-    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)
     app.add_middleware(SafeHeaders)
@@ -80,25 +95,3 @@ def make_app(service: Service) -> FastAPI:
 
     app.mount("/static", GZipMiddleware(StaticFiles(directory=WEB), minimum_size=4096), name="static")
     return app
-
-
-def _openapi(app: FastAPI) -> dict[str, Any]:
-    """The document, with our own error body in place of the framework's."""
-    if app.openapi_schema is None:
-        document = get_openapi(
-            title=app.title,
-            version=app.version,
-            description=app.description,
-            routes=app.routes,
-            openapi_version=app.openapi_version,
-        )
-        schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for name in ("HTTPValidationError", "ValidationError"):
-            schemas.pop(name, None)
-        schemas["Problem"] = PROBLEM
-        for methods in document["paths"].values():
-            for operation in methods.values():
-                if "HTTPValidationError" in json.dumps(operation["responses"].get("422", {})):
-                    del operation["responses"]["422"]  # added by the framework where nothing can be invalid
-        app.openapi_schema = document
-    return app.openapi_schema

@@ -1,7 +1,5 @@
 """Content-addressed files: a blob's name is the SHA-256 of its bytes. A local folder by default, S3 by URL."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets
@@ -9,12 +7,11 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import obstore
+from obstore.store import LocalStore, ObjectStore, from_url
 
 from service.problems import Problem
-
-if TYPE_CHECKING:
-    from obstore.store import ObjectStore
 
 _CHUNK = 4 << 20
 
@@ -26,8 +23,6 @@ class Blobs:
     """
 
     def __init__(self, url: str, folder: Path, scratch: Path) -> None:
-        from obstore.store import LocalStore, from_url
-
         scratch.mkdir(parents=True, exist_ok=True)
         self.scratch = scratch
         self.folder = None if url else folder.absolute()
@@ -40,12 +35,11 @@ class Blobs:
     @contextmanager
     def new_file(self) -> Iterator[Path]:
         """A fresh path in the scratch folder; whatever is left there at the end is removed."""
-        path = self.scratch / f"{secrets.token_hex(16)}"
+        path = self.scratch / secrets.token_hex(16)
         try:
             yield path
         finally:
-            with suppress(FileNotFoundError):
-                path.unlink()
+            path.unlink(missing_ok=True)
 
     def put(self, path: Path, sha256: str | None = None) -> str:
         """Keep a file for good, and return its digest; the path is used up. Twice the same is once.
@@ -74,8 +68,6 @@ class Blobs:
         into.mkdir(parents=True, exist_ok=True)
         target = into / name.replace("/", "-")
         if not target.exists():
-            import obstore
-
             part = target.with_suffix(".part")
             with part.open("wb") as file:
                 for chunk in obstore.get(self.store, name).stream(min_chunk_size=_CHUNK):
@@ -85,8 +77,6 @@ class Blobs:
 
     def read(self, sha256: str) -> bytes:
         """The bytes of a small blob."""
-        import obstore
-
         try:
             return bytes(obstore.get(self.store, blob_name(sha256)).bytes())
         except FileNotFoundError:
@@ -94,8 +84,6 @@ class Blobs:
 
     def remove_part(self, name: str) -> None:
         """Forget a part of an upload."""
-        import obstore
-
         with suppress(FileNotFoundError):
             obstore.delete(self.store, name)
 
@@ -105,8 +93,6 @@ class Blobs:
 
     def _place(self, path: Path, name: str) -> None:
         if self.folder is None:
-            import obstore
-
             obstore.put(self.store, name, path)
             path.unlink()
             return

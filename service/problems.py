@@ -35,18 +35,9 @@ KINDS: dict[str, tuple[int, str]] = {
 
 
 class Problem(Exception):
-    """An error that the client is told.
+    """An error that the client is told: `kind` is a key of KINDS, `detail` what is wrong, with the offending value.
 
-    Parameters
-    ----------
-    kind : str
-        A key of KINDS.
-    detail : str
-        What is wrong, with the offending value.
-    headers : mapping, optional
-        Response headers, such as Retry-After.
-    extra
-        Further members of the problem object.
+    `headers` are of the response, such as Retry-After; `extra` are further members of the problem object.
     """
 
     def __init__(self, kind: str, detail: str, *, headers: Mapping[str, str] | None = None, **extra: Any) -> None:

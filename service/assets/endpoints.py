@@ -7,22 +7,20 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.core import Service
-from service.db.pages import own, page
+from service.db import own, page
 from service.db.schema import assets, conversions
 from service.http.access import After, Core, Limit, Reader
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
-from service.http.failures import responses
+from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
-from service.jobs.once import run_once, task_folder
+from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
+CONVERTING_SECONDS = 60.0
 Range = Annotated[str | None, Header(description="bytes=first-last")]
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
-
-
-CONVERTING_SECONDS = 60.0
 
 
 class Asset(BaseModel):
@@ -52,7 +50,7 @@ class AssetList(BaseModel):
     next: str | None
 
 
-@router.get("", operation_id="listAssets", responses=responses("unauthorized", "forbidden", "invalid-request"))
+@router.get("", operation_id="listAssets", responses=OF_LIST)
 def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> AssetList:
     """Assets of this tenant, newest first."""
     with core.db.read() as connection:
@@ -60,7 +58,7 @@ def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     return AssetList(items=[Asset.model_validate(row) for row in rows], next=following)
 
 
-@router.get("/{asset_id}", operation_id="getAsset", responses=responses("unauthorized", "forbidden", "not-found"))
+@router.get("/{asset_id}", operation_id="getAsset", responses=OF_OWN)
 def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
     """One asset."""
     return Asset.model_validate(own(core.db, assets, caller.tenant, asset_id))
@@ -82,9 +80,8 @@ def get_model(
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
     row = own(core.db, assets, caller.tenant, asset_id)
-    sha256, kind = (
-        (row.model_sha256, row.model_format) if version == "marked" else (row.original_sha256, row.original_format)
-    )
+    marked = version == "marked"
+    sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
         sha256, kind = _convert(core, sha256, wanted), wanted
     return send_blob(core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
@@ -119,9 +116,8 @@ def _convert(service: Service, sha256: str, kind: str) -> str:
         request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
         reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS)
         if reply is None:
-            raise Problem(
-                "unavailable", f"converting took over {CONVERTING_SECONDS:.0f} s", headers={"Retry-After": "60"}
-            )
+            text = f"converting took over {CONVERTING_SECONDS:.0f} s"
+            raise Problem("unavailable", text, headers={"Retry-After": "60"})
         digest = service.blobs.put(folder / reply["files"]["model"])
     with service.db.write() as connection:
         if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:

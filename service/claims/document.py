@@ -166,18 +166,9 @@ def build_document(
 ) -> dict[str, Any]:
     """The document without its member `audit`, as JSON values.
 
-    Parameters
-    ----------
-    reply : mapping
-        Of the task `verify`.
-    sha256 : sequence of str
-        Of each file handed in.
-    asset : mapping or None
-        Row of the asset that the reply names; without one, the two dates are "".
-    registered_at, original_registered_at : str
-        When the asset entered the log, and when a copy of its original was first registered.
-    pictures : mapping
-        Name -> SHA-256 of the pictures of the report.
+    Made of the `reply` of the task `verify`, the `sha256` of each file handed in, and those of the report's `pictures`
+    by name. `asset` is the row of the asset that the reply names, if it names one; the two dates say when it entered
+    the log, and when a copy of its original was first registered.
     """
     claim, subject = reply["claim"], reply["subject"]
     plain: dict[str, Any] = {
@@ -191,11 +182,7 @@ def build_document(
             "format": subject["format"] or "pictures",
             "gaussians": subject["gaussians"],
         },
-        "asset": None,
-        "original": None,
-        "record_id": None,
-        "copy": None,
-        "registered_at": None,
+        **dict.fromkeys(("asset", "original", "record_id", "copy", "registered_at")),
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
         "pictures": dict(pictures),
@@ -217,17 +204,8 @@ def build_document(
     return ClaimDocument.model_validate(plain).model_dump(by_alias=True, exclude={"audit"})
 
 
-_SAME = (
-    "verdict",
-    "confidence",
-    "log10_false_claim",
-    "meets_dishonest_claimant_rate",
-    "derived_fraction",
-    "derived_but_unmarked",
-    "transform",
-    "missing",
-    "notes",
-)
+_BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate")
+_SAME = (*_BOUND, "derived_fraction", "derived_but_unmarked", "transform", "missing", "notes")
 _MESSAGE = {
     "hex": "message",
     "bits": "bits",

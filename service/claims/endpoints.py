@@ -8,10 +8,10 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
-from service.db.pages import own, page
+from service.db import own, page
 from service.db.schema import claims
 from service.http.access import After, Core, Limit, Reader
-from service.http.failures import responses
+from service.http.failures import OF_LIST, OF_OWN, responses
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
@@ -86,9 +86,7 @@ class KeySet(BaseModel):
     keys: list[dict[str, Any]]
 
 
-@router.get(
-    "/v1/claims", operation_id="listClaims", responses=responses("unauthorized", "forbidden", "invalid-request")
-)
+@router.get("/v1/claims", operation_id="listClaims", responses=OF_LIST)
 def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> ClaimList:
     """Claims of this tenant, newest first."""
     with core.db.read() as connection:
@@ -100,22 +98,16 @@ def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     "/v1/claims/{claim_id}.jws",
     operation_id="getClaimJws",
     response_class=Response,
-    responses={
-        200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"},
-        **responses("unauthorized", "forbidden", "not-found"),
-    },
+    responses={200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"}, **OF_OWN},
 )
 def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
     """The signed claim alone: hand it to whoever must be convinced."""
     row = own(core.db, claims, caller.tenant, claim_id)
-    return Response(
-        row.jws, media_type=JWS_TYPE, headers={"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
-    )
+    headers = {"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
+    return Response(row.jws, media_type=JWS_TYPE, headers=headers)
 
 
-@router.get(
-    "/v1/claims/{claim_id}", operation_id="getClaim", responses=responses("unauthorized", "forbidden", "not-found")
-)
+@router.get("/v1/claims/{claim_id}", operation_id="getClaim", responses=OF_OWN)
 def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     """A claim."""
     row = own(core.db, claims, caller.tenant, claim_id)
@@ -130,7 +122,7 @@ def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
-        **responses("unauthorized", "forbidden", "not-found"),
+        **OF_OWN,
     },
 )
 def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
@@ -152,12 +144,6 @@ def key_set(core: Core, response: Response) -> KeySet:
 def _summary(row: Any) -> ClaimSummary:
     document = json.loads(row.document)
     words = document_words(document)
-    return ClaimSummary(
-        id=row.id,
-        asset_id=row.asset,
-        verdict=document["verdict"],
-        headline=words.headline,
-        finding=words.finding,
-        log10_false_claim=document["log10_false_claim"],
-        created_at=row.created_at,
-    )
+    said = {"headline": words.headline, "finding": words.finding}
+    told = {name: document[name] for name in ("verdict", "log10_false_claim")}
+    return ClaimSummary(id=row.id, asset_id=row.asset, created_at=row.created_at, **said, **told)

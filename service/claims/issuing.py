@@ -36,15 +36,10 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any
 
     Returns the job's result.
     """
+    files = [job.request["model"]] if job.request["model"] else list(job.request["images"])
     with service.db.write() as connection:
         claim = issue_claim(
-            connection,
-            service.master,
-            tenant=job.tenant,
-            job=job.id,
-            reply=reply,
-            pictures=reply["kept"],
-            sha256=[job.request["model"]] if job.request["model"] else list(job.request["images"]),
+            connection, service.master, tenant=job.tenant, job=job.id, reply=reply, pictures=reply["kept"], sha256=files
         )
     result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
         name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
@@ -67,17 +62,8 @@ def issue_claim(
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
-    Parameters
-    ----------
-    sha256 : sequence of str
-        Of each file handed in, in order.
-    pictures : mapping
-        Name -> SHA-256 of the pictures of the report, stored already.
-
-    Raises
-    ------
-    Problem
-        "internal", if the reply names an asset that the tenant or the log does not have.
+    `sha256` is of each file handed in, in order; `pictures` names those of the report, stored already, by SHA-256.
+    "internal" where the reply names an asset that the tenant or the log does not have.
     """
     alone(connection)
     query = sa.select(claims.c.id, claims.c.document, claims.c.jws).where(claims.c.job == job)
@@ -98,18 +84,9 @@ def issue_claim(
     document["audit"] = commit_claim(connection, tenant, document, registration)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
-    connection.execute(
-        claims.insert().values(
-            id=claim_id,
-            tenant=tenant,
-            job=job,
-            asset=document["asset"],
-            document=payload.decode(),
-            jws=jws,
-            pictures=canonical(dict(pictures)).decode(),
-            created_at=created_at,
-        )
-    )
+    values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
+    values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(pictures)).decode()}
+    connection.execute(claims.insert().values(values))
     return IssuedClaim(claim_id, json.loads(payload), jws)
 
 

@@ -63,15 +63,8 @@ class Findings:
 
 
 def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequence[x509.Certificate] = ()) -> Findings:
-    """Check a signed claim, a claim as JSON, or a report.
-
-    Parameters
-    ----------
-    jwks : mapping
-        The keys that are trusted to sign claims.
-    tsa_certificates : sequence of Certificate
-        Who is trusted to vouch for a time-stamping service.
-    """
+    """Check a signed claim, a claim as JSON, or a report, by the keys that are trusted to sign claims, and the
+    certificates that are trusted to vouch for a time-stamping service."""
     checks: list[Check] = []
 
     def say(code: str, fault: str, good: str) -> bool:

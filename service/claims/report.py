@@ -3,7 +3,7 @@
 import base64
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
@@ -14,8 +14,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from engine.watermark.checks import named
 from engine.watermark.wording import ROUTES, TYPOGRAPHIC, when
 from service.claims.document import document_words
-from service.claims.drawing import bit_lines, bound_scale
 from service.trust.timestamps import TimestampFault, stamped_at
+
+BITS_PER_LINE = 32
+_LEFT, _CELL = 84, 20
+_AXIS_LEFT, _AXIS_RIGHT, _AXIS_POWERS = 8, 700, 60
+"""Where things stand in the two drawings, whose template is 724 wide."""
 
 SIGNS = {True: ("pass", "✓"), False: ("fail", "✕"), None: ("open", "–")}
 CAPTIONS = {
@@ -31,15 +35,7 @@ CAPTIONS = {
 def report_html(
     document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None = None
 ) -> str:
-    """One self-contained HTML page.
-
-    Parameters
-    ----------
-    pictures : mapping
-        Name -> PNG bytes, as `document["pictures"]` names them.
-    timestamp : bytes, optional
-        RFC 3161 reply about the JWS.
-    """
+    """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
     words = document_words(document)
     return _template().render(
         claim=document,
@@ -47,8 +43,8 @@ def report_html(
         facts=[fact for fact in words.facts if fact.leading],
         odds=TYPOGRAPHIC.odds(document["log10_false_claim"]),
         message=document["message"],
-        bits=bit_lines(document["message"]) if document["message"] else None,
-        scale=bound_scale(document["log10_false_claim"], words.limits),
+        bits=_bit_lines(document["message"]) if document["message"] else None,
+        scale=_bound_scale(document["log10_false_claim"], words.limits),
         pictures=[
             (name, CAPTIONS.get(name, name), base64.b64encode(pictures[name]).decode())
             for name in (*CAPTIONS, *sorted(set(pictures) - set(CAPTIONS)))
@@ -80,6 +76,38 @@ def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) ->
             stamped = stamped_at(timestamp, jws)
             events.append((stamped, "Stamped by a time-stamping service", "RFC 3161, in this page"))
     return [(when(at), what, proof) for at, what, proof in events]
+
+
+def _bit_lines(message: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
+    """The bits of a claim's message in lines, most significant first: place, both values, 0 (a coin) to 1 (certain)."""
+    registered, read = (_bits(message[name], message["bits"]) for name in ("registered", "hex"))
+    places = [_LEFT + _CELL * (k % BITS_PER_LINE) for k in range(message["bits"])]
+    bits = [
+        {"number": k, "x": places[k], "registered": registered[k], "read": read[k], "sure": max(0.0, 2.0 * sure - 1.0)}
+        for k, sure in enumerate(message["reliability"])
+    ]
+    return [bits[k : k + BITS_PER_LINE] for k in range(0, len(bits), BITS_PER_LINE)]
+
+
+def _bits(text: str, count: int) -> list[int]:
+    number = bin(int(text, 16))[2:].zfill(4 * len(text)) if text else ""
+    return [int(digit) for digit in number[:count]]
+
+
+def _bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> dict[str, Any]:
+    """The false-claim bound, and what it is held against, on an axis from 1 (left) down to 10^-60 (right)."""
+    return {
+        "left": _AXIS_LEFT,
+        "right": _AXIS_RIGHT,
+        "ticks": [(_place(power), power) for power in range(0, _AXIS_POWERS + 1, 10)],
+        "bar": _place(-log10_bound),
+        "beyond": -log10_bound > _AXIS_POWERS,
+        "limits": [(_place(-log10), text) for log10, text in limits],
+    }
+
+
+def _place(powers: float) -> float:
+    return round(_AXIS_LEFT + (_AXIS_RIGHT - _AXIS_LEFT) * min(powers / _AXIS_POWERS, 1.0), 1)
 
 
 def _pretty(document: Mapping[str, Any]) -> str:

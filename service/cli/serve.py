@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -146,7 +145,7 @@ class Crew:
         """End all; a running job goes on with the next start."""
         self._stopping.set()
         for process in self._running.values():
-            process.send_signal(signal.SIGTERM)
+            process.terminate()
         for process in self._running.values():
             try:
                 process.wait(10)

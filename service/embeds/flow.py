@@ -76,12 +76,8 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     report = made["report"]
     result = {
         "asset_id": row["id"],
-        "record_id": row["record_id"],
-        "message": row["message"],
-        "psnr_worst_view": report["psnr_worst_view"],
-        "ssim_worst_view": report["ssim_worst_view"],
-        "gaussians": row["gaussians"],
-        "seconds": report["seconds"],
+        **{name: row[name] for name in ("record_id", "message", "gaussians")},
+        **{name: report[name] for name in ("psnr_worst_view", "ssim_worst_view", "seconds")},
         "already_carries": [found["asset"] for found in made["screening"]["carries"]],
     }
     return {"state": State.SUCCEEDED.value, "result": result}
@@ -96,17 +92,12 @@ def _row(job: Job, made: dict[str, Any]) -> dict[str, Any]:
         "owner_key": asked["key_id"],
         "label": asked["label"],
         "copy": asked["copy_name"],
-        "record_id": made["record_id"],
-        "message": made["message"],
+        **{name: made[name] for name in ("record_id", "message", "original_format")},
         "profile": asked["profile"],
         "report": json.dumps(made["report"]),
         "gaussians": made["report"]["gaussians_out"],
         "original_sha256": asked["model"],
-        "original_format": made["original_format"],
-        "model_sha256": kept["model"],
         "model_format": made["format"],
-        "record_sha256": kept["record"],
-        "preview_sha256": kept["preview"],
-        "sketch_sha256": kept["sketch"],
+        **{f"{name}_sha256": kept[name] for name in ("model", "record", "preview", "sketch")},
         "registered_at": job.created_at[:19] + "+00:00",
     }

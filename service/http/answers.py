@@ -71,16 +71,10 @@ def submit(
     body: Mapping[str, Any],
     make: Callable[[], Mapping[str, Any]],
 ) -> Job:
-    """Take a job on, once for each Idempotency-Key.
+    """Take a job on, once for each Idempotency-Key (`key`).
 
-    Parameters
-    ----------
-    key : str or None
-        The Idempotency-Key.
-    body : mapping
-        The request with digests in place of files: what that key stands for.
-    make : callable
-        Checks the request, spends budgets, and returns what the job is asked.
+    What that stands for is `body`: the request with digests in place of files. `make` checks the request, spends
+    budgets, and returns what the job is asked.
     """
 
     def take_on() -> Job:
@@ -108,10 +102,7 @@ def submit(
 async def respond(service: Service, job: Job, prefer: str | None) -> Response:
     """202 and where to look; 200 once the job has ended within the time that the client prefers to wait.
 
-    Raises
-    ------
-    Problem
-        What the job failed with, where that is the client's to mend.
+    What the job failed with is raised, where that is the client's to mend.
     """
     seconds = wait_seconds(prefer)
     if seconds:

@@ -11,13 +11,7 @@ from service.problems import Problem
 
 
 def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None:
-    """Count one use.
-
-    Raises
-    ------
-    Problem
-        budget-exceeded with Retry-After, once `limit` uses fell into the present window.
-    """
+    """Count one use; budget-exceeded with Retry-After, once `limit` uses fell into the present window."""
     window, left = _window(hours)
     insert = (sqlite.insert if db.is_sqlite else postgresql.insert)(usage)
     statement = insert.values(subject=subject, window=window, count=1).on_conflict_do_update(
@@ -25,9 +19,8 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
     )
     with db.write() as connection:
         if connection.execute(statement).rowcount == 0:
-            raise Problem(
-                "budget-exceeded", f"{what}: at most {limit} in {hours} h", headers={"Retry-After": str(left)}
-            )
+            text = f"{what}: at most {limit} in {hours} h"
+            raise Problem("budget-exceeded", text, headers={"Retry-After": str(left)})
 
 
 def forget(db: Database) -> None:
@@ -42,6 +35,5 @@ def _window(hours: int) -> tuple[str, int]:
     moment = datetime.now(UTC)
     began = moment.replace(minute=0, second=0, microsecond=0)
     began -= timedelta(hours=began.hour % hours)
-    return f"{began.isoformat(timespec='hours')}/{hours}", int(
-        (began + timedelta(hours=hours) - moment).total_seconds()
-    ) + 1
+    left = began + timedelta(hours=hours) - moment
+    return f"{began.isoformat(timespec='hours')}/{hours}", int(left.total_seconds()) + 1

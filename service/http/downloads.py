@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import obstore
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 
@@ -18,8 +19,6 @@ _CHUNK = 4 << 20
 
 def send_blob(service: Service, sha256: str, name: str, media_type: str, part: str | None) -> Response:
     """A blob under a file name, or the part of it that `Range` asks for; its digest is its ETag."""
-    import obstore
-
     store, key = service.blobs.store, blob_name(sha256)
     try:
         size = int(obstore.head(store, key)["size"])
@@ -52,9 +51,8 @@ def _one_range(text: str, size: int) -> tuple[int, int] | None:
     first = int(found[1]) if found[1] else max(0, size - int(found[2]))
     last = min(int(found[2]), size - 1) if found[1] and found[2] else size - 1
     if first >= size:
-        raise Problem(
-            "range-not-satisfiable", f"{text!r} of {size} bytes", headers={"Content-Range": f"bytes */{size}"}
-        )
+        headers = {"Content-Range": f"bytes */{size}"}
+        raise Problem("range-not-satisfiable", f"{text!r} of {size} bytes", headers=headers)
     return (first, last) if first <= last else None
 
 

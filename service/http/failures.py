@@ -15,20 +15,8 @@ from service.problems import KINDS, MEDIA_TYPE, Problem
 
 log = logging.getLogger("mark3dgs.http")
 
-_BY_STATUS = {
-    400: "malformed-request",
-    401: "unauthorized",
-    403: "forbidden",
-    404: "not-found",
-    405: "method-not-allowed",
-    411: "length-required",
-    413: "too-large",
-    415: "unsupported-media-type",
-    416: "range-not-satisfiable",
-    422: "invalid-request",
-    429: "budget-exceeded",
-    503: "unavailable",
-}
+_BY_STATUS = {status: kind for kind, (status, _) in reversed(KINDS.items())}
+"""The first kind of each status: what the framework's own errors mean."""
 
 
 def answer(problem: Problem, request: Request) -> Response:
@@ -43,33 +31,29 @@ def answer(problem: Problem, request: Request) -> Response:
 def install(app: FastAPI) -> None:
     """Hand every kind of error to `answer`."""
 
-    def on_problem(request: Request, error: Exception) -> Response:
-        assert isinstance(error, Problem)
+    @app.exception_handler(Problem)
+    def on_problem(request: Request, error: Problem) -> Response:
         return answer(error, request)
 
-    def on_http(request: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
+    @app.exception_handler(HTTPException)
+    def on_http(request: Request, error: HTTPException) -> Response:
         kind = _BY_STATUS.get(error.status_code, "internal" if error.status_code >= 500 else "malformed-request")
         headers = dict(error.headers or {})
         if error.status_code == 405:
             headers["Allow"] = ", ".join(sorted(_methods(app, request)))
         return answer(Problem(kind, str(error.detail), headers=headers), request)
 
-    def on_invalid(request: Request, error: Exception) -> Response:
-        assert isinstance(error, RequestValidationError)
+    @app.exception_handler(RequestValidationError)
+    def on_invalid(request: Request, error: RequestValidationError) -> Response:
         return answer(invalid(list(error.errors())), request)
 
+    @app.exception_handler(OSError)
+    @app.exception_handler(Exception)
     def on_bug(request: Request, error: Exception) -> Response:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return answer(Problem("storage-full", "the disk is full; nothing was kept of this request"), request)
         log.exception("request %s failed", request.scope.get("request_id"), exc_info=error)
         return answer(Problem("internal", "the fault is ours; the request id names it in our log"), request)
-
-    app.add_exception_handler(Problem, on_problem)
-    app.add_exception_handler(HTTPException, on_http)
-    app.add_exception_handler(RequestValidationError, on_invalid)
-    app.add_exception_handler(OSError, on_bug)
-    app.add_exception_handler(Exception, on_bug)
 
 
 def _methods(app: FastAPI, request: Request) -> set[str]:
@@ -101,3 +85,8 @@ def responses(*kinds: str) -> dict[int | str, dict[str, Any]]:
         status: {"description": "; ".join(titles), "content": {MEDIA_TYPE: {"schema": schema}}}
         for status, titles in sorted(found.items())
     }
+
+
+OF_LIST = responses("unauthorized", "forbidden", "invalid-request")
+OF_OWN = responses("unauthorized", "forbidden", "not-found")
+"""Of a list, and of one thing of the caller's."""

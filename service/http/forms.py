@@ -29,13 +29,7 @@ FROM_JSON = BeforeValidator(lambda text: json.loads(text) if text else None)
 
 
 async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tuple[T, Files]:
-    """The request as a model, and the files that came with it, of the fields that may hold `files`.
-
-    Raises
-    ------
-    Problem
-        unsupported-media-type, malformed-request or invalid-request.
-    """
+    """The request as a model, and the files that came with it, of the fields that may hold `files`."""
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
     found: Files = {}
     if media == "application/json":
@@ -71,17 +65,10 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
 def form_schema(
     kind: type[BaseModel], files: dict[str, tuple[str, bool]], without: Sequence[str], required: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """OpenAPI `requestBody` for `read_form`.
+    """OpenAPI `requestBody` for `read_form`; `files`: field -> (description, several files?).
 
-    Parameters
-    ----------
-    files : dict
-        Field -> (description, several files?).
-    without : sequence of str
-        Properties that a form does not need, since the files stand for them.
-    required : sequence of str
-        Fields that a form must have. Which of them go together is said for JSON only: generators of forms and of
-        clients cope badly with combined schemas of files.
+    A form needs no properties `without`, since the files stand for them, and must have the fields `required`. Which of
+    them go together is said for JSON only: generators of forms and of clients cope badly with combined schemas.
     """
     schema = kind.model_json_schema()
     binary = {"type": "string", "format": "binary"}

@@ -21,10 +21,7 @@ KEPT_HOURS = 24.0
 def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str | None:
     """Job of the first request with this key, or None for the first itself.
 
-    Raises
-    ------
-    Problem
-        idempotency-mismatch for another body, request-in-flight while the first is still being answered.
+    idempotency-mismatch for another body, request-in-flight while the first is still being answered.
     """
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
     mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
@@ -39,11 +36,8 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
         if row.job is not None:
             return str(row.job)
         if row.created_at > ago(IN_FLIGHT_HOURS):
-            raise Problem(
-                "request-in-flight",
-                f"the first request with Idempotency-Key {key!r} is not answered yet",
-                headers={"Retry-After": "1"},
-            )
+            text = f"the first request with Idempotency-Key {key!r} is not answered yet"
+            raise Problem("request-in-flight", text, headers={"Retry-After": "1"})
         connection.execute(sa.update(idempotency).where(mine).values(created_at=now()))
         return None
 

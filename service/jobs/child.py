@@ -1,27 +1,35 @@
 """Tasks of `service.work` in processes of their own, with limits; one such process stands ready."""
 
+from __future__ import annotations
+
 import json
 import logging
 import os
 import queue
+import secrets
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from service.jobs.port import Cancelled
 from service.problems import KINDS, Problem
+from service.settings import Settings
 
 COMMAND = (sys.executable, "-m", "service.work")
 
 SECONDS_BETWEEN_LOOKS = 0.35
 """How often the job's row is looked at and written while a task runs: a cancelled task dies within this time."""
+
+AT_ONCE = 2
+"""Tasks for handlers that run beside the workers' on the same cores: few at a time, the others wait."""
 
 MAX_LINE_BYTES = 64 << 20
 _GOODBYE_SECONDS = 5.0
@@ -30,6 +38,7 @@ _GOODBYE_SECONDS = 5.0
 _ENVIRONMENT = {"HOME", "LANG", "LD_LIBRARY_PATH", "MPLCONFIGDIR", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV"}
 _PREFIXES = ("CUDA_", "KMP_", "LC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TORCH", "XDG_")
 
+_turn = threading.BoundedSemaphore(AT_ONCE)
 _log = logging.getLogger(__name__)
 
 
@@ -40,6 +49,11 @@ class Limits:
     memory_bytes: int  # of address space
     cpu_seconds: int  # of all its threads
     file_bytes: int  # of its largest file
+
+    @classmethod
+    def of(cls, settings: Settings) -> Limits:
+        """What the operator allows."""
+        return cls(settings.child_memory_bytes, settings.child_cpu_seconds, settings.child_file_bytes)
 
     @property
     def seconds(self) -> int:
@@ -78,21 +92,11 @@ class Children:
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
     ) -> dict[str, Any]:
-        """Do a task and return its reply. Secrets may be in the request: it goes through a pipe.
+        """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
-        Parameters
-        ----------
-        folder : Path
-            For the files that the task makes.
-        go_on : callable
-            Told stage and fraction about three times a second, changed or not; False ends the task with `Cancelled`.
-
-        Raises
-        ------
-        Stopped
-            By `stop`.
-        Problem
-            The one that the task replied, or engine-limit where the process died.
+        `go_on` is told stage and fraction about three times a second, changed or not; False ends the task with
+        `Cancelled`. Raises `Stopped` after `stop`, and the `Problem` that the task replied, or engine-limit where the
+        process died.
         """
         limits = asdict(self._limits)
         envelope = {"task": task, "request": request, "folder": str(folder), "limits": limits}
@@ -194,6 +198,39 @@ class Children:
             env=environment,
             start_new_session=True,  # a group of its own, killed as one
         )
+
+
+class _Single(Children):
+    def prepare(self) -> None:
+        """Nothing is kept ready: an API process stays small."""
+
+
+@contextmanager
+def task_folder(settings: Settings) -> Iterator[Path]:
+    """An empty scratch folder for one task, removed after it."""
+    folder = settings.scratch / secrets.token_hex(12)
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def run_once(
+    settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float
+) -> dict[str, Any] | None:
+    """The reply of a task, for a handler that must answer soon, or None where it took longer than `seconds`."""
+    until = time.monotonic() + seconds
+    if not _turn.acquire(timeout=seconds):
+        return None
+    try:
+        return _Single(Limits.of(settings), (*COMMAND, "--prompt")).run(
+            task, request, folder, lambda stage, fraction: time.monotonic() < until
+        )
+    except Cancelled:
+        return None
+    finally:
+        _turn.release()
 
 
 def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:

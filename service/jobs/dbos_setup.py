@@ -22,7 +22,7 @@ WORKFLOW = "job"
 SECONDS_BETWEEN_POLLS = 0.2
 
 
-def hush() -> None:
+def _hush() -> None:
     """Keep DBOS off the console: what it has to say goes to the program's log, errors only."""
     log = logging.getLogger("dbos")
     log.setLevel(logging.ERROR)
@@ -32,7 +32,7 @@ def hush() -> None:
 
 def migrate(url: str) -> None:
     """Bring the tables of the job engine up to date."""
-    hush()
+    _hush()
     from dbos import DBOS
 
     address = sa.make_url(url)
@@ -40,16 +40,16 @@ def migrate(url: str) -> None:
         connection = sqlite3.connect(str(address.database), timeout=30)
         connection.execute("PRAGMA journal_mode=WAL")  # kept in the file
         connection.close()
-    DBOS.migrate(with_limits(url))
+    DBOS.migrate(_with_limits(url))
 
 
 def client(url: str) -> DBOSClient:
     """What an API process needs: it takes jobs on and looks at them, and runs none."""
-    hush()
+    _hush()
     from dbos import DBOSClient, DBOSPortableJSONSerializer
 
     return DBOSClient(
-        system_database_url=with_limits(url),
+        system_database_url=_with_limits(url),
         serializer=DBOSPortableJSONSerializer(),
         application_name=APPLICATION,
         lazy=True,
@@ -59,12 +59,12 @@ def client(url: str) -> DBOSClient:
 
 def configuration(url: str, executor: str) -> DBOSConfig:
     """Of a worker."""
-    hush()
+    _hush()
     from dbos import DBOSPortableJSONSerializer
 
     return {
         "name": APPLICATION,
-        "system_database_url": with_limits(url),
+        "system_database_url": _with_limits(url),
         "application_version": VERSION,
         "executor_id": executor,
         "serializer": DBOSPortableJSONSerializer(),  # the default, pickle, runs what it reads
@@ -74,7 +74,7 @@ def configuration(url: str, executor: str) -> DBOSConfig:
     }
 
 
-def with_limits(url: str) -> str:
+def _with_limits(url: str) -> str:
     """The URL, on PostgreSQL with our limits of patience."""
     address = sa.make_url(url)
     if address.get_backend_name() == "sqlite":

@@ -2,15 +2,14 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from service.clock import now
-from service.db import Database
-from service.db.pages import page
+from service.db import Database, page
 from service.db.schema import jobs
 from service.jobs.port import FINAL, Job, State
 
@@ -35,19 +34,11 @@ class Rows:
 
     def add(self, job: Job) -> Job | None:
         """A new queued job, or the one that has this id; None where another tenant's has."""
-        values = {
-            "id": job.id,
-            "tenant": job.tenant,
-            "api_key": job.api_key,
-            "kind": job.kind,
-            "state": State.QUEUED.value,
-            "request": dumps(job.request),
-            "stage": "",
-            "created_at": job.created_at or now(),
-        }
+        values = {name: getattr(job, name) for name in ("id", "tenant", "api_key", "kind")}
+        values |= {"state": State.QUEUED.value, "stage": "", "created_at": job.created_at or now()}
         try:
             with self._db.write() as connection:
-                connection.execute(jobs.insert().values(values))
+                connection.execute(jobs.insert().values(**values, request=dumps(job.request)))
         except IntegrityError:
             pass  # the id is taken: the same job sent again
         return self.get(job.tenant, job.id)
@@ -96,7 +87,7 @@ class Rows:
             row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id)).first()
         if row is None or row.state != State.RUNNING or row.cancelling:
             return False
-        if attempt is not None and row.attempts != attempt:
+        if attempt not in (None, row.attempts):
             return False
         if (row.stage, row.fraction) == (stage, fraction):
             return True
@@ -150,20 +141,7 @@ def _held(job_id: str, attempt: int | None) -> sa.ColumnElement[bool]:
 
 
 def _job(row: sa.Row[Any]) -> Job:
-    return Job(
-        id=row.id,
-        tenant=row.tenant,
-        api_key=row.api_key,
-        kind=row.kind,
-        state=State(row.state),
-        request=json.loads(row.request),
-        stage=row.stage,
-        fraction=row.fraction,
-        result=None if row.result is None else json.loads(row.result),
-        problem=None if row.problem is None else json.loads(row.problem),
-        revision=row.revision,
-        cancelling=row.cancelling,
-        created_at=row.created_at,
-        started_at=row.started_at or "",
-        finished_at=row.finished_at or "",
-    )
+    plain = {each.name: getattr(row, each.name) for each in fields(Job)}
+    parsed = {name: plain[name] and json.loads(plain[name]) for name in ("request", "result", "problem")}
+    dates = {name: plain[name] or "" for name in ("started_at", "finished_at")}
+    return Job(**plain | parsed | dates | {"state": State(row.state)})

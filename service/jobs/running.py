@@ -98,7 +98,6 @@ class Runner:
 
     def _do(self, attempt: Attempt, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
         folder = self._scratch / f"{attempt.job.id}-{secrets.token_hex(4)}"
-        run = Run(attempt.job, dict(results), folder)
 
         def go_on(stage: str, fraction: float) -> bool:
             try:
@@ -118,12 +117,11 @@ class Runner:
                     _log.warning("job %s: the process of task %s was killed; once more", attempt.job.id, task)
             return self._children.run(task, request, folder, go_on)
 
-        run.work = work
         folder.mkdir(parents=True)
         try:
             if not go_on(step.name, 0.0):
                 raise Cancelled
-            return step.do(run)
+            return step.do(Run(attempt.job, dict(results), folder, work))
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 

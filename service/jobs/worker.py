@@ -28,17 +28,10 @@ _log = logging.getLogger(__name__)
 
 
 class Worker:
-    """One worker process.
+    """One worker process; with `die_with_parent` it ends when standard input does. `command` starts a task's process.
 
-    Parameters
-    ----------
-    name : str, optional
-        Letters, digits, dots and dashes. A worker that comes back under its name takes up its jobs at once; at most
-        one process may use a name. Without one, a fresh name is made.
-    die_with_parent : bool
-        Shut down when standard input ends.
-    command : sequence of str
-        Starts the process of a task.
+    A worker that comes back under its `name` (letters, digits, dots and dashes) takes up its jobs at once; at most one
+    process may use a name. Without one, a fresh name is made.
     """
 
     def __init__(
@@ -57,8 +50,7 @@ class Worker:
         self._settings, self._jobs, self._die_with_parent = settings, jobs, die_with_parent
         self._stopping = threading.Event()
         self._idle: set[str] = set()
-        limits = Limits(settings.child_memory_bytes, settings.child_cpu_seconds, settings.child_file_bytes)
-        self._children = Children(limits, command)
+        self._children = Children(Limits.of(settings), command)
         scratch = _scratch(settings, self.name)
         self._runner = Runner(jobs, flows, self._children, scratch, self.name, self._stopping)
 

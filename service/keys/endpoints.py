@@ -9,11 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.watermark.keys import OwnerKey
 from service.core import Service
-from service.db import schema
-from service.db.pages import page
+from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
-from service.http.failures import responses
+from service.http.failures import OF_LIST, responses
 from service.problems import Problem
 from service.trust import owner_keys
 
@@ -75,7 +74,7 @@ def create_key(body: NewKey, core: Core, caller: Admin, response: Response) -> M
     return MadeKey(**asdict(made), key=key.to_text() if body.reveal else None)
 
 
-@router.get("", operation_id="listKeys", responses=responses("unauthorized", "forbidden", "invalid-request"))
+@router.get("", operation_id="listKeys", responses=OF_LIST)
 def list_keys(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> KeyList:
     """Owner keys of this tenant, newest first."""
     with core.db.read() as connection:

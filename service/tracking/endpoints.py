@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from service.http.access import After, Core, Limit, Reader
 from service.http.answers import JobView, view
-from service.http.failures import responses
+from service.http.failures import OF_LIST, OF_OWN, responses
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem
 
@@ -26,7 +26,7 @@ class JobList(BaseModel):
     next: str | None
 
 
-@router.get("", operation_id="listJobs", responses=responses("unauthorized", "forbidden", "invalid-request"))
+@router.get("", operation_id="listJobs", responses=OF_LIST)
 def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> JobList:
     """Jobs of this tenant, newest first."""
     jobs = core.jobs.list(caller.tenant, limit + 1, after)
@@ -38,10 +38,7 @@ def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
     "/{job_id}",
     operation_id="getJob",
     response_model=JobView,
-    responses={
-        304: {"description": "As it was (If-None-Match)"},
-        **responses("unauthorized", "forbidden", "not-found"),
-    },
+    responses={304: {"description": "As it was (If-None-Match)"}, **OF_OWN},
 )
 def get_job(
     job_id: str,
@@ -50,7 +47,7 @@ def get_job(
     if_none_match: Annotated[str | None, Header(description="ETag of the answer at hand.")] = None,
 ) -> Response:
     """Where a job stands."""
-    job = _own(core.jobs.get(caller.tenant, job_id), job_id)
+    job = _found(job_id, core, caller)
     etag = f'"{job.revision}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     if if_none_match is not None and etag in [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]:
@@ -62,12 +59,7 @@ def _found(job_id: str, core: Core, caller: Reader) -> Job:
     return _own(core.jobs.get(caller.tenant, job_id), job_id)
 
 
-@router.get(
-    "/{job_id}/events",
-    operation_id="jobEvents",
-    response_class=EventSourceResponse,
-    responses=responses("unauthorized", "forbidden", "not-found"),
-)
+@router.get("/{job_id}/events", operation_id="jobEvents", response_class=EventSourceResponse, responses=OF_OWN)
 async def job_events(
     job_id: str, core: Core, caller: Reader, _: Annotated[Job, Depends(_found)]
 ) -> AsyncIterable[ServerSentEvent]:

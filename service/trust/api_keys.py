@@ -97,15 +97,7 @@ def _issue(connection: sa.Connection, master: MasterKey, tenant: str, scopes: It
         raise Problem("invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}")
     ordered = [scope for scope in SCOPES if scope in wanted]
     key_id, secret = secrets.token_hex(8), secrets.token_hex(32)
-    connection.execute(
-        api_keys.insert().values(
-            id=key_id,
-            tenant=tenant,
-            digest=master.mac(_PURPOSE, key_id, secret),
-            scopes=" ".join(ordered),
-            label=label,
-            created_at=now(),
-        )
-    )
+    row = {"id": key_id, "tenant": tenant, "scopes": " ".join(ordered), "label": label, "created_at": now()}
+    connection.execute(api_keys.insert().values(**row, digest=master.mac(_PURPOSE, key_id, secret)))
     audit.append(connection, tenant, "api_key.issued", {"scopes": ordered}, key_id)
     return f"mk_{key_id}_{secret}"

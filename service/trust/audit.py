@@ -37,7 +37,7 @@ class Entry:
 
     def to_json(self) -> dict[str, Any]:
         """What the leaf says."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return dict(vars(self))
 
     @property
     def hash(self) -> str:
@@ -56,17 +56,8 @@ def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[
     index, previous = (last[0] + 1, last[1]) if last is not None else (0, NO_PREVIOUS)
     entry = Entry(index, now(), tenant, event, subject, dict(payload), previous)
     found = entry.hash
-    connection.execute(
-        audit.insert().values(
-            index=index,
-            at=entry.at,
-            tenant=tenant,
-            event=event,
-            subject=subject,
-            payload=canonical(entry.payload).decode(),
-            hash=found,
-        )
-    )
+    row = entry.to_json() | {"payload": canonical(entry.payload).decode(), "hash": found}
+    connection.execute(audit.insert().values({column.name: row[column.name] for column in audit.columns}))
     grown = list(merkle.completed_by(index))
     siblings = _fetch(connection, [(level - 1, 2 * position) for level, position in grown[1:]])
     node, rows = bytes.fromhex(found), []

@@ -1,9 +1,10 @@
 """Checking the whole audit log against itself, and the rows that it commits to against the log."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
@@ -77,8 +78,9 @@ def verify_log(db: Database) -> LogReport:
         broken = _check_tree(connection, size)
         faults += broken
         root = "" if broken else audit.root(connection, size)
-        faults += _check_assets(connection, events)
-        faults += _check_claims(connection, events, keys, bool(root))
+        claim_fault = partial(_claim_fault, connection, keys, bool(root))
+        faults += _check_rows(connection, events, ASSET_REGISTERED, assets, _asset_fault)
+        faults += _check_rows(connection, events, CLAIM_ISSUED, claims, claim_fault)
     for event, subject in known:
         if (event, subject) not in events:
             faults.append(Fault(None, event.split(".")[0], f"the log does not know {subject}"))
@@ -154,46 +156,45 @@ def _lost(level: int, position: int) -> Fault:
     return Fault(position << level, "tree", f"the subtree of 2^{level} entries that begins here is missing")
 
 
-def _check_assets(connection: sa.Connection, events: Events) -> list[Fault]:
+def _check_rows(
+    connection: sa.Connection,
+    events: Events,
+    event: str,
+    table: sa.Table,
+    fault_of: Callable[[sa.Row[Any], int, str], tuple[str, str] | None],
+) -> list[Fault]:
+    """Every row of a table against what the log says of it, and what the log knows and the table does not."""
     faults, seen = [], set()
-    for row in _all(connection, assets.select(), assets.c.id):
+    for row in _all(connection, table.select(), table.c.id):
         seen.add(row.id)
-        index, expected = events.get((ASSET_REGISTERED, row.id), (None, ""))
-        if index is not None and asset_digest(row._asdict()) != expected:
-            faults.append(Fault(index, "asset", f"the row of {row.id} is not the one that was registered"))
-    return faults + _missing(events, ASSET_REGISTERED, seen)
+        index, digest = events.get((event, row.id), (None, ""))
+        if index is not None and (found := fault_of(row, index, digest)) is not None:
+            faults.append(Fault(index, *found))
+    gone = [(index, name) for (kind, name), (index, _) in events.items() if kind == event and name not in seen]
+    return faults + [Fault(index, event.split(".")[0], f"the row of {name} is gone") for index, name in gone]
 
 
-def _check_claims(connection: sa.Connection, events: Events, keys: dict[str, Any], tree_holds: bool) -> list[Fault]:
-    faults, seen = [], set()
-    for row in _all(connection, claims.select(), claims.c.id):
-        seen.add(row.id)
-        index, expected = events.get((CLAIM_ISSUED, row.id), (None, ""))
-        if index is None:
-            continue
-        try:
-            document = json.loads(row.document)
-            if claim_digest(document) != expected or document["claim_id"] != row.id:
-                faults.append(Fault(index, "claim", f"the document of {row.id} is not the one that was issued"))
-            elif verify(row.jws, keys)[0] != row.document.encode():
-                faults.append(Fault(index, "signature", f"what is signed as {row.id} is not its document"))
-            elif tree_holds and audit.root(connection, index + 1) != document["audit"]["root"]:
-                faults.append(Fault(index, "claim", f"{row.id} was handed out with another root of this log"))
-        except SignatureFault as error:
-            faults.append(Fault(index, "signature", f"{row.id}: {error}"))
-        except (ValueError, KeyError, TypeError) as error:
-            faults.append(Fault(index, "claim", f"the document of {row.id} cannot be read: {error}"))
-    return faults + _missing(events, CLAIM_ISSUED, seen)
+def _asset_fault(row: sa.Row[Any], index: int, digest: str) -> tuple[str, str] | None:
+    same = asset_digest(row._asdict()) == digest
+    return None if same else ("asset", f"the row of {row.id} is not the one that was registered")
 
 
-def _missing(events: Events, wanted: str, seen: set[str]) -> list[Fault]:
-    """Rows that the log knows and the table does not."""
-    kind = wanted.split(".")[0]
-    return [
-        Fault(index, kind, f"the row of {subject} is gone")
-        for (event, subject), (index, _) in events.items()
-        if event == wanted and subject not in seen
-    ]
+def _claim_fault(
+    connection: sa.Connection, keys: dict[str, Any], tree_holds: bool, row: sa.Row[Any], index: int, digest: str
+) -> tuple[str, str] | None:
+    try:
+        document = json.loads(row.document)
+        if claim_digest(document) != digest or document["claim_id"] != row.id:
+            return "claim", f"the document of {row.id} is not the one that was issued"
+        if verify(row.jws, keys)[0] != row.document.encode():
+            return "signature", f"what is signed as {row.id} is not its document"
+        if tree_holds and audit.root(connection, index + 1) != document["audit"]["root"]:
+            return "claim", f"{row.id} was handed out with another root of this log"
+    except SignatureFault as error:
+        return "signature", f"{row.id}: {error}"
+    except (ValueError, KeyError, TypeError) as error:
+        return "claim", f"the document of {row.id} cannot be read: {error}"
+    return None
 
 
 def _all(connection: sa.Connection, query: sa.Select[Any], key: sa.Column[Any]) -> Iterator[sa.Row[Any]]:

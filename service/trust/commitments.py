@@ -22,12 +22,8 @@ def asset_digest(row: Mapping[str, Any]) -> str:
 
 def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
     """Log the registration of an asset, in the transaction that inserts its row (every column of it)."""
-    payload = {
-        "digest": asset_digest(row),
-        "original_sha256": row["original_sha256"],
-        "record_id": row["record_id"],
-        "record_sha256": row["record_sha256"],
-    }
+    payload = {name: row[name] for name in ("original_sha256", "record_id", "record_sha256")}
+    payload["digest"] = asset_digest(row)
     return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"])
 
 
@@ -54,16 +50,9 @@ def commit_claim(
     payload = {"asset": document["asset"], "digest": claim_digest(document)}
     entry = audit.append(connection, tenant, CLAIM_ISSUED, payload, document["claim_id"])
     size = entry.index + 1
-    return {
-        "index": entry.index,
-        "size": size,
-        "root": audit.root(connection, size),
-        "proof": audit.inclusion_proof(connection, entry.index, size),
-        "entry": entry.to_json(),
-        "registration": {
-            "entry": registration.to_json(),
-            "proof": audit.inclusion_proof(connection, registration.index, size),
-        }
-        if registration is not None
-        else None,
-    }
+
+    def proven(logged: Entry) -> dict[str, Any]:
+        return {"entry": logged.to_json(), "proof": audit.inclusion_proof(connection, logged.index, size)}
+
+    place = {"index": entry.index, "size": size, "root": audit.root(connection, size), **proven(entry)}
+    return place | {"registration": proven(registration) if registration is not None else None}

@@ -36,13 +36,7 @@ class MasterKeyError(Mark3DGSError):
 
 
 class MasterKey:
-    """Seals secrets (AES-256-GCM) and authenticates API keys (HMAC-SHA256), under sub-keys of one secret.
-
-    Parameters
-    ----------
-    secret : bytes
-        32 bytes.
-    """
+    """Seals secrets (AES-256-GCM) and authenticates API keys (HMAC-SHA256), under sub-keys of one secret (32 bytes)."""
 
     def __init__(self, secret: bytes) -> None:
         if len(secret) != KEY_BYTES:
@@ -57,13 +51,8 @@ class MasterKey:
     def open(cls, settings: Settings, db: Database) -> MasterKey:
         """The key of the settings, or of the file in the data folder, which the first start makes (mode 0600).
 
-        Processes that start at the same time agree on one key.
-
-        Raises
-        ------
-        MasterKeyError
-            If the file cannot be read, others may read it, it holds no key, or the key is not the one that
-            sealed this database.
+        Processes that start at the same time agree on one key. MasterKeyError if the file cannot be read, others may
+        read it, it holds no key, or the key is not the one that sealed this database.
         """
         # Asked before the file is looked at: whoever made the file wrote the check value after it.
         expected = _expected_check(db)
@@ -93,13 +82,7 @@ class MasterKey:
         return nonce + self._gcm.encrypt(nonce, plain, aad)
 
     def unseal(self, sealed: bytes, aad: bytes) -> bytes:
-        """What `seal` was given.
-
-        Raises
-        ------
-        Problem
-            "internal", if the bytes were altered or belong to another `aad`.
-        """
+        """What `seal` was given; "internal" if the bytes were altered or belong to another `aad`."""
         try:
             return self._gcm.decrypt(sealed[:_NONCE_BYTES], sealed[_NONCE_BYTES:], aad)
         except (InvalidTag, ValueError):
@@ -121,9 +104,8 @@ def bind(purpose: str, *parts: str | int) -> bytes:
 
 def _expected_check(db: Database) -> str | None:
     with db.read() as connection:
-        found: str | None = connection.execute(
-            sa.select(facts.c.value).where(facts.c.name == _FACT)
-        ).scalar_one_or_none()
+        query = sa.select(facts.c.value).where(facts.c.name == _FACT)
+        found: str | None = connection.execute(query).scalar_one_or_none()
     return found
 
 

@@ -100,13 +100,7 @@ def _make(connection: sa.Connection, master: MasterKey) -> str:
     kid = key.thumbprint()  # RFC 7638: the id says which key it is, to anyone
     public = {**key.as_dict(private=False), "kid": kid, "alg": ALGORITHM, "use": "sig"}
     private = canonical(key.as_dict(private=True))
-    connection.execute(
-        signing_keys.insert().values(
-            kid=kid,
-            public=canonical(public).decode(),
-            sealed=master.seal(private, bind("signing key", kid)),
-            created_at=now(),
-        )
-    )
+    row = {"kid": kid, "public": canonical(public).decode(), "created_at": now()}
+    connection.execute(signing_keys.insert().values(**row, sealed=master.seal(private, bind("signing key", kid))))
     audit.append(connection, TENANT, "signing_key.made", {"public": public}, kid)
     return kid

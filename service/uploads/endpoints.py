@@ -7,12 +7,11 @@ from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.access import Core, Uploader
-from service.http.failures import responses
+from service.http.failures import OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.receiving import receive
-from service.uploads.taking import inspect
+from service.uploads.taking import inspect, receive
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -57,7 +56,7 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
     return Upload.model_validate(row)
 
 
-@router.get("/{upload_id}", operation_id="getUpload", responses=responses("unauthorized", "forbidden", "not-found"))
+@router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)
 def get_upload(upload_id: str, core: Core, caller: Uploader) -> Upload:
     """How far an upload is: `offset` says where to continue."""
     return Upload.model_validate(store.get(core, caller.tenant, upload_id))
@@ -87,9 +86,8 @@ async def put_upload(
     if row.state != "open":
         raise Problem("conflict", f"upload {upload_id!r} is complete")
     if upload_offset != row.received:
-        raise Problem(
-            "conflict", f"bytes from {upload_offset} on were sent, {row.received} are here", offset=row.received
-        )
+        text = f"bytes from {upload_offset} on were sent, {row.received} are here"
+        raise Problem("conflict", text, offset=row.received)
     room = (row.size or core.settings.max_upload_bytes) - row.received
     with core.blobs.new_file() as path:
         got = await receive(request.stream(), path, room)
@@ -104,12 +102,7 @@ async def put_upload(
     return Upload.model_validate(await asyncio.to_thread(inspect, core, row))
 
 
-@router.delete(
-    "/{upload_id}",
-    status_code=204,
-    operation_id="deleteUpload",
-    responses=responses("unauthorized", "forbidden", "not-found"),
-)
+@router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)
 def delete_upload(upload_id: str, core: Core, caller: Uploader) -> None:
     """Forget an upload; what was made of it stays."""
     store.drop(core, store.get(core, caller.tenant, upload_id))

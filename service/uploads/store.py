@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from engine.formats.pictures import starts_like_picture
 from service.clock import now
 from service.core import Service
-from service.db.pages import own
+from service.db import own
 from service.db.schema import uploads
 from service.problems import Problem
 
@@ -115,6 +115,5 @@ def _check(service: Service, row: Any, parts: list[list[int]], sha256: str) -> N
         for offset, _ in parts:
             service.blobs.remove_part(part_name(row.id, offset))
         drop(service, row)
-        raise Problem(
-            "digest-mismatch", f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
-        )
+        text = f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
+        raise Problem("digest-mismatch", text)

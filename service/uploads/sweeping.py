@@ -2,7 +2,9 @@
 
 import json
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 
+import obstore
 import sqlalchemy as sa
 
 from service.clock import ago
@@ -28,15 +30,9 @@ def sweep(service: Service) -> tuple[int, int]:
 
 
 def _sweep_blobs(service: Service, hours: float) -> int:
-    import obstore
-
     old = datetime.now(UTC) - timedelta(hours=hours)
-    candidates = [
-        entry["path"]
-        for batch in obstore.list(service.blobs.store, "blob")
-        for entry in batch
-        if entry["last_modified"] < old
-    ]
+    stored = chain.from_iterable(obstore.list(service.blobs.store, "blob"))
+    candidates = [entry["path"] for entry in stored if entry["last_modified"] < old]
     named = _named(service)  # after the listing: what was put since is named, or too young
     gone = [path for path in candidates if path.rsplit("/", 1)[-1] not in named]
     for path in gone:
@@ -47,18 +43,10 @@ def _sweep_blobs(service: Service, hours: float) -> int:
 
 def _named(service: Service) -> set[str]:
     """Digests that some row names."""
-    columns = (
-        uploads.c.sha256,
-        assets.c.original_sha256,
-        assets.c.model_sha256,
-        assets.c.record_sha256,
-        assets.c.preview_sha256,
-        assets.c.sketch_sha256,
-        conversions.c.sha256,
-    )
+    of_assets = [assets.c[f"{name}_sha256"] for name in ("original", "model", "record", "preview", "sketch")]
     found: set[str] = set()
     with service.db.read() as connection:
-        for column in columns:
+        for column in (uploads.c.sha256, conversions.c.sha256, *of_assets):
             found.update(digest for (digest,) in connection.execute(sa.select(column)) if digest)
         for (pictures,) in connection.execute(sa.select(claims.c.pictures)):
             found.update(json.loads(pictures).values())

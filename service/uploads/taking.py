@@ -1,18 +1,25 @@
-"""Complete uploads: looked at, so that what cannot be read is refused at once, and gathered for a job."""
+"""Bytes from the network to a file; complete uploads, looked at, so that nonsense is refused, and gathered."""
 
+import asyncio
+import hashlib
 import json
 import shutil
-from collections.abc import Sequence
-from pathlib import PurePosixPath
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from starlette.datastructures import UploadFile
+from starlette.requests import ClientDisconnect
 
 from service.blobs import digest_of
 from service.core import Service
-from service.jobs.once import run_once, task_folder
+from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 from service.uploads import store
+
+BATCH = 4 << 20
+"""Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
 
 WRONG_KIND = {"model": "unreadable-model", "picture": "unreadable-image", "cameras": "unreadable-cameras"}
 INSPECTED_BYTES = 256 << 20
@@ -20,13 +27,53 @@ INSPECTED_BYTES = 256 << 20
 _CHUNK = 1 << 20
 
 
+@dataclass(frozen=True)
+class Received:
+    """What came: bytes, their digest, and whether the client said that was all."""
+
+    length: int
+    sha256: str
+    whole: bool
+
+
+async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Received:
+    """Write a request's body to a new file, hashed on the way, in threads; too-large when more than `room` bytes come.
+
+    A client that breaks off leaves what came so far.
+    """
+    digest, length, whole = hashlib.sha256(), 0, True
+    with path.open("wb") as file:
+
+        def store(batch: bytes) -> None:
+            digest.update(batch)
+            file.write(batch)
+
+        pending: asyncio.Future[None] | None = None
+        buffer = bytearray()
+        try:
+            async for chunk in stream:
+                length += len(chunk)
+                if length > room:
+                    raise Problem("too-large", f"more bytes came than the {room} that were left to come")
+                buffer += chunk
+                if len(buffer) >= BATCH:
+                    if pending is not None:
+                        await pending
+                    pending = asyncio.ensure_future(asyncio.to_thread(store, bytes(buffer)))
+                    buffer.clear()
+        except ClientDisconnect:
+            whole = False
+        finally:
+            if pending is not None:
+                await pending
+        await asyncio.to_thread(store, bytes(buffer))
+    return Received(length, digest.hexdigest(), whole)
+
+
 def inspect(service: Service, row: Any) -> Any:
     """The row with what the file is. What takes too long to say is left to the job.
 
-    Raises
-    ------
-    Problem
-        unreadable-model and the like: the upload is dropped.
+    Where it is unreadable-model and the like, the upload is dropped.
     """
     with task_folder(service.settings) as folder:
         path = service.blobs.local(row.sha256, folder)
@@ -54,11 +101,7 @@ def gather(
 ) -> list[Any]:
     """Rows of the complete uploads that a request names, and of those that its files become.
 
-    Raises
-    ------
-    Problem
-        not-found, conflict where an upload is not complete, or unreadable-... where it is no model, picture or cameras
-        as `kind` says.
+    conflict where an upload is not complete, unreadable-... where it is no model, picture or cameras as `kind` says.
     """
     rows = [_whole(service, tenant, upload_id) for upload_id in upload_ids]
     rows += [_take(service, tenant, file) for file in files]

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.core import Service
-from service.db.pages import own
+from service.db import own
 from service.db.schema import assets
 from service.http.access import Core, Verifier
 from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit

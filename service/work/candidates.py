@@ -18,20 +18,12 @@ from service.work.process import Progress
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A registered asset.
+    """A registered asset."""
 
-    Parameters
-    ----------
-    asset : str
-        Its id, handed back as it came.
-    sketch : Sketch or None
-        None where the suspect is to be registered to it in any case.
-    """
-
-    asset: str
+    asset: str  # its id, handed back as it came
     record: Path
     key: OwnerKey
-    sketch: Sketch | None
+    sketch: Sketch | None  # None where the suspect is to be registered to it in any case
 
     def open(self) -> OpenedRecord:
         """See `engine.pipeline.searching.Candidate`."""
@@ -62,12 +54,8 @@ def find_marks(model: GaussianModel, candidates: Sequence[Candidate], limit: int
     """Marks that a model carries already: `{"alike", "screened", "carries"}`, see docs/SERVICE.md.
 
     The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is found by
-    `verify`. A record that cannot be opened is passed over: its owner learns that when verifying.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        Those that matter most first: at most `limit` of those alike are verified, in this order.
+    `verify`. A record that cannot be opened is passed over: its owner learns that when verifying. Of the candidates
+    that are alike, at most `limit` are verified, in the order given: those that matter most come first.
     """
     alike = {candidate.asset for candidate, yes in resembling(model, candidates, progress) if yes}
     chosen = [candidate for candidate in candidates if candidate.asset in alike][:limit]

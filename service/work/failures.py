@@ -51,9 +51,6 @@ def _describe(error: BaseException) -> dict[str, Any]:
 def _paths(value: Any) -> Iterator[str]:
     if isinstance(value, str) and value.startswith("/") and len(value) > 1:
         yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _paths(item)
-    elif isinstance(value, (list, tuple)):
-        for item in value:
+    elif isinstance(value, (Mapping, list, tuple)):
+        for item in value.values() if isinstance(value, Mapping) else value:
             yield from _paths(item)

@@ -28,13 +28,7 @@ def load_model(request: Mapping[str, Any]) -> LoadedModel:
 
 
 def load_pictures(paths: Sequence[str]) -> list[Float32]:
-    """1 to MOST_PICTURES pictures, each (H, W, 3) float32.
-
-    Raises
-    ------
-    Problem
-        "unreadable-image" naming the picture by its number, or "invalid-request" for their number.
-    """
+    """1 to MOST_PICTURES pictures, each (H, W, 3) float32; "unreadable-image" names the picture by its number."""
     if not 1 <= len(paths) <= MOST_PICTURES:
         raise Problem("invalid-request", f"1 to {MOST_PICTURES} pictures go together, got {len(paths)}")
     with warnings.catch_warnings():
@@ -42,20 +36,13 @@ def load_pictures(paths: Sequence[str]) -> list[Float32]:
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         together = sum(_pixels(Path(path), number) for number, path in enumerate(paths, start=1))
         if together > MOST_PIXELS:
-            raise Problem(
-                "unreadable-image", f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}"
-            )
+            text = f"the pictures have {together:,} pixels together, more than {MOST_PIXELS:,}"
+            raise Problem("unreadable-image", text)
         return [_read(Path(path), number) for number, path in enumerate(paths, start=1)]
 
 
 def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] | None:
-    """The cameras of a request, if it names any.
-
-    Parameters
-    ----------
-    count : int, optional
-        How many there must be: one for each picture.
-    """
+    """The cameras of a request, if it names any; where there are `count` pictures, one for each."""
     if path is None:
         return None
     try:
@@ -70,19 +57,16 @@ def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] 
 
 
 def _pixels(path: Path, number: int) -> int:
-    with _told_by_number(path, number), _opened(path, number) as picture:
-        return picture.width * picture.height
+    with _told_by_number(path, number):
+        if not is_picture(path):
+            raise Problem("unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
+        with Image.open(path) as picture:
+            return picture.width * picture.height
 
 
 def _read(path: Path, number: int) -> Float32:
     with _told_by_number(path, number):
         return read_picture(path)
-
-
-def _opened(path: Path, number: int) -> Image.Image:
-    if not is_picture(path):
-        raise Problem("unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
-    return Image.open(path)
 
 
 @contextmanager

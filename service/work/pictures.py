@@ -1,15 +1,18 @@
-"""Pictures of models for people: a view that shows something, and PNG files."""
+"""Pictures for people: a preview of a marked model; a suspect, its asset, and where on the asset the mark was found."""
 
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.numerics.resampling import smooth
+from engine.pictures.features import LUMA
 from engine.pipeline.rigs import make_rig
-from engine.raster import prepare_view, render, sh_colors
-
-__all__ = ["all_png", "choose_view", "draw_preview", "to_picture"]
+from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.verification import Verification
+from engine.raster import View, prepare_view, render, sh_colors
+from engine.watermark.statistics import weighted_evidence
 
 PREVIEW_SIZE = (396, 330)
 PREVIEW_GAP = 6
@@ -21,6 +24,22 @@ _TRIAL_VIEWS = 6
 _TRIAL_SIZE = 72
 _TRIAL_GAUSSIANS = 40_000
 _INK, _PAPER = (27, 31, 36), (255, 255, 255)
+
+EVIDENCE_SIZE = (640, 480)
+LARGEST_SUSPECT = 800
+
+CELL_CODES = 32
+"""Code vectors of the spatial stage in one cell of the map. A cell shows one sum over these and its share of all
+other stages, so not one secret sign can be read off the map."""
+FULL_COLOR = 6.0
+"""Standard deviations at which a cell has its full colour, at least: pure chance stays pale."""
+
+_FOR = np.array([0.85, 0.37, 0.01], dtype=np.float32)
+_AGAINST = np.array([0.13, 0.40, 0.67], dtype=np.float32)
+"""Orange and blue: told apart with any colour vision."""
+_NEUTRAL = np.array([0.90, 0.90, 0.90], dtype=np.float32)
+_BLUR = 5.0
+_LEGEND = 40
 
 
 def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
@@ -73,6 +92,105 @@ def draw_preview(path: Path, original: GaussianModel, marked: GaussianModel) -> 
     save_png(sheet, path)
 
 
+def draw_evidence(
+    folder: Path, opened: OpenedRecord, found: Verification, model: GaussianModel | None, picture: Float32 | None
+) -> dict[str, str]:
+    """Draw `suspect` (the model, or the (H, W, 3) picture), `reference` and `heatmap`; names of their files."""
+    reference = opened.reference
+    camera = choose_view(reference, *EVIDENCE_SIZE)
+    view = prepare_view(reference, camera)
+    position = camera.position.astype(np.float32)
+    image, alpha = view.render(sh_colors(reference.sh, reference.means, position))
+    pictures = {"reference": to_picture(image), "heatmap": _heatmap(opened, found, view, image, alpha)}
+    if model is not None:
+        pictures["suspect"] = to_picture(_suspect_view(model, found, camera))
+    elif picture is not None:
+        pictures["suspect"] = to_picture(picture, LARGEST_SUSPECT)
+    for name, drawn in pictures.items():
+        save_png(drawn, folder / f"{name}.png")
+    return {name: f"{name}.png" for name in pictures}
+
+
+def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> Float32:
+    """From the reference's camera where the suspect was registered to it, else from one of its own.
+
+    The camera moves, not the model: x_reference = s R x + t is seen by V as x is by the camera below, all lengths
+    divided by s.
+    """
+    transform = found.claim.transform
+    if transform is None:
+        return render(model, choose_view(model, *EVIDENCE_SIZE))
+    viewmat = camera.viewmat.copy()
+    turn = viewmat[:3, :3]
+    viewmat[:3, 3] = (turn @ transform["translation"] + viewmat[:3, 3]) / transform["scale"]
+    viewmat[:3, :3] = turn @ transform["rotation"]
+    return render(model, Camera(viewmat, camera.K, camera.width, camera.height))
+
+
+def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Bool]:
+    """How much each cell of the asset speaks for the mark: for each of N Gaussians, by its cell, `(z, seen)`.
+
+    `z`, (N,) float64, is the cell's share of the claim's statistic in standard deviations, around 0 +- 1 where there is
+    no mark; `seen`, (N,) bool, whether the suspect says anything about it (never where a Gaussian is unmarked).
+    """
+    layout, evidence = opened.layout, found.evidence
+    signs = opened.spreading.chips * opened.message[opened.spreading.bit_of]
+    terms = weighted_evidence(evidence.y, evidence.weights) * signs
+    # Neighbouring numbers of stage 0 are neighbours in the scene. Only codes that carry something count: a cell of few
+    # would show their secret signs.
+    carries = (layout.split(layout.amplitudes)[0] > 0).any(axis=1)
+    carries &= np.bincount(layout.labels[0], minlength=layout.codes[0]) > 0
+    cells = max(1, int(carries.sum()) // CELL_CODES)
+    group = np.clip((np.cumsum(carries) - 1) // CELL_CODES, 0, cells - 1)
+    cell = group[layout.labels[0]]
+    total, variance = np.zeros(cells), np.zeros(cells)
+    for term, label, codes in zip(layout.split(terms), layout.labels, layout.codes, strict=True):
+        members = np.bincount(cell * codes + label, minlength=cells * codes).reshape(cells, codes)
+        share = members / np.maximum(members.sum(axis=0), 1)
+        total += share @ term.sum(axis=1)
+        variance += share**2 @ (term**2).sum(axis=1)
+    z = np.divide(total, np.sqrt(variance), out=np.zeros(cells), where=variance > 0)
+    return z[cell], (variance > 0)[cell] & carries[layout.labels[0]]
+
+
+def _heatmap(opened: OpenedRecord, found: Verification, view: View, image: Float32, alpha: Float32) -> Image.Image:
+    """The cells' scores over a grey picture of the asset, with a scale."""
+    z, seen = cell_scores(opened, found)
+    blended = view.render(np.stack([np.where(seen, z, 0.0), seen], axis=1).astype(np.float32))[0]
+    weight = smooth(blended[..., 1], _BLUR)
+    score = smooth(blended[..., 0], _BLUR) / np.maximum(weight, 1e-3)
+    limit = max(FULL_COLOR, float(np.quantile(np.abs(z[seen]), 0.9)) if seen.any() else 0.0)
+    tint = _diverging(np.asarray(score / limit, dtype=np.float32))
+    tint += (1.0 - np.clip(weight, 0.0, 1.0))[..., None] * (_NEUTRAL - tint)
+    grey = np.clip(image, 0.0, 1.0) @ LUMA
+    shaded = tint * (0.3 + 0.7 * grey)[..., None]
+    canvas = alpha[..., None] * shaded + (1.0 - alpha[..., None])
+    return _with_legend(to_picture(canvas.astype(np.float32)), limit)
+
+
+def _diverging(value: Float32) -> Float32:
+    """(..., 3) colour of a value in -1..1."""
+    strength = np.clip(np.abs(value), 0.0, 1.0)[..., None]
+    end = np.where(value[..., None] >= 0, _FOR, _AGAINST)
+    return np.asarray(_NEUTRAL + strength * (end - _NEUTRAL), dtype=np.float32)
+
+
+def _with_legend(picture: Image.Image, limit: float) -> Image.Image:
+    width, height = picture.size
+    sheet = Image.new("RGB", (width, height + _LEGEND), _PAPER)
+    sheet.paste(picture, (0, 0))
+    bar = _diverging(np.broadcast_to(np.linspace(-1, 1, width // 3, dtype=np.float32), (12, width // 3)))
+    left = width // 3
+    sheet.paste(to_picture(bar), (left, height + 4))
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=13)
+    pen.text((left, height + 18), f"-{limit:.0f}", fill=_INK, font=font)
+    pen.text((width / 2, height + 18), "0 standard deviations", fill=_INK, font=font, anchor="ma")
+    pen.text((left + width // 3, height + 18), f"+{limit:.0f}", fill=_INK, font=font, anchor="ra")
+    pen.text((left - 8, height + 2), "against the mark", fill=_INK, font=font, anchor="ra")
+    pen.text((left + width // 3 + 8, height + 2), "for the mark", fill=_INK, font=font)
+    return sheet
+
+
 def to_picture(image: Float32, longest: int | None = None) -> Image.Image:
     """A picture of (H, W, 3) floats in 0..1, no side longer than `longest` pixels."""
     picture = Image.fromarray(np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8))
@@ -84,10 +202,3 @@ def to_picture(image: Float32, longest: int | None = None) -> Image.Image:
 def save_png(picture: Image.Image, path: Path) -> None:
     """Store a picture, quickly rather than as small as can be."""
     picture.save(path, format="PNG", compress_level=3)
-
-
-def all_png(pictures: dict[str, Image.Image], folder: Path) -> dict[str, str]:
-    """Store pictures by name; names of their files."""
-    for name, picture in pictures.items():
-        save_png(picture, folder / f"{name}.png")
-    return {name: f"{name}.png" for name in pictures}

@@ -15,8 +15,8 @@ from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex
 from service.problems import Problem
 from service.work.candidates import Candidate, load_candidates
-from service.work.evidence_pictures import draw_evidence
 from service.work.inputs import load_cameras, load_model, load_pictures
+from service.work.pictures import draw_evidence
 from service.work.process import Progress
 
 COULD_NOT_CHECK = "could_not_check"

@@ -19,7 +19,7 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
 from service.problems import Problem
-from service.work.evidence_pictures import CELL_CODES, cell_scores
+from service.work.pictures import CELL_CODES, cell_scores
 from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, checks
 
 FIVE = ["record_intact", "owner_key", "derived", "mark", "evidence"]
