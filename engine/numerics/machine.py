@@ -25,7 +25,7 @@ def machine_info() -> dict[str, object]:
         except metadata.PackageNotFoundError:
             continue
     return {
-        "cpu": _cpu_model(),
+        "cpu": _key_values(Path("/proc/cpuinfo")).get("model name") or platform.processor() or platform.machine(),
         "cores": os.cpu_count() or 1,
         "cores_usable": _usable_cores(),
         "memory_gb": _memory_gb(),
@@ -62,10 +62,6 @@ def load_per_core() -> float | None:
         return os.getloadavg()[0] / _usable_cores()
     except (AttributeError, OSError):  # Windows has none
         return None
-
-
-def _cpu_model() -> str:
-    return _key_values(Path("/proc/cpuinfo")).get("model name") or platform.processor() or platform.machine()
 
 
 def _usable_cores() -> int:
