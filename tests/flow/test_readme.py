@@ -24,8 +24,8 @@ VARIABLE = re.compile(r"\b[0-9a-f]{8,}\b|-?\d[\d.,^]*(e[+-]?\d+)?")
 
 
 def masked(text: str) -> str:
-    """A line with numbers as #, spaces as one."""
-    return " ".join(VARIABLE.sub("#", text).split())
+    """A line with numbers as #, spaces as one; how far an unmarked model comes by chance depends on the key drawn."""
+    return " ".join(VARIABLE.sub("#", text).split()).replace("no better than chance", "at most # in #")
 
 
 def blocks() -> Iterator[re.Match[str]]:

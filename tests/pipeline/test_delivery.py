@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.compress.impact import PRIOR
+from engine.compress.impact import PRIOR, paper_impact
 from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
@@ -47,7 +47,7 @@ def test_what_goes_is_what_the_rank_says(ball: Ball, rank: str) -> None:
     """Eq 4 with "paper", the error of leaving one out with "error"."""
     model, report = slim(ball, 24.0, rank=rank)
     kept = kept_rows(ball, model)
-    values = {"paper": ball.impact.impact, "error": ball.impact.squared}
+    values = {"paper": paper_impact(ball.model, ball.impact), "error": ball.impact.squared}
     assert 0.05 < kept.mean() < 0.95
     assert values[rank][kept].min() >= values[rank][~kept].max()
     other = values["error" if rank == "paper" else "paper"]
