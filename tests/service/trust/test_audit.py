@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -96,15 +95,16 @@ def test_killed_appenders_lose_nothing_they_acknowledged(db: Database) -> None:
     acknowledged: dict[int, str] = {}
     for round_number in range(3):
         running = [appender(db, f"r{round_number}p{k}", 100_000) for k in range(2)]
-        for process in running:
+        said: list[list[str]] = []
+        for process in running:  # however fast the machine is, they are in the middle of their work
             assert process.stdout is not None
-            process.stdout.readline()  # it is in the middle of its work
-        time.sleep(0.1 + 0.05 * round_number)
+            said.append([process.stdout.readline().decode() for _ in range(5 + round_number)])
         for process in running:
             process.kill()
-        for process in running:
-            # A line that was not written whole was not an acknowledgement; the first was read above.
-            for line in process.communicate(timeout=60)[0].decode().split("\n")[:-1]:
+        for process, lines in zip(running, said, strict=True):
+            # A line that was not written whole was not an acknowledgement.
+            rest = process.communicate(timeout=60)[0].decode().split("\n")[:-1]
+            for line in [*lines, *rest]:
                 index, digest = line.split()
                 assert acknowledged.setdefault(int(index), digest) == digest
     assert len(acknowledged) > 20
