@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from engine.model import Float32, GaussianModel
+from engine.sim import Attack
 
 
 @pytest.fixture(scope="session")
@@ -37,3 +38,8 @@ def image() -> Float32:
     picture = 0.5 + 0.2 * waves + 0.03 * rng.standard_normal(waves.shape)
     picture[10:30, 20:50] = [0.7, 0.3, 0.5]
     return np.clip(picture, 0.02, 0.98).astype(np.float32)
+
+
+@pytest.fixture
+def target(request: pytest.FixtureRequest, attack: Attack) -> GaussianModel | Float32:
+    return request.getfixturevalue(attack.kind)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
-from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, Reading, find_attack, image_attack, model_attack
+from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
 
 MODEL_NAMES = [
     "rotate",
@@ -99,11 +98,6 @@ def arrays(target: GaussianModel | Float32) -> list[np.ndarray]:
 
 def same(a: GaussianModel | Float32, b: GaussianModel | Float32) -> bool:
     return all(x.shape == y.shape and np.array_equal(x, y) for x, y in zip(arrays(a), arrays(b), strict=True))
-
-
-@pytest.fixture
-def target(request: pytest.FixtureRequest, attack: Attack) -> GaussianModel | Float32:
-    return request.getfixturevalue(attack.kind)
 
 
 @pytest.fixture
@@ -232,104 +226,3 @@ def test_unknown_names_are_refused_with_the_known_ones(model: GaussianModel) -> 
         image_attack("rotate")
     with pytest.raises(InputError, match="no reading 'as_code'"):
         model_attack("scale").apply(model, reading="as_code")
-
-
-OUT_OF_RANGE = {
-    "rotate": float("nan"),
-    "scale": 0.0,
-    "translate": float("inf"),
-    "similarity": 0.9,
-    "shuffle": 1.1,
-    "crop": 0.0,
-    "prune_random": 1.0,
-    "prune_opacity": -0.1,
-    "prune_low_impact": 1.0,
-    "clone": 1.5,
-    "noise_means": -1.0,
-    "noise_colors": float("nan"),
-    "noise_all": float("inf"),
-    "drop_sh": 4,
-    "quantize": 0,
-    "merge_into": 0.0,
-    "convert": "ksplat",
-    "bend": float("nan"),
-    "twist": float("inf"),
-    "squash": 1.0,
-    "jpeg": 0,
-    "noise_image": -0.1,
-    "blur": -1.0,
-    "rotate_image": float("nan"),
-    "scale_image": 0.0,
-    "crop_image": 1.0,
-    "brightness": -1.0,
-    "inject": 1.5,
-    "noise_dc": -0.1,
-    "noise_opacity": float("nan"),
-    "noise_position": -1.0,
-    "quantize_colors": 0,
-    "round_floats": 24,
-    "bake_colors": 0,
-    "smooth_colors": 0,
-    "repaint": 1.1,
-    "purify": 0.0,
-    "evolve": 0.0,
-    "overwrite": -3.0,
-    "collude": "sum",
-    "transplant": 0.0,
-    "median": 4,
-    "bilateral": 0.0,
-    "denoise_nonlocal": -1.0,
-    "denoise_wavelet": -0.1,
-}
-
-
-def refused(attack: Attack) -> float | str:
-    """A strength beyond the end of the range; of an attack without a word above, one that is none."""
-    return OUT_OF_RANGE.get(attack.name, "none" if isinstance(attack.default, str) else float("nan"))
-
-
-@pytest.mark.parametrize("attack", [*MODEL_ATTACKS.values(), *IMAGE_ATTACKS.values()], ids=lambda a: a.name)
-def test_strength_out_of_range_is_an_input_error(attack: Attack, target: GaussianModel | Float32) -> None:
-    with pytest.raises(InputError):
-        attack.apply(target, refused(attack))
-
-
-@pytest.mark.parametrize(
-    ("within", "inside", "outside"),
-    [
-        ("[0, 1)", (0, 0.5), (-0.1, 1, float("nan"), float("inf"))),
-        ("(0, 1]", (0.5, 1), (0, 1.1)),
-        ("(0, inf)", (1e9,), (0, float("inf"))),
-        ("(-inf, inf)", (-3, 3), (float("-inf"), float("nan"))),
-        ("1..100", (1, 50.0, 100), (0, 101, 50.5, float("nan"))),
-    ],
-)
-def test_ranges_of_strengths(within: str, inside: tuple[float, ...], outside: tuple[float, ...]) -> None:
-    reading = Reading(lambda target, strength, rng: target, "share", 1.0, (), within)
-    for strength in inside:
-        assert reading.checked(strength) == strength
-        assert isinstance(reading.checked(strength), int if ".." in within else float)
-    words = "be a whole number from 1 to 100" if ".." in within else f"lie in {within}"
-    for strength in outside:
-        with pytest.raises(InputError, match="share must " + re.escape(words)):
-            reading.checked(strength)
-
-
-def test_strength_of_the_wrong_type_is_an_input_error(model: GaussianModel) -> None:
-    with pytest.raises(InputError, match="degrees"):
-        model_attack("rotate").apply(model, "much")
-    with pytest.raises(InputError, match="format"):
-        model_attack("convert").apply(model, 3.0)
-
-
-@pytest.mark.parametrize("attack", [*MODEL_ATTACKS.values()], ids=lambda a: a.name)
-def test_an_empty_model_is_an_input_error(attack: Attack, model: GaussianModel) -> None:
-    with pytest.raises(InputError, match="empty"):
-        attack.apply(model.take(np.arange(0)))
-
-
-@pytest.mark.parametrize("attack", [*IMAGE_ATTACKS.values()], ids=lambda a: a.name)
-def test_what_is_no_image_is_an_input_error(attack: Attack, image: Float32) -> None:
-    for wrong in (image[..., 0], image[:0], image.astype(np.float64), (255 * image).astype(np.uint8)):
-        with pytest.raises(InputError):
-            attack.apply(wrong)

@@ -1,5 +1,6 @@
 """What a way to mark models is: the small interface that puts others beside ours, at one fidelity for all."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -28,7 +29,7 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(ABC):
     """A way to mark models. Everything is a function of its arguments: the same input gives the same bytes."""
 
     name: str  # in tables
@@ -43,9 +44,9 @@ class Method:
         """The owner's views at which pictures are read best; none for a reader of models."""
         return []
 
+    @abstractmethod
     def colors(self, model: GaussianModel, key: OwnerKey, message: Signs) -> tuple[Callable[[float], Float32], float]:
         """Strength -> marked SH (N, K, 3), whose error grows about linearly with it; and a first guess, > 0."""
-        raise NotImplementedError
 
     def embed(
         self, model: GaussianModel, key: OwnerKey, message: Signs, psnr_db: float, cameras: Sequence[Camera]

@@ -6,6 +6,7 @@ picture alone: HiDDeN, which the field fits models to, has no public weights of 
 blocks stands in for its class, RivaGAN is a trained network of the same kind.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,20 +43,20 @@ LIMIT = 2.0
 """Whitened coefficients saturate here: edges of the picture must not drown the rest."""
 
 
-class PictureMark:
+class PictureMark(ABC):
     """A blind mark in pictures (H, W, 3) in 0..1."""
 
     def missing(self) -> str:
         """Why it cannot run here; empty when it can."""
         return ""
 
+    @abstractmethod
     def encode(self, picture: Float32, key: OwnerKey, message: Signs) -> Float32:
         """The picture with a message."""
-        raise NotImplementedError
 
+    @abstractmethod
     def decode(self, picture: Float32, key: OwnerKey, bits: int) -> Float64:
         """(bits,) scores whose signs are the bits."""
-        raise NotImplementedError
 
 
 class DctSpreadSpectrum(PictureMark):
