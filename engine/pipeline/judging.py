@@ -51,7 +51,7 @@ def judge(
     notes: tuple[str, ...] = (),
 ) -> Claim:
     """The claim that this evidence supports."""
-    spreading = opened.spreading
+    spreading = opened.spreading_of(len(evidence.y))
     transform, fraction, absence = None, None, None
     if registration is not None:
         fraction = registration.derived_fraction

@@ -18,6 +18,7 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
 from engine.registration.registering import Registration
+from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
 from engine.watermark.spreading import signed_amplitudes
@@ -43,11 +44,16 @@ class Seen:
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10)."""
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.matches, registration.match_quality
-    )
-    return Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
+    """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10), and where the
+    record has a grain, of its centres and sizes.
+    """
+    pairs = registration.matches, registration.match_quality
+    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], *pairs)
+    tint = Evidence(tint.y, tint.weights, opened.strength * tint.signal)
+    if not opened.grain.there:
+        return tint
+    fit = registration.similarity
+    return tint.then(gather_grain_evidence(opened.grain, opened.reference, suspect, fit, *pairs))
 
 
 def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:

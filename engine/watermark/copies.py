@@ -33,7 +33,7 @@ class CopyMark:
 
 def copy_mark(record_id: str, copy: str, spreading: Spreading, message: Signs) -> CopyMark:
     """The mark of one copy, from its chips and its registered message (B,) of +-1."""
-    return CopyMark(record_id, copy, (spreading.chips * message[spreading.bit_of]).astype(np.int8))
+    return CopyMark(record_id, copy, spreading.signs(message))
 
 
 def copies_z(y: Float64, w: Float64, marks: Sequence[CopyMark]) -> Float64:

@@ -28,6 +28,7 @@ from engine.model import Float64, Int64
 # Purposes of sub-keys. A new use takes a new purpose; two uses never share one.
 CHIPS = "chips"
 ASSIGNMENT = "assignment"
+GRAIN = "grain"
 POSE = "pose"
 MESSAGE = "message"
 RECORD_SEAL = "record seal"

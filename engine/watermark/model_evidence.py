@@ -24,6 +24,16 @@ class Evidence:
     weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
     signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
 
+    @property
+    def evidence(self) -> Float64:
+        """(C,) w y: what each chip's sign is multiplied with."""
+        return self.weights * self.y
+
+    def then(self, other: "Evidence") -> "Evidence":
+        """Evidence on more chips: these, the other's behind."""
+        pairs = ((self.y, other.y), (self.weights, other.weights), (self.signal, other.signal))
+        return Evidence(*(np.concatenate(pair) for pair in pairs))
+
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
     """(n, 3) residual minus its best global affine function of the reference colour (gain, tint, exposure).
@@ -106,10 +116,9 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
-    # Registration and quantisation leave errors that the members share: never trust a mean beyond a tenth of
-    # the mark's own size, else a handful of code vectors would outweigh all others.
-    floor = (0.1 * amplitudes) ** 2 + 1e-12
-    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + floor), 0.0)
+    # Registration, quantisation and whoever cleaned the model leave errors that the members share: no mean is trusted
+    # beyond the mark's own size, so that no chip counts for more than one of the grain can.
+    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + amplitudes**2 + 1e-12), 0.0)
     y = np.where(seen, y, 0.0)
     return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
 
