@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.compress.hvq import group_means
 from engine.compress.impact import uncertainty
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
@@ -35,6 +36,8 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
 from engine.watermark.planning import make_plan, predict_z
+from engine.watermark.secret_cells import cells_key, jitter, join_cells
+from engine.watermark.unpredictability import unexplained
 
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
@@ -116,18 +119,32 @@ def embed(
         ground = ground.of(slim, clock)
         impact = ground.impact
         delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, settings)
+        reference_arrays = encode_reference(delivered)
+        digest = reference_digest(reference_arrays)
+        secret = cells_key(key, digest, copy)
+        missed = None
+        if variant.labels is None:
+            joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
+            stages = (joined, *stages[1:])
+            centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
+            missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
         emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
         # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
         if variant.labels is None and settings.output == "fidelity":
             stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
-        reference_arrays = encode_reference(delivered)
-        digest = reference_digest(reference_arrays)
+            if missed is not None and len(stages[0].codebook) > len(missed):
+                missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
     with clock.stage("landmarks"):
         landmarks = _landmarks(delivered, extent, settings, clock)
     with clock.stage("plan"):  # 5, 6
         views = ground.views_of(delivered, clock)
         grainy = variant is PLAIN and settings.plan.grain_center + settings.plan.grain_scale > 0.0
-        settled = settle(views, make_plan(stages, impact, settings.plan, emphasis), settings, grainy=grainy)
+        settled = settle(
+            views,
+            make_plan(stages, impact, settings.plan, emphasis, missed, lambda chips: jitter(secret, chips)),
+            settings,
+            grainy=grainy,
+        )
     with clock.stage("mark"):
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
         mark = make_mark(

@@ -29,6 +29,14 @@ class Evidence:
         """(C,) w y: what each chip's sign is multiplied with."""
         return self.weights * self.y
 
+    def plus(self, other: "Evidence") -> "Evidence":
+        """Both together, the other on the first of these chips: what each says of a chip is added, so that every secret
+        sign still enters once.
+        """
+        first = np.zeros((2, len(self.y)))
+        first[:, : len(other.y)] = other.evidence, other.weights * other.signal
+        return Evidence(self.evidence + first[0], np.ones(len(self.y)), self.weights * self.signal + first[1])
+
     def then(self, other: "Evidence") -> "Evidence":
         """Evidence on more chips: these, the other's behind."""
         pairs = ((self.y, other.y), (self.weights, other.weights), (self.signal, other.signal))

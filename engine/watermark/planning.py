@@ -1,6 +1,6 @@
 """The planner: how far each code vector may be displaced, and how many bits the scene then carries (DESIGN 4.5)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,9 @@ several pictures, a better one, or the model itself read all of them."""
 GRAIN_CHIPS_PER_BIT = 64
 """The same for the grain, which is lost Gaussian by Gaussian: a tenth of the model still reads nearly every bit."""
 
+SURPRISE = (0.2, 4.0)
+"""Range of how badly a colour is guessed, against what is usual, within which amplitudes follow it."""
+
 CHIPS_PER_BIT = 16
 """Fewest chips a bit may rest on, so that losing most of the model still leaves each bit some."""
 
@@ -47,6 +50,10 @@ class PlanConfig:
     # that would show (see `settling`)
     grain_center: float = 0.05
     grain_scale: float = 0.02
+    # Code vectors that a copy's key makes of the public cells, two or more of these each; a power of two
+    codes: int = 4096
+    # Amplitudes grow with this power of how badly a code vector's colour can be guessed from its surroundings
+    surprise_exponent: float = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,12 @@ class Plan:
 
 
 def make_plan(
-    stages: Sequence[Stage], impact: Impact, config: PlanConfig | None = None, emphasis: Float32 | Float64 | None = None
+    stages: Sequence[Stage],
+    impact: Impact,
+    config: PlanConfig | None = None,
+    emphasis: Float32 | Float64 | None = None,
+    missed: Float64 | None = None,
+    jitter: Callable[[int], Float64] | None = None,
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
@@ -77,6 +89,10 @@ def make_plan(
         Over the key views.
     emphasis : (N,) float, optional
         Factor on the amplitude of each Gaussian's code vector, averaged over its members.
+    missed : (M, 3, 3) float64, optional
+        What the surroundings of each code vector of stage 0 leave unexplained of its colour, see `unexplained`.
+    jitter : callable, optional
+        From a number of chips to keyed factors on their amplitudes.
     """
     config = config or PlanConfig()
     stages = stages[: config.stages]
@@ -95,6 +111,10 @@ def make_plan(
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
         carriers = make_carriers(stage.codebook, usage)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
+        if number == 0 and missed is not None:
+            chip = chip * _surprise(missed, carriers.directions, config.surprise_exponent)
+        if jitter is not None:
+            chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
         share = 1.0 - config.residual_share if number == 0 else config.residual_share / (len(stages) - 1)
         if len(stages) == 1:
@@ -112,6 +132,13 @@ def make_plan(
         (scale * flat).astype(np.float32).astype(np.float64),  # as the record keeps them
     )
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
+
+
+def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
+    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual."""
+    off = np.sqrt(np.einsum("ri,mij,rj->mr", directions, missed, directions))
+    usual = np.maximum(np.median(off, axis=0), 1e-12)
+    return np.asarray(np.clip(off / usual, *SURPRISE) ** exponent)
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
