@@ -55,14 +55,25 @@ def gather_image_evidence(
     """
     weights = layout.amplitudes
     pull = _reader(layout, view, warped, mask)
-    y = pull(reference)
+    pulled = pull(reference)
+    y = _gathered(layout, pulled)
     limits = _limits(weights * y, len(layout.directions[0]))
     y = _saturate(y, weights, limits)
     # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim. It is what y loses when the
     # reference carries the mark: right for a marked suspect and for an unmarked one.
-    response = y - _saturate(pull(reference + mark_image), weights, limits)
-    return Evidence(y, weights, mark_signs * response)
+    response = y - _saturate(_gathered(layout, pull(reference + mark_image)), weights, limits)
+    return Evidence(y, weights, mark_signs * response, (pulled,))
+
+
+def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
+    """The same pictures read for the cells of another copy of the asset, without what to expect."""
+    weights, carriers = layout.amplitudes, len(layout.directions[0])
+    y = np.zeros(layout.chips)
+    for one in pulled:
+        part = _gathered(layout, one)
+        y += _saturate(part, weights, _limits(weights * part, carriers))
+    return Evidence(y, weights if pulled else np.zeros(layout.chips), np.zeros(layout.chips))
 
 
 def gather_displacements(layout: Layout, view: View, reference: Float32, picture: Float32, quality: int) -> Float64:
@@ -72,25 +83,30 @@ def gather_displacements(layout: Layout, view: View, reference: Float32, picture
     """
     everywhere = np.ones(picture.shape[:2], dtype=bool)
     spread = block_spread(_public_pattern(layout, view))
-    y = _pulled(layout, view, jpeg_cotangent(reference, picture, everywhere, spread, quality))
+    y = _gathered(layout, _pulled(view, jpeg_cotangent(reference, picture, everywhere, spread, quality)))
     return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
 
 
-def _pulled(layout: Layout, view: View, cotangent: Float32) -> Float64:
-    """(C,) a cotangent image (H, W, 3) pulled back to the chips."""
-    return np.asarray(SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent))))
+def _pulled(view: View, cotangent: Float32) -> Float32:
+    """(N, 3) a cotangent image (H, W, 3) pulled back to the Gaussians' colours."""
+    return view.backward_colors(np.ascontiguousarray(cotangent))
 
 
-def _reader(layout: Layout, view: View, warped: Float32, mask: Bool) -> Callable[[Float32], Float64]:
-    """Function from a render (H, W, 3) that the picture is held against to y (C,), before it saturates."""
+def _gathered(layout: Layout, pulled: Float32) -> Float64:
+    """(C,) the same summed over each chip, in SH units."""
+    return np.asarray(SH_C0 * layout.gather(pulled))
+
+
+def _reader(layout: Layout, view: View, warped: Float32, mask: Bool) -> Callable[[Float32], Float32]:
+    """Function from a render (H, W, 3) that the picture is held against to what it says of each Gaussian (N, 3)."""
     quality = find_quality(warped)
     spread = block_spread(_public_pattern(layout, view)) if quality else None
 
-    def pull(known: Float32) -> Float64:
+    def pull(known: Float32) -> Float32:
         if quality is not None and spread is not None:
             exposed = match_exposure(known, warped, mask)
-            return _pulled(layout, view, jpeg_cotangent(exposed, warped, mask, spread, quality))
-        return _pulled(layout, view, image_cotangent(known, warped, mask))
+            return _pulled(view, jpeg_cotangent(exposed, warped, mask, spread, quality))
+        return _pulled(view, image_cotangent(known, warped, mask))
 
     return pull
 
@@ -123,4 +139,5 @@ def add_evidence(parts: Sequence[Evidence]) -> Evidence:
     pictures and each secret sign still enters once: the theorem of 4.9 stands.
     """
     y = np.sum([part.y for part in parts], axis=0)
-    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0))
+    pulled = tuple(one for part in parts for one in part.pulled)
+    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0), pulled)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.model import Float32, Float64, Int32
+from engine.model import Bool, Float32, Float64, Int32
 from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
@@ -23,6 +23,8 @@ class Evidence:
     y: Float64  # (C,) estimated displacement of each code vector along each carrier
     weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
     signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
+    # (N, 3) each: what every picture says of the Gaussians' colours, from which another copy's cells can be read
+    pulled: tuple[Float32, ...] = ()
 
     @property
     def evidence(self) -> Float64:
@@ -35,12 +37,13 @@ class Evidence:
         """
         first = np.zeros((2, len(self.y)))
         first[:, : len(other.y)] = other.evidence, other.weights * other.signal
-        return Evidence(self.evidence + first[0], np.ones(len(self.y)), self.weights * self.signal + first[1])
+        signal = self.weights * self.signal + first[1]
+        return Evidence(self.evidence + first[0], np.ones(len(self.y)), signal, self.pulled + other.pulled)
 
     def then(self, other: "Evidence") -> "Evidence":
         """Evidence on more chips: these, the other's behind."""
-        pairs = ((self.y, other.y), (self.weights, other.weights), (self.signal, other.signal))
-        return Evidence(*(np.concatenate(pair) for pair in pairs))
+        y, weights = np.concatenate([self.y, other.y]), np.concatenate([self.weights, other.weights])
+        return Evidence(y, weights, np.concatenate([self.signal, other.signal]))
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
@@ -124,11 +127,21 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
-    # Registration, quantisation and whoever cleaned the model leave errors that the members share: no mean is trusted
-    # beyond the mark's own size, so that no chip counts for more than one of the grain can.
-    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + amplitudes**2 + 1e-12), 0.0)
+    # Registration, quantisation and whoever cleaned the model leave errors that the members share and that their own
+    # spread does not show. How large means usually are, in the mark's own size, does; it bounds what one chip can say,
+    # so that this layer neither drowns the other nor the other routes.
+    usual = _usual(y, amplitudes, seen, carriers)
+    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + (usual * amplitudes) ** 2 + 1e-12), 0.0)
     y = np.where(seen, y, 0.0)
     return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
+
+
+def _usual(y: Float64, amplitudes: Float64, seen: Bool, carriers: int) -> Float64:
+    """(C,) robust deviation of the means of each carrier, in amplitudes; at least 1."""
+    use = (seen & (amplitudes > 0)).reshape(-1, carriers)
+    ratio = (np.abs(y) / np.where(amplitudes > 0, amplitudes, 1.0)).reshape(-1, carriers)
+    deviations = [np.median(r[u]) / 0.6745 if u.any() else 1.0 for r, u in zip(ratio.T, use.T, strict=True)]
+    return np.tile(np.maximum(deviations, 1.0), len(ratio))
 
 
 def _saturated(y: Float64, weights: Float64, carriers: int) -> Float64:
