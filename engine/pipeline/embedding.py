@@ -25,7 +25,7 @@ from engine.pipeline.profiles import Auto, EmbedConfig, Settings
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
-from engine.pipeline.sealing import draw_spreading, plan_of
+from engine.pipeline.sealing import DRAWN, draw_spreading, plan_of
 from engine.pipeline.strength import Strength, add_dc, first_guess, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
 from engine.records.record import Record
@@ -64,6 +64,7 @@ def embed(
     registered_at: str = "",
     progress: Progress | None = None,
     variant: Variant = PLAIN,
+    drawn: str = "",
 ) -> Embedding:
     """Mark a model.
 
@@ -88,6 +89,9 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
+    drawn : str
+        What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
+        so decides the chips, which nobody can then try out beforehand.
     """
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
@@ -129,7 +133,7 @@ def embed(
         plan = make_plan(stages, impact, settings.plan, emphasis)
         layout = plan.layout
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
-        committed = plan_of(layout, sign, key_cameras, landmarks, variant.commitments)
+        committed = plan_of(layout, sign, key_cameras, landmarks, {**variant.commitments, **_drawn(drawn)})
         spreading = draw_spreading(key, digest, copy, layout, committed)
         signed = signed_amplitudes(layout.amplitudes, spreading, sign)
         displacement = layout.displace(signed)
@@ -194,6 +198,10 @@ def embed(
         "seconds_by_stage": clock.seconds,
     }
     return Embedding(marked, record, settings, report)
+
+
+def _drawn(drawn: str) -> dict[str, str]:
+    return {DRAWN: drawn} if drawn else {}
 
 
 def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

@@ -6,7 +6,7 @@ strength) and the settings go beside it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,13 @@ from engine.records.record import Record, RecordHeader, chip_context, make_recor
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
+from engine.watermark.rates import Attested
 from engine.watermark.spreading import Spreading, spread
 
 Arrays = dict[str, npt.NDArray[Any]]
+
+DRAWN = "drawn"
+"""Name of the commitment to what whoever attests the registration drew for the plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class OpenedRecord:
     settings: dict[str, Any]  # profile and configuration of the embedding
     # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
+    attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
 
 def plan_of(
@@ -76,14 +81,15 @@ def draw_spreading(
     return spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
 
 
-def open_record(data: bytes, key: OwnerKey) -> OpenedRecord:
+def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) -> OpenedRecord:
     """Open a record file and draw its chips again.
 
-    Errors are those of `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
+    `attested` is somebody else's word on when it was registered, as the caller has checked it. Errors are those of
+    `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
     """
     record = Record.from_bytes(data, key)
     try:
-        return _open(record, key)
+        return replace(_open(record, key), attested=attested)
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise MalformedRecordError(f"the record's parts do not fit together: {error}") from error
 
