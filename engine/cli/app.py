@@ -8,6 +8,7 @@ import typer
 
 from engine.cli import (
     attack,
+    attest,
     bench,
     config,
     demo,
@@ -67,6 +68,7 @@ app.command("inspect")(inspect.inspect)
 app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
 app.command("trace")(trace.trace)
+app.command("attest")(attest.attest)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.errors import MalformedRecordError
+from engine.errors import InputError, MalformedRecordError
 from engine.model import Camera, GaussianModel
 from engine.pictures.landmarks import Landmarks
+from engine.pipeline.admission import admit
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
@@ -90,22 +91,18 @@ def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) ->
     record = Record.from_bytes(data, key)
     try:
         return replace(_open(record, key), attested=attested)
-    except (KeyError, ValueError, IndexError, TypeError) as error:
+    except (KeyError, ValueError, IndexError, TypeError, OverflowError, InputError) as error:
         raise MalformedRecordError(f"the record's parts do not fit together: {error}") from error
 
 
 def _open(record: Record, key: OwnerKey) -> OpenedRecord:
+    reference = record.reference()
+    admit(record.copy, record.plan, record.extra, record.plan_arrays, len(reference))
     codes = tuple(int(count) for count in record.plan["codes"])
     arrays = record.plan_arrays
     labels = tuple(np.ascontiguousarray(arrays[f"labels/{s}"], dtype=np.int32) for s in range(len(codes)))
     directions = tuple(np.asarray(arrays[f"directions/{s}"], dtype=np.float64) for s in range(len(codes)))
     layout = Layout(labels, codes, directions, arrays["amplitudes"].astype(np.float64))
-    reference = record.reference()
-    if len(layout.amplitudes) != layout.chips or (layout.amplitudes < 0).any():
-        raise ValueError(f"{len(layout.amplitudes)} amplitudes for {layout.chips} chips")
-    for stage, count in zip(labels, codes, strict=True):
-        if len(stage) != len(reference) or stage.min(initial=0) < 0 or stage.max(initial=0) >= count:
-            raise ValueError("labels outside their codebook")
     message = message_signs(record.plan["message"])
     spreading = spread(key, record.header.chip_context(), codes, len(directions[0]), len(message))
     cameras = [

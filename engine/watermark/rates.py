@@ -37,7 +37,12 @@ class Attested:
     drawn: bool = False
 
     def __post_init__(self) -> None:
-        _moment(self.at)
+        _ = self.moment
+
+    @property
+    def moment(self) -> datetime:
+        """The time, to compare."""
+        return _moment(self.at)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -75,7 +80,7 @@ def _basis(attested: Attested | None, suspect_seen: str) -> str:
     seen = _seen(suspect_seen) if suspect_seen else None
     if attested is None:
         return "self_declared"
-    if seen is not None and seen <= _moment(attested.at):
+    if seen is not None and seen <= attested.moment:
         return "younger"
     if attested.drawn:
         return "drawn"

@@ -7,6 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from engine.records.timestamps import stamp
 from service.claims.document import build_document
 from service.claims.schema import ClaimDocument
 from service.clock import now
@@ -20,7 +21,6 @@ from service.trust.canonical import canonical
 from service.trust.commitments import commit_claim, registration_of
 from service.trust.master import MasterKey
 from service.trust.signing import sign
-from service.trust.timestamps import stamp
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
         query = sa.select(claims.c.timestamp).where(claims.c.id == claim.id)
         if connection.execute(query).scalar_one() is not None:
             return ""
-    stamped = stamp(url, claim.jws)
+    stamped = stamp(url, claim.jws.encode())
     if stamped.token is None:
         return stamped.failure
     with db.write() as connection:

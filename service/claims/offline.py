@@ -14,6 +14,9 @@ from typing import Any
 from cryptography import x509
 from pydantic import ValidationError
 
+from engine.records.merkle import check_inclusion, leaf_hash
+from engine.records.signatures import SignatureFault, verify
+from engine.records.timestamps import TimestampFault, check_stamp, stamped_at
 from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import summary_of
@@ -21,9 +24,6 @@ from service.claims.report import report_html
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.trust.canonical import canonical
 from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
-from service.trust.merkle import check_inclusion, leaf_hash
-from service.trust.signing import SignatureFault, verify
-from service.trust.timestamps import TimestampFault, check_stamp, stamped_at
 
 
 @dataclass(frozen=True)
@@ -200,9 +200,9 @@ def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
 def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> Check:
     try:
         if certificates:
-            at = check_stamp(token, jws, certificates)
+            at = check_stamp(token, jws.encode(), certificates)
             return Check("timestamp", Status.PASS, f"Stamped on {at} by a service that was vouched for.")
-        at = stamped_at(token, jws)
+        at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
     text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."

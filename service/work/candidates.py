@@ -2,19 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
 from engine.model import GaussianModel
-from engine.pipeline.sealing import DRAWN, OpenedRecord, open_record
+from engine.pipeline.attesting import attested_by
+from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.searching import Suspect, resembling, search
 from engine.pipeline.verification import VerifyConfig
+from engine.records.attestation import Witness
 from engine.registration.sketch import Sketch
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
-from engine.watermark.rates import Attested
 from service.clock import LOG
 from service.work.process import Progress
 
@@ -32,11 +32,8 @@ class Candidate:
     def open(self) -> OpenedRecord:
         """See `engine.pipeline.searching.Candidate`. The log of the service that asks attests the registration."""
         opened = open_record(self.record.read_bytes(), self.key)
-        if not self.logged:
-            return opened
-        own = opened.commitments.get(DRAWN, "")
-        drawn = bool(own) and sha256(own.encode()).hexdigest() == self.logged["drawn_sha256"]
-        return replace(opened, attested=Attested(self.logged["at"], LOG, drawn))
+        witnesses = (Witness(self.logged["at"], LOG, self.logged["drawn_sha256"]),) if self.logged else ()
+        return replace(opened, attested=attested_by(opened, witnesses))
 
 
 def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:

@@ -8,15 +8,15 @@ import threading
 import pytest
 import sqlalchemy as sa
 
+from engine.records import signatures
+from engine.records.timestamps import Stamped
 from service.claims import issuing
 from service.claims.issuing import IssuedClaim, stamp_claim
 from service.claims.schema import ClaimDocument
 from service.db.schema import assets, audit, claims
 from service.problems import Problem
-from service.trust import signing
 from service.trust.audit_check import verify_log
 from service.trust.canonical import canonical
-from service.trust.timestamps import Stamped
 from tests.service.claims.cases import KINDS, nothing, reply
 from tests.service.claims.conftest import Registry
 
@@ -29,7 +29,7 @@ def count(registry: Registry, table: sa.Table) -> int:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_claim_is_logged_signed_and_stored(registry: Registry, kind: str) -> None:
     claim = registry.issue(reply(kind))
-    payload, _ = signing.verify(claim.jws, registry.jwks)
+    payload, _ = signatures.verify(claim.jws, registry.jwks)
     assert json.loads(payload) == claim.document
     assert canonical(claim.document) == payload
     assert claim.document["verdict"] == kind

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import InputError
+from engine.records.merkle import leaf_hash
 from service.claims.document import summary_of
 from service.claims.offline import Findings, Status, verify_report
 from service.claims.report import report_html
@@ -21,7 +22,6 @@ from service.cli import verify_report as command
 from service.trust import signing
 from service.trust.canonical import canonical
 from service.trust.commitments import claim_digest
-from service.trust.merkle import leaf_hash
 from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
 from tests.service.claims.conftest import Registry
 

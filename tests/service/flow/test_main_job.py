@@ -141,6 +141,8 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     key = alice.post("/v1/keys", json={"reveal": True, "label": "second"}).json()
     job = alice.embed(PLANT.read_bytes(), key_id=key["id"], bits="16", format="spz")
     (tmp_path / "owner.key").write_text(key["key"])
+    (tmp_path / "owner.key").chmod(0o600)
+    (tmp_path / "jwks.json").write_bytes(alice.get("/.well-known/jwks.json").content)
     for name, part in (("scene.record", "record"), ("marked.spz", "model")):
         (tmp_path / name).write_bytes(alice.get(f"/v1/assets/{job['result']['asset_id']}/{part}").content)
     done = mark3dgs(
@@ -151,9 +153,14 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
         str(tmp_path / "scene.record"),
         "--key",
         str(tmp_path / "owner.key"),
+        "--jwks",
+        str(tmp_path / "jwks.json"),
         "--json",
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout)
+    assert (told["false_claim_rate"], told["rate_basis"]) == (1e-9, "drawn")
+    assert told["attested"]["by"].startswith("the log of the service")
 
 
 def test_what_is_not_marked_is_not_claimed(alice: Client, marked: dict[str, Any]) -> None:
