@@ -12,6 +12,7 @@ from engine.cli import (
     bench,
     config,
     demo,
+    dispute,
     embed,
     evaluate,
     failures,
@@ -69,6 +70,7 @@ app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
 app.command("trace")(trace.trace)
 app.command("attest")(attest.attest)
+app.command("dispute")(dispute.dispute)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)

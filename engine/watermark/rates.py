@@ -42,7 +42,7 @@ class Attested:
     @property
     def moment(self) -> datetime:
         """The time, to compare."""
-        return _moment(self.at)
+        return moment(self.at)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -89,12 +89,12 @@ def _basis(attested: Attested | None, suspect_seen: str) -> str:
 
 def _seen(text: str) -> datetime:
     try:
-        return _moment(text)
+        return moment(text)
     except ValueError:
         raise InputError(f"{text!r} is no date: write 2026-11-03 or 2026-11-03T09:14:07+00:00") from None
 
 
-def _moment(text: str) -> datetime:
+def moment(text: str) -> datetime:
     found = datetime.fromisoformat(text)
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 

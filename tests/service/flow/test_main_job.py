@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
+from engine.records.signatures import DISPUTE, verify
 from tests.service import serving
 from tests.service.serving import ROOT, Served
 
@@ -189,6 +190,29 @@ def test_its_owner_can(alice: Client, marked: dict[str, Any]) -> None:
     job = alice.embed(marked["model"], key_id=key)
     assert job["state"] == "succeeded"
     assert marked["asset_id"] in job["result"]["already_carries"]
+
+
+def test_a_dispute_is_settled_and_signed(alice: Client, bob: Client, marked: dict[str, Any]) -> None:
+    """Two assets of hers, the second made from the first one's marked model: the first came first."""
+    newest = alice.get("/v1/assets").json()["items"][0]["id"]
+    assert newest != marked["asset_id"]
+    asked = {"asset_a": newest, "asset_b": marked["asset_id"]}
+    assert bob.post("/v1/disputes", json=asked).status_code == 404
+    job = alice.wait(alice.post("/v1/disputes", json=asked).json())
+    assert job["state"] == "succeeded", job
+    assert job["result"]["first"] == "b"
+    address = f"/v1/disputes/{job['result']['dispute_id']}"
+    settled = alice.get(address).json()
+    assert settled["headline"] == "Party B came first"
+    assert any(reason.startswith("Re-marking") for reason in settled["reasons"])
+    payload, _ = verify(settled["jws"], alice.get("/.well-known/jwks.json").json(), DISPUTE)
+    assert json.loads(payload) == settled["document"]
+    assert settled["document"]["assets"] == {"a": newest, "b": marked["asset_id"]}
+    dates = settled["document"]["finding"]["dates"]
+    assert dates["b"]["attested"] < dates["a"]["attested"]
+    assert "Party B came first" in alice.get(f"{address}/report").text
+    for path in (address, f"{address}/report"):
+        assert bob.get(path).status_code == 404
 
 
 def test_a_tenant_without_assets(served: Served) -> None:
