@@ -1,6 +1,9 @@
-"""Times as this service writes them."""
+"""Times as this service writes them, and who vouches for them."""
 
 from datetime import UTC, datetime, timedelta
+
+LOG = "the log of this service"
+"""Who attests registrations here."""
 
 
 def now() -> str:

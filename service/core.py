@@ -12,6 +12,7 @@ from service.jobs.durable import DurableJobs
 from service.jobs.port import Run
 from service.problems import Problem
 from service.settings import Settings
+from service.trust.commitments import registration_of
 from service.trust.master import MasterKey
 from service.trust.owner_keys import open_key
 
@@ -50,7 +51,8 @@ class Service:
 
         An asset whose owner key was erased cannot be looked for: it is left out.
         """
-        found = []
+        rows, found = list(rows), []
+        logged = self._logged([row.id for row in rows])
         for row in rows:
             try:
                 key = open_key(self.db, self.master, row.tenant, row.owner_key)
@@ -64,9 +66,18 @@ class Service:
                     "record": self.local(row.record_sha256, run),
                     "sketch": self.local(row.sketch_sha256, run),
                     "key": key.secret.hex(),
+                    "logged": logged[row.id],
                 }
             )
         return found
+
+    def _logged(self, names: list[str]) -> dict[str, dict[str, str]]:
+        """What the log says of each registration: when, and the digest of what was drawn for it ("" for old ones)."""
+        with self.db.read() as connection:
+            entries = [registration_of(connection, name) for name in names]
+        return {
+            entry.subject: {"at": entry.at, "drawn_sha256": entry.payload.get("drawn_sha256", "")} for entry in entries
+        }
 
     def close(self) -> None:
         """Give connections back."""

@@ -6,6 +6,7 @@ import time
 from typing import NoReturn
 
 from service.core import Service
+from service.disputes.flow import dispute_flow
 from service.embeds.flow import embed_flow
 from service.http.budgets import forget
 from service.jobs.worker import Worker
@@ -19,7 +20,7 @@ log = logging.getLogger("mark3dgs.worker")
 def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
     """Do jobs until told to stop; ends the process."""
     threading.Thread(target=_tidy, args=(service,), daemon=True).start()
-    flows = {"embed": embed_flow(service), "verify": verify_flow(service)}
+    flows = {"embed": embed_flow(service), "verify": verify_flow(service), "dispute": dispute_flow(service)}
     Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()
 
 

@@ -8,9 +8,11 @@ import typer
 
 from engine.cli import (
     attack,
+    attest,
     bench,
     config,
     demo,
+    dispute,
     embed,
     evaluate,
     failures,
@@ -67,6 +69,8 @@ app.command("inspect")(inspect.inspect)
 app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
 app.command("trace")(trace.trace)
+app.command("attest")(attest.attest)
+app.command("dispute")(dispute.dispute)
 app.command("render")(render.render)
 app.command("attack")(attack.attack)
 app.command("sim")(sim.sim)

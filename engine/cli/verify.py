@@ -16,6 +16,7 @@ from engine.cli.files import are_pictures, read_bytes
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
 
 if TYPE_CHECKING:
     from engine.pipeline.sealing import OpenedRecord
@@ -33,7 +34,10 @@ def verify(
         typer.Option("--cameras", help="Cameras of the pictures, in their order; found by search if left out."),
     ] = None,
     false_claim_rate: Annotated[
-        float, typer.Option("--false-claim-rate", metavar="P", help="Largest acceptable chance of a false claim.")
+        float,
+        typer.Option(
+            "--false-claim-rate", metavar="P", help="Largest acceptable chance of a false claim, where stricter."
+        ),
     ] = 1e-9,
     route: Annotated[
         str,
@@ -41,6 +45,15 @@ def verify(
             "--route", metavar="auto|model|render|image", help="Evidence: the Gaussians, their renders, or pictures."
         ),
     ] = "auto",
+    attestation: Annotated[
+        list[Path] | None,
+        typer.Option("--attestation", help="Somebody's word on the record's date, beside those in it; repeatable."),
+    ] = None,
+    tsa_certificates: TsaCertificates = None,
+    jwks: Jwks = None,
+    suspect_seen: Annotated[
+        str, typer.Option("--suspect-seen", metavar="DATE", help="Since when the suspect is known, such as 2026-11-03.")
+    ] = "",
     decoder: Annotated[
         str, typer.Option("--decoder", metavar="ours|paper", help="How bits are read; the claim is the same.")
     ] = "ours",
@@ -52,6 +65,9 @@ def verify(
     The suspect may have been moved, cropped, thinned, converted or put into
     another scene; of a picture, neither camera nor focal length need be known.
     Several pictures are read together.
+
+    A claim needs 1 in 10^9 where somebody else attests that the record is older
+    than the suspect (see `mark3dgs attest`), else 1 in 2^128.
 
     Exit codes: 0 marked, 3 not marked, 4 inconclusive, 2 wrong key or input.
 
@@ -65,25 +81,30 @@ def verify(
     began = time.perf_counter()
     pictures = are_pictures(suspects, cameras)
 
-    from engine.pipeline.sealing import open_record
+    from engine.pipeline.attesting import open_attested
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
+    from engine.records.attestation import attach
     from engine.watermark.keys import OwnerKey
     from engine.watermark.wording import PLAIN, words_of
 
-    config = VerifyConfig(false_claim_rate=false_claim_rate, route=route, decoder=decoder)
+    config = VerifyConfig(false_claim_rate, suspect_seen, route, decoder)
+    trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
     owner = OwnerKey.read(key)
     with console.progress() as progress:
         started = time.perf_counter()
         progress("open record", 0.0)
-        opened = open_record(read_bytes(record, "record"), owner)
+        data = read_bytes(record, "record")
+        opened, unheard = open_attested(attach(data, *more) if more else data, owner, trust)
         open_seconds = time.perf_counter() - started
         compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
         started = time.perf_counter()
         suspect, repairs = load_suspect(console, suspects, cameras, progress, spz_frame)
         read_seconds = time.perf_counter() - started
         found = search_for(suspect, opened, config, progress)
-    report = claim_report(found, opened) | {
+    report = claim_report(found, opened)
+    report["notes"] += unheard
+    report |= {
         "suspects": [str(path) for path in suspects],
         "repairs": [asdict(repair) for repair in repairs],
         "seconds": time.perf_counter() - began,
@@ -108,5 +129,6 @@ def claim_report(found: Verification, opened: OpenedRecord) -> dict[str, Any]:
         "record_id": header.record_id,
         "owner": header.owner,
         "registered_at": header.registered_at,
+        "attested": opened.attested.to_json() if opened.attested is not None else None,
         "original_sha256": header.original_digest,
     }

@@ -14,6 +14,7 @@ from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.variant import PLAIN, Variant
 from engine.watermark.keys import OwnerKey
+from engine.watermark.rates import MADE_FIRST
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -60,7 +61,7 @@ def mark_copies(
         made = embed(
             loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, copy=name, variant=variant
         )
-        opened = open_record(made.record.to_bytes(key), key)
+        opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
         scenes.append(MarkedScene(Path(path).name, loaded.model, made.model, opened, made.report))
     return scenes
 

@@ -27,6 +27,7 @@ from engine.pipeline.profiles import Auto, EmbedConfig, Settings
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
+from engine.pipeline.sealing import DRAWN
 from engine.pipeline.settling import measure, settle
 from engine.pipeline.strength import Fidelity, add_dc, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
@@ -67,6 +68,7 @@ def embed(
     registered_at: str = "",
     progress: Progress | None = None,
     variant: Variant = PLAIN,
+    drawn: str = "",
 ) -> Embedding:
     """Mark a model.
 
@@ -91,6 +93,9 @@ def embed(
         Time of registration as the caller knows it; no clock is read here.
     variant : Variant, optional
         What is special about a model that moves, or brings its own codebook.
+    drawn : str
+        What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
+        so decides the chips, which nobody can then try out beforehand.
     """
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
@@ -151,7 +156,7 @@ def embed(
             views,
             settled,
             Copy(key, digest, copy, sign),
-            Committed(key_cameras, landmarks, variant.commitments),
+            Committed(key_cameras, landmarks, {**variant.commitments, **_drawn(drawn)}),
             Fidelity(settings.psnr_db, settings.ssim),
             ground.picture_scale,
             variant.at_view,
@@ -213,6 +218,10 @@ def embed(
         "seconds_by_stage": clock.seconds,
     }
     return Embedding(marked, record, settings, report)
+
+
+def _drawn(drawn: str) -> dict[str, str]:
+    return {DRAWN: drawn} if drawn else {}
 
 
 def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

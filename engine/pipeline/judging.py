@@ -6,23 +6,26 @@ from engine.errors import InputError
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration
 from engine.watermark.claim import Claim, ClaimConfig, decide
+from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import decode_paper
-from engine.watermark.statistics import log10_binomial_tail
+from engine.watermark.rates import AppliedRate, Attested, applicable_rate
+from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail
 
 ROUTES = ("auto", "model", "render", "image")
-ABSENCE_POWER = 0.999
-"""Probability that the registration finds a piece of the asset that is there (measured: docs/RESULTS.md)."""
 LEAST_PIECE = 64
-"""Gaussians below which a suspect is too small for that: its silence says nothing. As few as a mark itself needs."""
+"""Gaussians below which a suspect is too small to be searched again: as few as a mark itself needs."""
 
 
 @dataclass(frozen=True)
 class VerifyConfig:
     """What a verification can be told."""
 
-    false_claim_rate: float = 1e-9  # largest acceptable probability of a false claim, against chance
+    # Largest acceptable probability of a false claim; counts only where it is stricter than what applies to the record
+    # (`rates.applicable_rate`)
+    false_claim_rate: float = CHANCE_RATE
+    suspect_seen: str = ""  # since when the suspect is known, ISO 8601; empty where nobody knows
     route: str = "auto"  # "auto", "model", "render" or "image"
     decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
     seed: int = 0  # of the registration's trials
@@ -39,6 +42,11 @@ class VerifyConfig:
             raise InputError(f"false-claim rate must lie in (0, 1), got {self.false_claim_rate}")
         if self.tries is not None and self.tries < 1:
             raise InputError(f"at least one hypothesis is tried, got tries {self.tries}")
+        self.rate_for(None)  # refuses a date that is none
+
+    def rate_for(self, attested: Attested | None) -> AppliedRate:
+        """The rate that a claim of such a record must meet."""
+        return applicable_rate(self.false_claim_rate, attested, self.suspect_seen)
 
 
 def judge(
@@ -49,12 +57,12 @@ def judge(
     config: VerifyConfig,
     registration: Registration | None = None,
     notes: tuple[str, ...] = (),
+    derivation: Derivation = NOT_FOUND,
 ) -> Claim:
     """The claim that this evidence supports."""
     spreading = opened.spreading_of(len(evidence.y))
-    transform, fraction, absence = None, None, None
+    transform = None
     if registration is not None:
-        fraction = registration.derived_fraction
         if registration.found:
             transform = {
                 "scale": registration.scale,
@@ -64,8 +72,8 @@ def judge(
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":
-            absence = ABSENCE_POWER if len(registration.matches) >= LEAST_PIECE else None
-            notes = (*notes, "no piece of the asset was found in the suspect model")
+            weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
+            notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")
     claim = decide(
         evidence.y,
         evidence.weights,
@@ -74,11 +82,10 @@ def judge(
         spreading.chips,
         opened.message,
         tries=max(tries, config.tries or 1),
-        config=ClaimConfig(false_claim_rate=config.false_claim_rate),
+        config=ClaimConfig.at(config.rate_for(opened.attested)),
         route=route,
         copy=opened.copy,
-        derived_fraction=fraction,
-        absence_power=absence,
+        derivation=derivation,
         transform=transform,
         notes=notes,
     )

@@ -15,20 +15,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.errors import MalformedRecordError
+from engine.errors import InputError, MalformedRecordError
 from engine.model import Camera, GaussianModel
 from engine.pictures.landmarks import Landmarks
+from engine.pipeline.admission import admit
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
+from engine.watermark.rates import Attested
 from engine.watermark.spreading import Spreading, grain_key, spread, spread_grain
 
 FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
+
+DRAWN = "drawn"
+"""Name of the commitment to what whoever attests the registration drew for the plan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +54,7 @@ class OpenedRecord:
     settings: dict[str, Any]  # profile and configuration of the embedding
     # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
+    attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
     def spreading_of(self, chips: int) -> Spreading:
         """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""
@@ -99,35 +105,33 @@ def draw_spreading(
     return tint, grain_key(key, context)
 
 
-def open_record(data: bytes, key: OwnerKey) -> OpenedRecord:
+def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) -> OpenedRecord:
     """Open a record file and draw its chips again.
 
-    Errors are those of `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
+    `attested` is somebody else's word on when it was registered, as the caller has checked it. Errors are those of
+    `Record.from_bytes`; MalformedRecordError also when the inside does not fit together.
     """
     record = Record.from_bytes(data, key)
     try:
-        return _open(record, key)
-    except (KeyError, ValueError, IndexError, TypeError) as error:
+        return replace(_open(record, key), attested=attested)
+    except (KeyError, ValueError, IndexError, TypeError, OverflowError, InputError) as error:
         raise MalformedRecordError(f"the record's parts do not fit together: {error}") from error
 
 
 def _open(record: Record, key: OwnerKey) -> OpenedRecord:
+    reference = record.reference()
+    version = record.header.format_version
+    admit(version, record.copy, record.plan, record.extra, record.plan_arrays, len(reference))
     codes = tuple(int(count) for count in record.plan["codes"])
     arrays = record.plan_arrays
     labels = tuple(np.ascontiguousarray(arrays[f"labels/{s}"], dtype=np.int32) for s in range(len(codes)))
     directions = tuple(np.asarray(arrays[f"directions/{s}"], dtype=np.float64) for s in range(len(codes)))
     layout = Layout(labels, codes, directions, arrays["amplitudes"].astype(np.float64))
-    reference = record.reference()
-    if len(layout.amplitudes) != layout.chips or (layout.amplitudes < 0).any():
-        raise ValueError(f"{len(layout.amplitudes)} amplitudes for {layout.chips} chips")
-    for stage, count in zip(labels, codes, strict=True):
-        if len(stage) != len(reference) or stage.min(initial=0) < 0 or stage.max(initial=0) >= count:
-            raise ValueError("labels outside their codebook")
     message = message_signs(record.plan["message"])
     context = record.header.chip_context()
     spreading = spread(key, context, codes, len(directions[0]), len(message))
     strength = 1.0
-    if record.header.format_version == 1:
+    if version == 1:
         strength = float(record.extra["strength"]) / FIRST_STRENGTH
         layout = replace(layout, amplitudes=FIRST_STRENGTH * layout.amplitudes)
     cameras = [

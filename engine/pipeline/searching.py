@@ -19,6 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from engine.errors import InputError, RecordError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.pipeline.derivation import derivation_of_model, derivation_of_pictures, derivation_of_sight
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
@@ -26,6 +27,7 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration, register
 from engine.registration.sketch import ALIKE, Sketch, SuspectIndex
 from engine.watermark.claim import Claim, Verdict
+from engine.watermark.derivation import Derivation
 from engine.watermark.model_evidence import Evidence
 
 __all__ = [
@@ -77,6 +79,7 @@ class Reading:
     registration: Registration | None  # of a model
     notes: tuple[str, ...]  # for the reader of the claim
     shown: bool  # whether the asset was found in the suspect
+    derivation: Derivation  # the same, with how much of it and where
 
     @property
     def derived_fraction(self) -> float | None:
@@ -116,22 +119,27 @@ def readings(
     """
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
-        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()))
+        seen = len(suspect.pictures) - len(notes)  # each picture in which the asset was not found left one note
+        sight = derivation_of_pictures(seen, len(suspect.pictures))
+        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
         return
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
+        matched = derivation_of_model(opened.reference, suspect.model, registration)
     said: Evidence | None = None
     for route in routes:
         with clock.stage(route):
             if route == "model":
                 evidence = read_gaussians(suspect.model, opened, registration)
                 said = evidence if evidence.weights.any() else None
-                reading = Reading(route, evidence, registration, (), registration.found)
+                reading = Reading(route, evidence, registration, (), registration.found, matched)
             else:
-                seen = read_renders(suspect.model, opened, registration, clock)
-                both = said is not None and bool(seen.evidence.weights.any())
-                evidence = said.plus(seen.evidence) if said is not None and both else seen.evidence
-                reading = Reading("both" if both else route, evidence, registration, seen.notes, seen.shown)
+                renders = read_renders(suspect.model, opened, registration, clock)
+                both = said is not None and bool(renders.evidence.weights.any())
+                evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
+                sight = derivation_of_sight(matched, renders.shown)
+                asked = "both" if both else route
+                reading = Reading(asked, evidence, registration, renders.notes, renders.shown, sight)
         yield reading
 
 
@@ -148,9 +156,20 @@ def verify(
     routes = suspect.routes(config.route)
     tries = count_tries(1, routes, config)
     best: Verification | None = None
+    tried: tuple[str, ...] = ()
     for reading in readings(suspect, opened, routes, config.seed, clock):
         with clock.stage("decide"):
-            claim = judge(reading.evidence, opened, reading.route, tries, config, reading.registration, reading.notes)
+            claim = judge(
+                reading.evidence,
+                opened,
+                reading.route,
+                tries,
+                config,
+                reading.registration,
+                reading.notes,
+                reading.derivation,
+            )
+            tried = tuple(dict.fromkeys((*tried, *claim.notes)))
         found = reading.registration is not None and reading.registration.found
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
         if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
@@ -158,6 +177,8 @@ def verify(
         if claim.verdict is Verdict.MARKED and found:
             break
     assert best is not None
+    if best.claim.verdict is Verdict.INCONCLUSIVE:  # then all that was tried is worth telling
+        best = replace(best, claim=replace(best.claim, notes=tried))
     return replace(best, seconds=clock.total, seconds_by_stage=clock.seconds)
 
 
@@ -191,14 +212,16 @@ class Outcome(Generic[C]):
 
     @property
     def worth(self) -> tuple[float, ...]:
-        """Greater tells more: marked, then derived, then undecided, then foreign, then not to be opened."""
+        """Greater tells more: marked, then derived, then undecided, then not to be opened."""
         if (claim := self.claim) is None:
             return (0.0,)
         if claim.verdict is Verdict.MARKED:
             return (4.0, -claim.log10_false_claim)
-        if claim.derived_fraction:
-            return (3.0, claim.derived_fraction)
-        return (2.0 if claim.verdict is Verdict.INCONCLUSIVE else 1.0, -claim.log10_false_claim)
+        if claim.would_be_claim_if_attested:
+            return (3.0, -claim.log10_false_claim)
+        if claim.derivation.derived:
+            return (2.0, claim.derived_fraction or 0.0, -claim.log10_false_claim)
+        return (1.0, -claim.log10_false_claim)
 
 
 @dataclass(frozen=True, eq=False)

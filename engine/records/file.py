@@ -6,6 +6,7 @@ Little-endian; everything before the sealed body is public and authenticated by 
     header: canonical JSON
     sealed body: AES-SIV(zstd(body))
     SHA-256 of all before it
+    attestations, if there are any (`engine.records.attestation`), which neither checksum nor seal covers
 
 The checksum tells a damaged file from an altered one; the seal is what protects. AES-SIV (RFC 5297) is
 deterministic: the same record gives the same bytes (with one version of zstd), and nothing is lost if one is
@@ -26,6 +27,15 @@ from engine.watermark.keys import RECORD_SEAL, OwnerKey
 
 MEDIA_TYPE = "application/vnd.mark3dgs.record"
 MAX_BODY_BYTES = (1 << 31) - (1 << 24)  # AES-SIV takes 2 GiB in one piece; the rest is zstd's worst case
+
+APPENDED = b"M3DGSATT"
+"""How attestations begin."""
+
+MOST_UNPACKING = 64
+"""Largest factor by which a body is longer than it lies in the file. Centres, rotations and descriptors are close to
+noise: records of real scenes unpack to one to three times as many bytes."""
+
+_FREE_BYTES = 1 << 20  # of a small record, which may be as regular as it likes
 
 _MAGIC = b"M3DGSREC"
 _PREFIX = struct.Struct("<8sHHIQQ")
@@ -58,6 +68,7 @@ def unseal(data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> 
     RecordTooNewError if a later version of this program wrote it; WrongKeyError if it is whole, but another key made
     it; MalformedRecordError if it is no record, was damaged or altered, or would unpack to more than `max_body_bytes`.
     """
+    data = split(data)[0]
     public, header, body_length = _open_public(data)  # 1. Whole, and of this version?
     check_key(header, key)  # 2. This key's?
     if body_length > max_body_bytes:
@@ -74,7 +85,21 @@ def read_header(data: bytes) -> RecordHeader:
 
     RecordTooNewError and MalformedRecordError as in `unseal`.
     """
-    return _open_public(data)[1]
+    return _open_public(split(data)[0])[1]
+
+
+def public_bytes(data: bytes) -> bytes:
+    """Prefix and header of a record file, which name reference, plan, owner and original; errors as in `unseal`."""
+    return _open_public(split(data)[0])[0]
+
+
+def split(data: bytes) -> tuple[bytes, bytes]:
+    """The record, and what follows it in the file."""
+    if len(data) < _PREFIX.size:
+        return data, b""
+    *_, header_length, _, sealed_length = _PREFIX.unpack_from(data)
+    end = _PREFIX.size + header_length + sealed_length + _CHECKSUM_BYTES
+    return (data[:end], data[end:]) if data[end:].startswith(APPENDED) else (data, b"")
 
 
 def _open_public(data: bytes) -> tuple[bytes, RecordHeader, int]:
@@ -87,6 +112,9 @@ def _open_public(data: bytes) -> tuple[bytes, RecordHeader, int]:
     public_length = _PREFIX.size + header_length
     if version < 1 or zero or header_length > _MAX_HEADER_BYTES or body_length > MAX_BODY_BYTES:
         raise MalformedRecordError("the record's prefix is malformed")
+    if body_length > MOST_UNPACKING * sealed_length + _FREE_BYTES:
+        text = f"of {sealed_length} bytes would unpack to {body_length}, over {MOST_UNPACKING} times as many"
+        raise MalformedRecordError(f"the record's body {text}")
     if public_length + sealed_length + _CHECKSUM_BYTES != len(data) or sealed_length <= _TAG_BYTES:
         raise MalformedRecordError(f"the record was cut or extended: it has {len(data)} bytes")
     if sha256(memoryview(data)[:-_CHECKSUM_BYTES]).digest() != data[-_CHECKSUM_BYTES:]:

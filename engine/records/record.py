@@ -103,7 +103,7 @@ class Record:
         """
         header, body = unseal(data, key, max_body_bytes)
         meta, arrays = unpack(body)
-        if set(meta) != {"copy", "plan", "extra"} or not isinstance(meta["copy"], str):
+        if set(meta) != {"copy", "plan", "extra"} or not _is_text(meta["copy"]):
             raise MalformedRecordError("the record's body is malformed")
         if not (isinstance(meta["plan"], dict) and isinstance(meta["extra"], dict)):
             raise MalformedRecordError("the record's plan is malformed")
@@ -123,6 +123,11 @@ class Record:
         if copy_digest(key, meta["copy"]) != header.copy_digest:
             raise MalformedRecordError("the record's copy is not the one its header names")
         return cls(header, meta["copy"], meta["plan"], groups["plan"], meta["extra"], groups["reference"])
+
+
+def _is_text(value: Any) -> bool:
+    """Whether this is text that can be encoded: JSON also holds halves of characters."""
+    return isinstance(value, str) and value.encode(errors="replace").decode() == value
 
 
 def _tool_version() -> str:

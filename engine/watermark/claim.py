@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float64
+from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
-from engine.watermark.power import evidence_needed, expected_z, power
+from engine.watermark.power import evidence_needed, expected_z, measured_change, power
+from engine.watermark.rates import AppliedRate
 from engine.watermark.statistics import (
     CHANCE_RATE,
     DISHONEST_CLAIMANT_RATE,
@@ -30,7 +32,7 @@ class Verdict(StrEnum):
     """The three answers. "No mark found" is a result, not an error."""
 
     MARKED = "marked"
-    NOT_MARKED = "not_marked"
+    NOT_MARKED = "not_marked"  # derived from the asset; this copy's mark is absent or was taken out
     INCONCLUSIVE = "inconclusive"
 
 
@@ -40,14 +42,24 @@ class ClaimConfig:
 
     # Largest false-claim bound, all tries counted, of the answer `marked`; in (0, 1)
     false_claim_rate: float = CHANCE_RATE
+    rate_basis: str = "attested"  # why this rate applies, a key of `rates.BASES`
+    # The rate that would apply if the registration were attested and older than the suspect; None where it cannot be
+    rate_if_attested: float | None = None
     power: float = 0.999  # least proven power of the answer `not_marked`; in (0, 1)
     # Share of the mark's amplitude assumed left when power is computed, in (0, 1]: `not_marked` says that even a mark
     # worn down to this share would have been seen
     surviving: float = 0.5
+    # Largest change measured along the mark's directions, in sizes of the mark, of the answer `not_marked`: what moved
+    # the colours by more may as well have covered a mark. Copies as they are, re-exported or noised by a tenth of each
+    # attribute's deviation stay below 0.1; other marks and cleaned ones leave 0.3 and more
+    room: float = 0.25
     # A bound below this, though above the false-claim rate, forbids the answer `not_marked`; in (0, 1)
     doubt_rate: float = 1e-3
-    # Share of the reference to be found before a suspect is called derived from it; in [0, 1]
-    derived_least: float = 0.02
+
+    @classmethod
+    def at(cls, rate: AppliedRate) -> "ClaimConfig":
+        """The usual demands, at the rate that applies."""
+        return cls(false_claim_rate=rate.rate, rate_basis=rate.basis, rate_if_attested=rate.if_attested)
 
     def __post_init__(self) -> None:
         for name in ("false_claim_rate", "power", "doubt_rate"):
@@ -55,8 +67,8 @@ class ClaimConfig:
                 raise InputError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
         if not 0 < self.surviving <= 1:
             raise InputError(f"surviving must lie in (0, 1], got {self.surviving}")
-        if not 0 <= self.derived_least <= 1:
-            raise InputError(f"derived_least must lie in [0, 1], got {self.derived_least}")
+        if not self.room > 0:
+            raise InputError(f"room must be positive, got {self.room}")
 
 
 @dataclass(frozen=True)
@@ -72,13 +84,19 @@ class Claim:
     unmarked_z: float  # expected without a mark (or under a wrong key): 0, with a standard deviation of 1
     expected_z: float  # expected if the mark were there at full strength
     z_threshold: float  # the z at which the bound meets `false_claim_rate` for this number of tries
-    false_claim_rate: float  # the rate asked for, fixed before the evidence was seen
+    false_claim_rate: float  # the rate that applies, fixed before the evidence was seen
+    rate_basis: str  # why it applies, a key of `rates.BASES`
+    # The bound is below what would be enough if the registration were attested and older than the suspect, and above
+    # what applies: the verdict is `inconclusive`
+    would_be_claim_if_attested: bool
     # Whether the bound is at most 2^-128 too: needed where the record is not known to be older than the suspect
     meets_dishonest_claimant_rate: bool
     tries: int  # hypotheses tried (records x transforms x routes)
     # Proven lower bound of the probability to reach the threshold, had the mark been there at the `surviving` share of
     # its strength
     power: float
+    # Size of what was measured along the mark's directions, in sizes of the mark; None where nothing was measured
+    change: float | None
     message: str  # extracted bits in hexadecimal (a bit without evidence reads 0)
     # Length of the message; how many bits equal the registered ones (a bit without evidence does not)
     bits: int
@@ -88,18 +106,21 @@ class Claim:
     # log10 of the chance that as many bits match by luck, tries not counted. Weaker than the bound above, which also
     # uses how clearly each bit was read; reported because the literature does.
     log10_binomial_tail: float
-    # Share of the reference found in the suspect; None where the route does not measure it
-    derived_fraction: float | None
-    derived_but_unmarked: bool  # the suspect comes from this asset, but does not carry this mark
+    derivation: Derivation  # whether the suspect was made from the asset; stands whatever the verdict is
     transform: dict[str, Any] | None  # from suspect to reference, as the route found it
     route: str  # kind of evidence
     copy: str  # name of the copy whose mark was looked for
     missing: str  # what an inconclusive answer lacks; otherwise empty
     notes: tuple[str, ...]  # for the reader
 
+    @property
+    def derived_fraction(self) -> float | None:
+        """Share of the reference found in the suspect; None where the route does not measure it."""
+        return self.derivation.share
+
     def to_json(self) -> dict[str, Any]:
         """Plain dict of JSON values."""
-        plain = asdict(self)
+        plain = asdict(self) | {"derived": self.derivation.derived, "derived_fraction": self.derived_fraction}
         plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))
         return plain
 
@@ -116,8 +137,7 @@ def decide(
     config: ClaimConfig | None = None,
     route: str = "",
     copy: str = "",
-    derived_fraction: float | None = None,
-    absence_power: float | None = None,
+    derivation: Derivation = NOT_FOUND,
     transform: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Claim:
@@ -136,11 +156,8 @@ def decide(
         The registered message.
     tries : int
         Number of (record, transform, route) hypotheses tried in this verification, >= 1.
-    derived_fraction : float, optional
-        Share of the reference found in the suspect.
-    absence_power : float, optional
-        For a suspect in which nothing of the reference was found (no signal to expect): the probability that
-        it would have been found. At `config.power` or above the answer is then `not_marked`.
+    derivation : Derivation, optional
+        How much of the asset was recognised in the suspect; without any the answer is never `not_marked`.
     notes : tuple of str
     """
     config = config or ClaimConfig()
@@ -152,35 +169,39 @@ def decide(
     z = claim_z(y, w, bit_of, chips, message)
     # 3. How often would a key with no part in this suspect come as far, all tries counted?
     log10_bound = log10_false_claim_bound(z, tries)
-    # 4. Would this evidence have shown the mark, even a worn one?
+    # 4. Would this evidence have shown the mark, even a worn one, and is there no room for one that was covered?
     expected = expected_z(y, w, signal)
-    if expected > 0:
-        strength = power(y, w, config.surviving * signal, threshold)
-    else:
-        strength = absence_power or 0.0
+    strength = power(y, w, config.surviving * signal, threshold)
+    change = measured_change(y, w, signal)
     # 5. The answer.
     doubtful = log10_bound < math.log10(config.doubt_rate)
     if z >= threshold:
         verdict = Verdict.MARKED
-    elif strength >= config.power and not doubtful:
+    elif derivation.derived and strength >= config.power and change <= config.room and not doubtful:
         verdict = Verdict.NOT_MARKED
     else:
         verdict = Verdict.INCONCLUSIVE
     # 6. What an undecided answer lacks.
+    attested_rate = config.rate_if_attested or config.false_claim_rate
+    would = verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries)
     missing = ""
     if verdict is Verdict.INCONCLUSIVE:
         if doubtful:  # the evidence itself says what a mark would give
-            needed = (threshold / z) ** 2
+            missing = _more((threshold / z) ** 2)
+        elif not expected > 0:
+            missing = "nothing of the asset could be measured in this evidence"
+        elif not derivation.derived:
+            missing = "too little of the asset was recognised in the suspect"
+        elif strength >= config.power:
+            missing = _COVERED
         else:
-            needed = evidence_needed(y, w, config.surviving * signal, threshold, config.power)
-        missing = _missing(needed)
+            missing = _more(evidence_needed(y, w, config.surviving * signal, threshold, config.power))
     # 7. The bits: reported, but no part of the answer.
     n_bits = len(message)
     T, norm = bit_statistics(y, w, bit_of, chips, n_bits)
     bits, reliability = decode_bits(T, norm, _bit_strength(w, signal, bit_of, norm))
     matches = int((bits == message).sum())
 
-    derived = derived_fraction is not None and derived_fraction >= config.derived_least
     return Claim(
         verdict=verdict,
         confidence=-math.expm1(log10_bound * math.log(10)),
@@ -190,17 +211,19 @@ def decide(
         expected_z=expected,
         z_threshold=threshold,
         false_claim_rate=config.false_claim_rate,
+        rate_basis=config.rate_basis,
+        would_be_claim_if_attested=would,
         meets_dishonest_claimant_rate=log10_bound <= math.log10(DISHONEST_CLAIMANT_RATE),
         tries=tries,
         power=strength,
+        change=change if math.isfinite(change) else None,
         message=message_hex(bits),
         bits=n_bits,
         matching_bits=matches,
         bit_accuracy=matches / n_bits,
         bit_reliability=tuple(float(r) for r in reliability),
         log10_binomial_tail=log10_binomial_tail(matches, n_bits),
-        derived_fraction=derived_fraction,
-        derived_but_unmarked=derived and verdict is Verdict.NOT_MARKED,
+        derivation=derivation,
         transform=dict(transform) if transform is not None else None,
         route=route,
         copy=copy,
@@ -217,9 +240,13 @@ def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], 
     return np.divide(np.maximum(sums, 0), norm, out=np.zeros_like(norm), where=norm > 0)
 
 
-def _missing(times: float) -> str:
-    if not math.isfinite(times):
-        return "nothing of the reference could be measured in this evidence"
+_COVERED = (
+    "the colours differ from the original's by more than a small part of what a mark moves: another mark lies there, or"
+    " this one was covered or taken out"
+)
+
+
+def _more(times: float) -> str:
     if times > 1000:
         return "more than 1000x as much evidence of this kind is needed"
     return f"about {max(times, 1.1):.1f}x as much evidence of this kind is needed"

@@ -12,6 +12,7 @@ import contextlib
 import hmac
 import os
 import secrets
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -113,11 +114,13 @@ class OwnerKey:
     def read(cls, path: str | os.PathLike[str]) -> OwnerKey:
         """Read a key file written by `write`.
 
-        KeyFileError if the file is missing, is no key file, is of a later version, or was altered.
+        KeyFileError if the file is missing, may be read or written by others than its owner, is no key file, is of a
+        later version, or was altered.
         """
         name = os.fspath(path)
         try:
             with open(path, "rb") as file:
+                _refuse_shared(file.fileno(), name)
                 data = file.read(_MAX_FILE_BYTES + 1)
         except OSError as error:
             raise KeyFileError(f"cannot read owner key {name!r}: {error.strerror}") from error
@@ -172,6 +175,13 @@ class OwnerKey:
             raise KeyFileError(f"{str(target)!r} exists; an owner key is never overwritten") from None
         except OSError as error:
             raise KeyFileError(f"cannot write owner key {str(target)!r}: {error.strerror}") from error
+
+
+def _refuse_shared(descriptor: int, name: str) -> None:
+    """What others can read is no secret; where a file has no such rights, as on Windows, nothing is asked."""
+    mode = stat.S_IMODE(os.fstat(descriptor).st_mode)
+    if os.name == "posix" and mode & 0o077:
+        raise KeyFileError(f"{name!r} may be read or written by others (mode {mode:04o}): chmod 600 {name}")
 
 
 def _write_new(path: Path, data: bytes) -> None:

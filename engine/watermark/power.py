@@ -24,6 +24,7 @@ class _Moments(NamedTuple):
     signal: float  # S
     root: float  # sqrt(Q)
     spread: float  # |a|
+    mark: float  # |w s|
 
 
 def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Moments:
@@ -38,7 +39,7 @@ def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Mome
     wy, ws = wy / top, ws / top
     root = math.sqrt(float(wy @ wy + ws @ ws))
     a = wy * (1 - threshold * ws / root) if root > 0 else wy
-    return _Moments(float(ws.sum()), root, math.sqrt(float(a @ a)))
+    return _Moments(float(ws.sum()), root, math.sqrt(float(a @ a)), math.sqrt(float(ws @ ws)))
 
 
 def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
@@ -49,6 +50,17 @@ def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
     """
     m = _moments(y, w, signal, 0.0)
     return m.signal / m.root if m.root > 0 else 0.0
+
+
+def measured_change(y: Float64, w: Float64, signal: Float64) -> float:
+    """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where no mark is expected.
+
+    Power takes for granted that what lies over the mark knows nothing of it. Who cleans a stolen model does: he puts an
+    estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the mark leaves
+    sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is no room for it.
+    """
+    m = _moments(y, w, signal, 0.0)  # at threshold 0 a is w y
+    return m.spread / m.mark if m.mark > 0 else math.inf
 
 
 def power(y: Float64, w: Float64, signal: Float64, threshold: float, proven: bool = True) -> float:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from engine.watermark.rates import BASES
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
-HEADLINES = {"marked": "Mark found", "not_marked": "No mark", "inconclusive": "Undecided"}
+HEADLINES = {"marked": "Mark found", "not_marked": "Derived, without this mark", "inconclusive": "Undecided"}
 
 ROUTES = {
     "model": "the suspect's Gaussians, compared one by one with the registered original",
@@ -96,12 +97,10 @@ class Words:
     finding: str
     facts: tuple[Fact, ...]  # the leading ones first
     meaning: dict[str, str]  # `says`, `does_not_say`, `method` and `record_time`
-    limits: tuple[tuple[float, str], ...]  # what a bound is held against: the rate that was asked for, and 2^-128
+    limits: tuple[tuple[float, str], ...]  # what a bound is held against: the rate that applies, and 2^-128
 
 
-def words_of(
-    claim: Mapping[str, Any], form: Form, *, suspect: str = "", pictures: int = 0, logged: bool = False
-) -> Words:
+def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", pictures: int = 0) -> Words:
     """A claim in words.
 
     Parameters
@@ -112,12 +111,12 @@ def words_of(
         Its name; left out, it is "this model" or "these pictures".
     pictures : int
         How many were looked at; 0 for a model.
-    logged : bool
-        `registered_at` is the word of an audit log, not of the record alone.
     """
-    against = [(math.log10(DISHONEST_CLAIMANT_RATE), f"even against forgers: 1 in {form.power(2, 128)}")]
-    if (asked := claim["false_claim_rate"]) is not None:
-        against.insert(0, (math.log10(asked), f"asked for: {form.rate(asked)}"))
+    against = [(math.log10(DISHONEST_CLAIMANT_RATE), f"without an attested date: 1 in {form.power(2, 128)}")]
+    rate = claim["false_claim_rate"]
+    if rate is not None and rate != DISHONEST_CLAIMANT_RATE:
+        against.append((math.log10(rate), f"needed here: {form.rate(rate)}"))
+        against.sort(reverse=True)
     return Words(
         headline=HEADLINES[claim["verdict"]],
         finding=_finding(claim, form, suspect, pictures),
@@ -129,7 +128,7 @@ def words_of(
                 "The comparison used the owner's sealed record, which holds the unmarked original and the secret"
                 " positions of the mark; nobody can repeat it without that record and the owner's key."
             ),
-            "record_time": _record_time(claim, form, logged),
+            "record_time": _record_time(claim, form),
         },
         limits=tuple(against),
     )
@@ -137,34 +136,38 @@ def words_of(
 
 def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) -> str:
     kind = {0: "model", 1: "picture"}.get(pictures, "pictures")
-    it = suspect or f"the {kind}"
-    if claim["verdict"] == "inconclusive":
-        return f"There is too little evidence in {it} for a yes or a no."
-    if claim["derived_but_unmarked"]:
-        return f"The registered model, or part of it, is in {it}, but not this copy's hidden mark."
-    whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
-    if claim["verdict"] == "not_marked":
-        return f"The hidden mark of {whose} is not in {it}."
     this = suspect or f"{'These' if pictures > 1 else 'This'} {kind}"
+    derived = f"{this} {'are' if pictures > 1 and not suspect else 'is'} derived from your asset"
+    if claim["verdict"] == "not_marked":
+        return f"{derived}; this copy's mark is absent or was taken out."
+    if claim["verdict"] == "inconclusive":
+        it = suspect or f"the {kind}"
+        if claim["would_be_claim_if_attested"]:
+            return f"{_WOULD}. " + (f"{derived}." if claim["derivation"]["derived"] else "")
+        if claim["derivation"]["derived"]:
+            return f"{derived}; whether this copy's mark is in it, the evidence does not decide."
+        return f"Nothing of your asset was recognised in {it}: neither a yes nor a no."
+    whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
     shows = {0: "contains", 1: "shows"}.get(pictures, "show")
     return f"{this} {shows} {whose}, or something made from it: its hidden mark was found."
+
+
+_WOULD = "This would be a claim if the registration were attested by somebody else, before the suspect was known"
 
 
 def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
     found = []
     if claim["message"] is not None:
         tried = f"{claim['tries']} {'try' if claim['tries'] == 1 else 'tries'} counted"
-        odds, asked = form.odds(claim["log10_false_claim"]), form.rate(claim["false_claim_rate"])
-        found.append(Fact("false claim", f"{odds}, {tried} (asked for: {asked})", leading=True))
+        odds, needed = form.odds(claim["log10_false_claim"]), _needed(claim, form)
+        found.append(Fact("false claim", f"{odds}, {tried} (needed: {needed})", leading=True))
         bits = f"{claim['message']}: {claim['matching_bits']} of {claim['bits']} bits as registered"
         found.append(Fact("message read", f"{bits}, {_sureness(claim)}", leading=True))
-    if claim["verdict"] == "not_marked" and claim["power"] > 0:
-        found.append(Fact("missed mark", f"{surely(claim['power'])} sure that {_would_show(claim)}", leading=True))
+    found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
+    if claim["verdict"] == "not_marked":
+        found.append(Fact("missed mark", f"{surely(claim['power'])} sure that {_WOULD_SHOW}", leading=True))
     if claim["missing"]:
         found.append(Fact("missing", claim["missing"], leading=True))
-    if claim["derived_fraction"] is not None:
-        text = f"{percent(claim['derived_fraction'])} of the registered model was found in the suspect"
-        found.append(Fact("share of asset", text, leading=True))
     if claim["transform"] is not None and "scale" in claim["transform"]:
         turn, scale = _angle(claim["transform"]["rotation"]), 1.0 / claim["transform"]["scale"]
         found.append(Fact("moved", f"turned by {turn:.1f} degrees and scaled by {scale:.4g}"))
@@ -174,8 +177,9 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("copy", f"the one made for {form.name(claim['copy'])}"))
     if claim["record_id"]:
         key = f" of key {claim['owner']}" if claim.get("owner") else ""
-        dated = f"registered {when(claim['registered_at'])}" if claim["registered_at"] else "not dated"
-        found.append(Fact("record", f"{claim['record_id']}{key}, {dated}"))
+        found.append(Fact("record", f"{claim['record_id']}{key}, {dated(claim)}"))
+    if claim["rate_basis"]:
+        found.append(Fact("rate", f"{_needed(claim, form)}: {BASES[claim['rate_basis']]}"))
     return found + [Fact("note", note) for note in claim["notes"]]
 
 
@@ -185,10 +189,44 @@ def _sureness(claim: Mapping[str, Any]) -> str:
     return f"the weakest {surely(min(claim['bit_reliability']))} sure"
 
 
-def _would_show(claim: Mapping[str, Any]) -> str:
-    if claim["expected_z"] == 0:  # nothing to measure: what is known is how well pieces are found
-        return "a piece of the registered model, were it there, would have been found"
-    return "this copy's mark, had it been there, would have been seen, even worn to half its strength"
+_WOULD_SHOW = (
+    "this copy's mark, had it been there and had nobody worked against it, would have been seen, even worn to half its"
+    " strength"
+)
+
+
+def _needed(claim: Mapping[str, Any], form: Form) -> str:
+    rate = claim["false_claim_rate"]
+    return f"1 in {form.power(2, 128)}" if rate == DISHONEST_CLAIMANT_RATE else form.rate(rate)
+
+
+def derivation_text(derivation: Mapping[str, Any]) -> str:
+    """How much of the asset is in the suspect, how exactly and where."""
+    if (views := derivation["views"]) is not None:
+        shown, of = views
+        return f"yes: {shown} of {of} pictures show your asset" if shown else "no picture was recognised"
+    share = derivation["share"]
+    if not derivation["derived"]:
+        return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "nothing was found"
+    if share is None:
+        return "yes: the suspect looks like your asset from several sides, though its Gaussians are others"
+    text = f"yes: {percent(share)} of your asset was found in the suspect ({derivation['gaussians']:,} Gaussians)"
+    if (gap := derivation["exactness"]) is not None:
+        text += f", half of them within {gap:.2g} of their own size of where the original has them"
+    if (where := derivation["where"]) is not None:
+        low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in where)
+        text += f", from ({low}) to ({high}) of the original"
+    return text
+
+
+def dated(claim: Mapping[str, Any]) -> str:
+    """When the record was registered, and who says so."""
+    parts = []
+    if claim["registered_at"]:
+        parts.append(f"registered {when(claim['registered_at'])} (self-declared)")
+    if claim["attested"] is not None:
+        parts.append(f"registered by {when(claim['attested']['at'])} (attested by {claim['attested']['by']})")
+    return ", ".join(parts) or "not dated"
 
 
 def _says(claim: Mapping[str, Any], form: Form) -> str:
@@ -199,43 +237,51 @@ def _says(claim: Mapping[str, Any], form: Form) -> str:
             " suspect is."
         )
     if claim["verdict"] == "inconclusive":
+        if claim["would_be_claim_if_attested"]:
+            return f"{_WOULD}: a key that had no part in the suspect hardly comes this far, but many tried ones may."
+        if claim["derivation"]["derived"]:
+            return "That the suspect is derived from your asset stands. Of the mark, neither yes nor no is said."
         return "Neither yes nor no: more pictures, or more of the model, can decide it."
     least = surely(claim["power"]).removeprefix("more than ")
-    return f"With a probability of at least {least}, {_would_show(claim)}."
+    return (
+        f"That the suspect is derived from your asset stands, mark or no mark. With a probability of at least {least},"
+        f" {_WOULD_SHOW}."
+    )
 
 
 def _does_not_say(claim: Mapping[str, Any]) -> str:
     if claim["verdict"] == "marked":
-        return "It does not say who published the suspect, nor that they knew of the mark."
+        return (
+            "It does not say who published the suspect, nor that they knew of the mark; nor who was first, should"
+            " somebody else's mark be in it as well: that is settled by a dispute."
+        )
     if claim["verdict"] == "inconclusive":
         return "It does not say that the suspect is clean."
-    return "It does not say that the suspect is lawful, nor that it is free of another copy's or owner's mark. " + (
-        "Part of this asset is in it, unmarked: compare it with the original."
-        if claim["derived_but_unmarked"]
-        else "Each copy has a record of its own."
+    return (
+        "It does not acquit anybody: a mark that was cleaned, averaged or painted away is absent, too. It does not say"
+        " that the suspect is lawful, nor that it is free of another copy's or owner's mark; each copy has a record of"
+        " its own."
     )
 
 
-def _record_time(claim: Mapping[str, Any], form: Form, logged: bool) -> str:
+def _record_time(claim: Mapping[str, Any], form: Form) -> str:
     if not claim["record_id"]:
         return "No registered model was compared, so no date of registration enters."
-    if claim["registered_at"]:
-        date = when(claim["registered_at"])
-        dated = f"This service logged the registration on {date}" if logged else f"The record is dated {date}"
-    else:
-        dated = "The record is not dated"
+    said = dated(claim)
+    date = f"The record is {said}"
     limit = form.power(2, -128)
-    if claim["meets_dishonest_claimant_rate"]:
+    if claim["verdict"] == "marked" and claim["meets_dishonest_claimant_rate"]:
         return (
-            f"{dated}; the bound also meets {limit}, so it stands even against a claimant who made keys and originals"
-            " to fit, and needs no trust in a date."
+            f"{date}. The bound also meets {limit}, so no trying of keys and originals explains it. Who was first it"
+            " does not say: whoever marks a stolen model has a true mark in it. Where two claim one model, a dispute"
+            " settles it: whose mark is in the other's original."
         )
     if claim["verdict"] == "marked":
         return (
-            f"{dated}; the bound does not reach {limit}, so the claim counts only if the record is known to be older"
-            " than the suspect."
+            f"{date}. The bound does not reach {limit}; it counts because"
+            f" {BASES.get(claim['rate_basis'], 'the record is known to be older than the suspect')}."
         )
-    return f"{dated}; whether the suspect is older or younger is not known here."
+    return f"{date}; whether the suspect is older or younger is not known here."
 
 
 def _angle(rotation: Any) -> float:

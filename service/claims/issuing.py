@@ -7,7 +7,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.claims.document import ClaimDocument, build_document
+from engine.records.timestamps import stamp
+from service.claims.document import build_document
+from service.claims.schema import ClaimDocument
 from service.clock import now
 from service.core import Service
 from service.db import Database, alone
@@ -19,7 +21,6 @@ from service.trust.canonical import canonical
 from service.trust.commitments import commit_claim, registration_of
 from service.trust.master import MasterKey
 from service.trust.signing import sign
-from service.trust.timestamps import stamp
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,10 @@ def issue_claim(
         sha256=sha256,
         asset=asset,
         registered_at=registration.at if registration is not None else "",
-        original_registered_at=first,
+        original_registered_at=first.at if first is not None else "",
         pictures=pictures,
     )
-    document["audit"] = commit_claim(connection, tenant, document, registration)
+    document["audit"] = commit_claim(connection, tenant, document, registration, first)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
     jws = sign(connection, master, payload)
     values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
@@ -99,7 +100,7 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
         query = sa.select(claims.c.timestamp).where(claims.c.id == claim.id)
         if connection.execute(query).scalar_one() is not None:
             return ""
-    stamped = stamp(url, claim.jws)
+    stamped = stamp(url, claim.jws.encode())
     if stamped.token is None:
         return stamped.failure
     with db.write() as connection:
@@ -110,14 +111,15 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
 
 def _registered(
     connection: sa.Connection, tenant: str, asset_id: str | None
-) -> tuple[dict[str, Any] | None, Entry | None, str]:
-    """Row of an asset, its registration in the log, and when its original was first registered by this tenant."""
+) -> tuple[dict[str, Any] | None, Entry | None, Entry | None]:
+    """Row of an asset, its registration in the log, and the first one of its original by this tenant."""
     if asset_id is None:
-        return None, None, ""
+        return None, None, None
     mine = assets.c.tenant == tenant
     row = connection.execute(assets.select().where(mine, assets.c.id == asset_id)).one_or_none()
     if row is None:
         raise Problem("internal", "the verification named an asset that is not this tenant's")
-    same = mine & (assets.c.original_sha256 == row.original_sha256)
-    first = connection.execute(sa.select(sa.func.min(assets.c.registered_at)).where(same)).scalar_one()
-    return row._asdict(), registration_of(connection, asset_id), first
+    same = sa.select(assets.c.id).where(mine, assets.c.original_sha256 == row.original_sha256)
+    entries = [registration_of(connection, name) for name in connection.execute(same).scalars()]
+    first = min(entries, key=lambda entry: entry.index)
+    return row._asdict(), next(entry for entry in entries if entry.subject == asset_id), first

@@ -3,45 +3,27 @@
 1. Find the signed claim in the file.          5. The claim is under the log's root.
 2. The signature, by one of the given keys.    6. So is the asset's registration, before it.
 3. The document's form.                        7. What stands around the claim says what was signed.
-4. Its numbers follow from one another.        8. The time stamp, if there is one.
+4. Its numbers and words follow from others.   8. The time stamp, if there is one.
 """
 
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from typing import Any
 
 from cryptography import x509
 from pydantic import ValidationError
 
-from engine.watermark.statistics import log10_false_claim_bound, z_threshold
+from engine.records.merkle import check_inclusion, leaf_hash
+from engine.records.signatures import SignatureFault, verify
+from engine.records.timestamps import TimestampFault, check_stamp, stamped_at
+from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
-from service.claims.document import SCHEMA_VERSION, ClaimDocument, summary_of
+from service.claims.document import summary_of
 from service.claims.report import report_html
+from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.trust.canonical import canonical
 from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
-from service.trust.merkle import check_inclusion, leaf_hash
-from service.trust.signing import SignatureFault, verify
-from service.trust.timestamps import TimestampFault, check_stamp, stamped_at
-
-
-class Status(StrEnum):
-    """What came of a check. "Could not check" is an answer of its own."""
-
-    PASS = "pass"
-    FAIL = "fail"
-    NOT_CHECKED = "not_checked"
-
-
-@dataclass(frozen=True)
-class Check:
-    """One thing that was checked."""
-
-    code: str  # readable, signature, schema, arithmetic, log, registration, or as `_around` says
-    status: Status
-    text: str
 
 
 @dataclass(frozen=True)
@@ -85,7 +67,8 @@ def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequen
     document, fault = _read(payload)  # 3
     if not say("schema", fault, "The document has the form that this program writes.") or document is None:
         return Findings(tuple(checks), None, kid)
-    say("arithmetic", _arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence.")  # 4
+    if say("arithmetic", arithmetic_fault(document), "Bound, verdict and bits follow from the stated evidence."):  # 4
+        checks.append(meaning_check(document))
     audit = document["audit"]
     where = f"entry {audit['index']} of the log of {audit['size']} entries"
     say("log", _log_fault(document), f"The claim is {where}, by its inclusion proof.")  # 5
@@ -117,29 +100,6 @@ def _read(payload: bytes) -> tuple[dict[str, Any] | None, str]:
         return None, f"the document cannot be read: {error}"
 
 
-def _arithmetic_fault(document: Mapping[str, Any]) -> str:
-    stated, threshold, message = (document[name] for name in ("log10_false_claim", "threshold", "message"))
-    if threshold is not None:
-        needed = z_threshold(threshold["false_claim_rate"], document["tries"])
-        if not math.isclose(threshold["z"], needed, rel_tol=1e-9):
-            return f"a threshold of z = {threshold['z']:g} does not follow from its rate and {document['tries']} tries"
-    for one in document["evidence"]:
-        if threshold is None:
-            return "evidence without a threshold"
-        if not math.isclose(log10_false_claim_bound(one["z"], document["tries"]), stated, abs_tol=1e-6):
-            return f"a bound of 10^{stated:g} does not follow from z = {one['z']:g} and {document['tries']} tries"
-        if (one["z"] >= threshold["z"]) != (document["verdict"] == "marked"):
-            return f"the verdict does not follow from z = {one['z']:g} and the threshold {threshold['z']:g}"
-    if document["verdict"] == "marked" and not document["evidence"]:
-        return "a mark without evidence"
-    if message is not None:
-        if len(message["reliability"]) != message["bits"]:
-            return "the message does not have a reliability for each bit"
-        if not math.isclose(message["bit_accuracy"], message["matching"] / message["bits"]):
-            return "the bit accuracy is not the share of matching bits"
-    return ""
-
-
 def _log_fault(document: Mapping[str, Any]) -> str:
     audit, entry = document["audit"], document["audit"]["entry"]
     expected = {
@@ -156,8 +116,11 @@ def _log_fault(document: Mapping[str, Any]) -> str:
 
 def _registration_fault(document: Mapping[str, Any]) -> str:
     audit, found = document["audit"], document["audit"]["registration"]
+    first = audit.get("first_registration")
     if found is None or document["original"] is None:
         return "the claim names an asset, but not its registration"
+    if first is None and document["schema_version"] > 1:
+        return "the claim does not prove when its original was first registered"
     entry = found["entry"]
     facts = {"original_sha256": document["original"]["sha256"], "record_id": document["record_id"]}
     same = (
@@ -171,7 +134,28 @@ def _registration_fault(document: Mapping[str, Any]) -> str:
         return "the log registered another asset, or at another time"
     if entry["index"] >= audit["index"]:
         return "the asset was registered after the claim"
-    return "" if _included(entry, found["proof"], audit) else "its inclusion proof does not lead to the log's root"
+    if not _included(entry, found["proof"], audit):
+        return "its inclusion proof does not lead to the log's root"
+    if (attested := document.get("attested")) is not None:
+        drawn = attested["drawn"] and "drawn_sha256" not in entry["payload"]
+        if attested["at"] != entry["at"] or drawn:
+            return "what is attested is not what the log says"
+    return _first_fault(document, first, entry) if first is not None else ""
+
+
+def _first_fault(document: Mapping[str, Any], found: Mapping[str, Any], registered: Mapping[str, Any]) -> str:
+    """What is wrong with the first registration of the original."""
+    entry, original = found["entry"], document["original"]
+    same = (
+        entry["event"] == ASSET_REGISTERED
+        and entry["tenant"] == registered["tenant"]
+        and entry["at"] == original["registered_at"]
+        and entry["payload"].get("original_sha256") == original["sha256"]
+        and entry["index"] <= registered["index"]
+    )
+    if not same:
+        return "the log first registered another original, or at another time"
+    return "" if _included(entry, found["proof"], document["audit"]) else "the first registration is not in the log"
 
 
 def _included(entry: Mapping[str, Any], proof: Sequence[str], audit: Mapping[str, Any]) -> bool:
@@ -216,9 +200,9 @@ def _drawn(code: str, same: bool, document: Mapping[str, Any]) -> Check:
 def _stamp(token: bytes, jws: str, certificates: Sequence[x509.Certificate]) -> Check:
     try:
         if certificates:
-            at = check_stamp(token, jws, certificates)
+            at = check_stamp(token, jws.encode(), certificates)
             return Check("timestamp", Status.PASS, f"Stamped on {at} by a service that was vouched for.")
-        at = stamped_at(token, jws)
+        at = stamped_at(token, jws.encode())
     except TimestampFault as fault:
         return Check("timestamp", Status.FAIL, str(fault))
     text = f"A stamp of {at} is there; who gave it was not checked, for want of a certificate to trust."

@@ -11,10 +11,10 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
+from engine.records.timestamps import TimestampFault, stamped_at
 from engine.watermark.checks import named
 from engine.watermark.wording import ROUTES, TYPOGRAPHIC, when
 from service.claims.document import document_words
-from service.trust.timestamps import TimestampFault, stamped_at
 
 BITS_PER_LINE = 32
 _LEFT, _CELL = 84, 20
@@ -73,7 +73,7 @@ def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) ->
     events.append((document["created_at"], "This claim made and signed", f"audit log, entry {log['index']}"))
     if timestamp is not None:
         with suppress(TimestampFault):  # the page shows what is signed; `verify-report` names the fault
-            stamped = stamped_at(timestamp, jws)
+            stamped = stamped_at(timestamp, jws.encode())
             events.append((stamped, "Stamped by a time-stamping service", "RFC 3161, in this page"))
     return [(when(at), what, proof) for at, what, proof in events]
 

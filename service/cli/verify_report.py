@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import OK
 from engine.cli.options import Json
-from engine.errors import InputError
-
-if TYPE_CHECKING:
-    from cryptography.x509 import Certificate
+from engine.cli.trusting import TsaCertificates, read_certificates, read_jwks
 
 NOT_VALID = 3
 _SIGNS = {"pass": "ok  ", "fail": "FAIL", "not_checked": "-   "}
-_MOST_KEY_BYTES = 1 << 20
 
 
 def verify_report(
     file: Annotated[Path, typer.Argument(help="Claim: .jws, .json, or the HTML report.")],
     jwks: Annotated[Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")],
-    tsa_certificates: Annotated[
-        Path | None, typer.Option("--tsa-certificates", help="PEM certificates trusted to vouch for time stamps.")
-    ] = None,
+    tsa_certificates: TsaCertificates = None,
     json: Json = False,
 ) -> int:
     """Check a claim offline: signature, document, place in the audit log, report.
@@ -46,8 +40,8 @@ def verify_report(
     from service.claims.document import document_words
 
     console = Console(json)
-    keys = _read_jwks(jwks)
-    trusted = _read_certificates(tsa_certificates) if tsa_certificates is not None else []
+    keys = read_jwks(jwks)
+    trusted = read_certificates(tsa_certificates) if tsa_certificates is not None else []
     with file.open("rb") as opened:
         data = opened.read(MOST_BYTES + 1)
     found = offline.verify_report(data, keys, trusted)
@@ -65,28 +59,3 @@ def verify_report(
     console.say("VALID" if found.valid else "NOT VALID")
     console.emit({"file": str(file), **found.to_json()})
     return OK if found.valid else NOT_VALID
-
-
-def _read_jwks(path: Path) -> dict[str, Any]:
-    from service.claims.carriers import strict_json
-
-    with path.open("rb") as opened:
-        data = opened.read(_MOST_KEY_BYTES)
-    try:
-        keys = strict_json(data)
-        if keys["keys"] and all(isinstance(key, dict) and "kid" in key for key in keys["keys"]):
-            return dict(keys)
-    except (ValueError, KeyError, TypeError, RecursionError):
-        pass
-    raise InputError(f"{str(path)!r} is no set of public keys (JWKS)")
-
-
-def _read_certificates(path: Path) -> list[Certificate]:
-    from cryptography.x509 import load_pem_x509_certificates
-
-    with path.open("rb") as opened:
-        data = opened.read(_MOST_KEY_BYTES)
-    try:
-        return load_pem_x509_certificates(data)
-    except ValueError:
-        raise InputError(f"{str(path)!r} holds no certificates in PEM") from None

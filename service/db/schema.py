@@ -58,7 +58,7 @@ jobs = Table(
     metadata,
     *_key("id"),
     *_texts("tenant", "state", "created_at", index=True),  # state: of `service.jobs.port.State`
-    *_texts("api_key", "kind", "request", "stage"),  # kind: embed, verify; request: JSON
+    *_texts("api_key", "kind", "request", "stage"),  # kind: embed, verify, dispute; request: JSON
     Column("fraction", Float, nullable=False, default=0.0),
     *_texts("result", "problem", null=True),  # JSON; the problem as in RFC 9457
     _number("revision"),

@@ -36,12 +36,18 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
+            "drawn": _drawn(service, run.job),
             "candidates": service.candidates(rows, run),
             "limit": SCREENED,
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
         },
     )
+
+
+def _drawn(service: Service, job: Job) -> str:
+    """What the service puts into the plan: nobody knows it before the job is there, so nobody can try records out."""
+    return service.master.mac("drawn for a record", job.id)
 
 
 def _to_screen(service: Service, job: Job) -> list[Any]:
@@ -72,7 +78,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     with service.db.write() as connection:
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row)
+            commit_asset(connection, row, _drawn(service, job))
     report = made["report"]
     result = {
         "asset_id": row["id"],

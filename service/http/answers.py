@@ -27,7 +27,7 @@ class JobView(BaseModel):
 
     model_config = ConfigDict(from_attributes=True)
     id: str
-    kind: Literal["embed", "verify"]
+    kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]

@@ -28,7 +28,7 @@ class Job:
     id: str
     tenant: str
     api_key: str  # public id of the key that asked for it
-    kind: str  # embed or verify: key of the flows
+    kind: str  # embed, verify or dispute: key of the flows
     state: State
     request: Mapping[str, Any]  # what was asked, JSON values; never a secret
     stage: str = ""  # what it is doing

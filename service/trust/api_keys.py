@@ -15,8 +15,10 @@ from service.problems import Problem
 from service.trust import audit
 from service.trust.master import MasterKey
 
-SCOPES = ("embed", "verify", "read", "admin")
-"""`admin` implies the others."""
+OPERATOR = "operator"
+SCOPES = ("embed", "verify", "read", "admin", OPERATOR)
+"""`admin` implies those before it, within its tenant; `operator` is for whoever runs the service: disputes between any
+two tenants."""
 
 _TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
 _PURPOSE = "api key"

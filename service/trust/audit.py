@@ -12,12 +12,12 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from engine.records import merkle
+from engine.records.merkle import Node
 from service.clock import now
 from service.db import alone
 from service.db.schema import audit, audit_nodes
-from service.trust import merkle
 from service.trust.canonical import canonical
-from service.trust.merkle import Node
 
 NO_PREVIOUS = bytes(32).hex()
 """What stands for the hash before the first entry."""

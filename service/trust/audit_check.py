@@ -10,13 +10,15 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
+from engine.records import merkle
+from engine.records.signatures import SignatureFault, verify
 from service.db import Database
 from service.db.schema import assets, audit_nodes, claims
 from service.db.schema import audit as log
-from service.trust import audit, merkle
+from service.trust import audit
 from service.trust.canonical import canonical
 from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, asset_digest, claim_digest
-from service.trust.signing import SignatureFault, jwks, verify
+from service.trust.signing import jwks
 
 MOST_FAULTS = 100
 _PAGE = 1000

@@ -1,6 +1,7 @@
 """What the audit log commits to: the row of each asset and the document of each claim, by digest."""
 
 from collections.abc import Mapping
+from hashlib import sha256
 from typing import Any
 
 import sqlalchemy as sa
@@ -20,10 +21,15 @@ def asset_digest(row: Mapping[str, Any]) -> str:
     return digest({column.name: row[column.name] for column in assets.columns})
 
 
-def commit_asset(connection: sa.Connection, row: Mapping[str, Any]) -> Entry:
-    """Log the registration of an asset, in the transaction that inserts its row (every column of it)."""
+def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "") -> Entry:
+    """Log the registration of an asset, in the transaction that inserts its row (every column of it).
+
+    `drawn` is what the service drew for the record's plan; the log keeps its digest.
+    """
     payload = {name: row[name] for name in ("original_sha256", "record_id", "record_sha256")}
     payload["digest"] = asset_digest(row)
+    if drawn:
+        payload["drawn_sha256"] = sha256(drawn.encode()).hexdigest()
     return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"])
 
 
@@ -41,11 +47,16 @@ def claim_digest(document: Mapping[str, Any]) -> str:
 
 
 def commit_claim(
-    connection: sa.Connection, tenant: str, document: Mapping[str, Any], registration: Entry | None
+    connection: sa.Connection,
+    tenant: str,
+    document: Mapping[str, Any],
+    registration: Entry | None,
+    first: Entry | None = None,
 ) -> dict[str, Any]:
     """Log a claim, and return its member `audit`: the entry, and the proof that it is in the log.
 
-    The registration of the asset is proven under the same root, so that a reader sees which came first.
+    The registration of the asset, and the `first` of its original, are proven under the same root, so that a reader
+    sees which came first.
     """
     payload = {"asset": document["asset"], "digest": claim_digest(document)}
     entry = audit.append(connection, tenant, CLAIM_ISSUED, payload, document["claim_id"])
@@ -55,4 +66,5 @@ def commit_claim(
         return {"entry": logged.to_json(), "proof": audit.inclusion_proof(connection, logged.index, size)}
 
     place = {"index": entry.index, "size": size, "root": audit.root(connection, size), **proven(entry)}
-    return place | {"registration": proven(registration) if registration is not None else None}
+    named = {"registration": registration, "first_registration": first}
+    return place | {name: proven(logged) if logged is not None else None for name, logged in named.items()}

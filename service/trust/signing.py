@@ -1,16 +1,13 @@
 """Signatures: Ed25519 keys that sign claims (JWS), and their public halves (JWKS)."""
 
-import base64
 import json
-import re
-from collections.abc import Mapping
 from typing import Any
 
 import sqlalchemy as sa
 from joserfc import jws
-from joserfc.errors import JoseError
-from joserfc.jwk import KeySet, OKPKey
+from joserfc.jwk import OKPKey
 
+from engine.records.signatures import ALGORITHM, CLAIM
 from service.clock import now
 from service.db import Database, alone
 from service.db.schema import signing_keys
@@ -19,16 +16,8 @@ from service.trust import audit
 from service.trust.canonical import canonical
 from service.trust.master import MasterKey, bind
 
-ALGORITHM = "Ed25519"
-TYPE = "mark3dgs-claim+jws"
 TENANT = ""
 """Signing keys belong to the service, not to a tenant."""
-
-_COMPACT = re.compile(r"[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\.([A-Za-z0-9_-]+)", re.ASCII)
-
-
-class SignatureFault(Exception):
-    """A signature that does not hold; the text says why."""
 
 
 def ensure_key(db: Database, master: MasterKey) -> str:
@@ -55,39 +44,14 @@ def jwks(db: Database) -> dict[str, Any]:
     return {"keys": [json.loads(row.public) for row in rows]}
 
 
-def sign(connection: sa.Connection, master: MasterKey, payload: bytes) -> str:
-    """Compact JWS of a payload, by the key that signs at present; "internal" where there is none that opens."""
+def sign(connection: sa.Connection, master: MasterKey, payload: bytes, kind: str = CLAIM) -> str:
+    """Compact JWS of a payload of this kind by the key that signs at present; "internal" where none opens."""
     row = _active(connection)
     if row is None:
         raise Problem("internal", "there is no signing key")
     private = master.unseal(row.sealed, bind("signing key", row.kid))
-    header = {"alg": ALGORITHM, "kid": row.kid, "typ": TYPE}
+    header = {"alg": ALGORITHM, "kid": row.kid, "typ": kind}
     return jws.serialize_compact(header, payload, OKPKey.import_key(json.loads(private)), [ALGORITHM])
-
-
-def verify(token: str, jwks: Mapping[str, Any]) -> tuple[bytes, str]:
-    """Payload of a compact JWS, and the id of the key of the trusted `jwks` that signed it, or SignatureFault."""
-    match = _COMPACT.fullmatch(token)
-    if match is None or not _one_spelling(match[1]):
-        raise SignatureFault("this is no compact JWS")
-    try:
-        keys = KeySet.import_key_set({"keys": list(jwks["keys"])})
-        found = jws.deserialize_compact(token, keys, [ALGORITHM])
-    except (JoseError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SignatureFault(f"the signature does not hold: {error or type(error).__name__}") from None
-    header = found.headers()
-    if header.get("typ") != TYPE or set(header) != {"alg", "kid", "typ"}:
-        raise SignatureFault("signed, but not as a claim of this program")
-    return bytes(found.payload or b""), str(header["kid"])
-
-
-def _one_spelling(text: str) -> bool:
-    """Base64 leaves bits of a last character unused: only one spelling of a signature is taken."""
-    try:
-        plain = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
-    except ValueError:
-        return False
-    return base64.urlsafe_b64encode(plain).rstrip(b"=").decode() == text
 
 
 def _active(connection: sa.Connection) -> sa.Row[Any] | None:

@@ -1,11 +1,13 @@
 """POST /v1/verify: does this suspect carry a mark of ours?"""
 
 import asyncio
+from datetime import date
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
+from engine.watermark.statistics import CHANCE_RATE
 from service.core import Service
 from service.db import own
 from service.db.schema import assets
@@ -20,6 +22,9 @@ from service.uploads.taking import gather
 from service.verifications.flow import spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])
+MOST_RATE = 1e-6
+"""No claim is signed above it, whoever asks."""
+_DAY = BeforeValidator(lambda text: date.fromisoformat(text) if isinstance(text, str) else text)
 Id = Annotated[str, Field(min_length=1, max_length=64)]
 
 
@@ -53,7 +58,14 @@ class VerifyRequest(BaseModel):
     asset_id: str | None = Field(
         None, max_length=64, description="Asset to check against; left out: all of this tenant, likely ones first."
     )
-    false_claim_rate: float = Field(1e-9, gt=0, lt=1, description="Largest acceptable chance of a false claim.")
+    false_claim_rate: float = Field(
+        CHANCE_RATE,
+        gt=0,
+        le=MOST_RATE,
+        description="Largest acceptable chance of a false claim; counts only where it is stricter than what applies:"
+        " 1e-9 where the registration is attested, else 2^-128.",
+    )
+    suspect_seen: Annotated[date, Field(description="Since when the suspect is known."), _DAY] | None = None
     route: Literal["auto", "model", "render", "image"] = Field("auto", description="Kind of evidence.")
     spz_frame: Literal["auto", "spec", "ply"] = Field("auto", description="Axes of an .spz that does not say.")
 
@@ -103,7 +115,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],
         "cameras": views[0].sha256 if views else None,
-        **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame"}),
+        **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame", "suspect_seen"}, mode="json"),
     }
 
     def make() -> dict[str, Any]:

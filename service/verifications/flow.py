@@ -45,6 +45,7 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
             "cameras": service.local(asked["cameras"], run),
             "candidates": known,
             "stop_at_first": True,
+            "suspect_seen": asked.get("suspect_seen"),
             **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
         },
     )
@@ -54,7 +55,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     """Sign and keep the claim; a second time finds it."""
     found, job = run.results["verify"], run.job
     claim = found["claim"]
-    derived = claim is not None and (claim["verdict"] == "marked" or (claim["derived_fraction"] or 0.0) > 0.0)
+    derived = claim is not None and (claim["verdict"] == "marked" or claim["derivation"]["derived"])
     if job.request["asset_id"] is None and found["asset"] is not None and derived:
         spend_subject(service, found["asset"])
     return {"state": State.SUCCEEDED.value, "result": issue(service, job, found)}

@@ -1,18 +1,21 @@
 """Registered assets that a suspect may derive from, and marks that an upload carries already."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
 from engine.model import GaussianModel
+from engine.pipeline.attesting import attested_by
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.searching import Suspect, resembling, search
 from engine.pipeline.verification import VerifyConfig
+from engine.records.attestation import Witness
 from engine.registration.sketch import Sketch
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
+from service.clock import LOG
 from service.work.process import Progress
 
 
@@ -24,10 +27,13 @@ class Candidate:
     record: Path
     key: OwnerKey
     sketch: Sketch | None  # None where the suspect is to be registered to it in any case
+    logged: Mapping[str, str]  # what the service's log says of its registration; empty where it was not asked
 
     def open(self) -> OpenedRecord:
-        """See `engine.pipeline.searching.Candidate`."""
-        return open_record(self.record.read_bytes(), self.key)
+        """See `engine.pipeline.searching.Candidate`. The log of the service that asks attests the registration."""
+        opened = open_record(self.record.read_bytes(), self.key)
+        witnesses = (Witness(self.logged["at"], LOG, self.logged["drawn_sha256"]),) if self.logged else ()
+        return replace(opened, attested=attested_by(opened, witnesses))
 
 
 def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
@@ -39,7 +45,8 @@ def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
         if path not in sketches:
             sketches[path] = _load_sketch(path)
         key = OwnerKey(bytes.fromhex(plain["key"]))
-        found.append(Candidate(str(plain["asset"]), Path(plain["record"]), key, sketches[path]))
+        logged = plain.get("logged") or {}
+        found.append(Candidate(str(plain["asset"]), Path(plain["record"]), key, sketches[path], logged))
     return found
 
 

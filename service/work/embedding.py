@@ -52,6 +52,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         cameras=cameras,
         copy=request.get("copy") or "",
         registered_at=request.get("registered_at") or "",
+        drawn=request.get("drawn") or "",
         progress=progress,
     )
     started = time.perf_counter()

@@ -21,6 +21,7 @@ def _task(module: str, name: str) -> Task:
 TASKS: Mapping[str, Task] = {
     "cameras": _task("files", "look_at_cameras"),
     "convert": _task("files", "convert"),
+    "dispute": _task("disputes", "settle_dispute"),
     "embed": _task("embedding", "embed_mark"),
     "inspect": _task("files", "inspect"),
     "picture": _task("files", "look_at_picture"),
@@ -31,6 +32,6 @@ TASKS: Mapping[str, Task] = {
 def preload() -> None:
     """Import what every task needs, and load its compiled kernels: a process in waiting starts at once."""
     from engine.pipeline.warming import warm_up
-    from service.work import embedding, files, verification  # noqa: F401
+    from service.work import disputes, embedding, files, verification  # noqa: F401
 
     warm_up("everything")

@@ -26,7 +26,11 @@ COULD_NOT_CHECK = "could_not_check"
 def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
     """Contract: docs/SERVICE.md."""
     began = time.perf_counter()
-    config = VerifyConfig(false_claim_rate=request["false_claim_rate"], route=request.get("route") or "auto")
+    config = VerifyConfig(
+        false_claim_rate=request["false_claim_rate"],
+        route=request.get("route") or "auto",
+        suspect_seen=request.get("suspect_seen") or "",
+    )
     candidates = load_candidates(request)
     progress("read", 0.0)
     suspect, subject = _read(request)  # 1
@@ -35,7 +39,7 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
     seconds = {"read": read - began, "screen": time.perf_counter() - read}
     found = search(suspect, chosen, config, progress, stop_at_first=bool(request.get("stop_at_first")))  # 3
     best = found.best
-    reply = _report(found, len(suspect.pictures))  # 4
+    reply = _report(found)  # 4
     started = time.perf_counter()
     if best is not None and best.opened is not None and best.found is not None:
         progress("picture", 0.0)
@@ -82,9 +86,9 @@ def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:
     }
 
 
-def _report(found: Search[Candidate], pictures: int) -> dict[str, Any]:
+def _report(found: Search[Candidate]) -> dict[str, Any]:
     """The part of the reply that speaks of the best candidate."""
-    names = ("asset", "claim", "record", "registered_message")
+    names = ("asset", "claim", "record", "attested", "registered_message")
     nothing: dict[str, Any] = dict.fromkeys(names) | {"files": {}}
     best = found.best
     if best is None:
@@ -95,7 +99,8 @@ def _report(found: Search[Candidate], pictures: int) -> dict[str, Any]:
         "asset": best.candidate.asset,
         "tries": found.tries,
         "claim": claim,
-        "checks": checks_of(claim, best.error, pictures),
+        "checks": checks_of(claim, best.error),
         "record": opened.header.to_json() if opened is not None else None,
+        "attested": opened.attested.to_json() if opened is not None and opened.attested is not None else None,
         "registered_message": message_hex(opened.message) if opened is not None else None,
     }

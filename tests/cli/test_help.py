@@ -14,6 +14,8 @@ COMMANDS = (
     ["embed"],
     ["verify"],
     ["trace"],
+    ["attest"],
+    ["dispute"],
     ["render"],
     ["attack"],
     ["sim"],

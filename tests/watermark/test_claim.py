@@ -11,8 +11,10 @@ import pytest
 
 from engine.errors import InputError
 from engine.watermark.claim import Claim, ClaimConfig, Verdict, decide
+from engine.watermark.derivation import Derivation
 from engine.watermark.keys import signs
 from engine.watermark.messages import message_hex
+from engine.watermark.rates import Attested, applicable_rate
 from engine.watermark.statistics import z_threshold
 
 SEED = bytes(range(32))
@@ -23,14 +25,17 @@ MESSAGE = signs(SEED[::-1], BITS)
 WEIGHTS = np.ones(CHIPS)
 
 
-def claim(amplitude: float, signal: float = 0.3, seed: int = 1, **options: object) -> Claim:
+FOUND = Derivation(True, 0.8, 1000)
+
+
+def claim(amplitude: float, signal: float = 0.3, seed: int = 1, noise: float = 1.0, **options: object) -> Claim:
     rng = np.random.default_rng(seed)
-    y = rng.normal(size=CHIPS) + amplitude * CHIP * MESSAGE[BIT_OF]
+    y = noise * rng.normal(size=CHIPS) + amplitude * CHIP * MESSAGE[BIT_OF]
     return decide(y, WEIGHTS, np.full(CHIPS, signal), BIT_OF, CHIP, MESSAGE, **options)  # type: ignore[arg-type]
 
 
 def test_a_marked_suspect() -> None:
-    found = claim(0.3, derived_fraction=0.9, route="model", copy="a friend", tries=3, transform={"scale": 2.0})
+    found = claim(0.3, derivation=FOUND, route="model", copy="a friend", tries=3, transform={"scale": 2.0})
     assert found.verdict is Verdict.MARKED
     assert found.z > found.z_threshold == z_threshold(1e-9, 3)
     assert found.log10_false_claim == pytest.approx(-(found.z**2) / 2 / math.log(10) + math.log10(3))
@@ -39,7 +44,8 @@ def test_a_marked_suspect() -> None:
     assert found.message == message_hex(MESSAGE)
     assert (found.matching_bits, found.bits, found.bit_accuracy) == (32, 32, 1.0)
     assert found.log10_binomial_tail == pytest.approx(-32 * math.log10(2))
-    assert not found.derived_but_unmarked
+    assert found.derivation == FOUND
+    assert not found.would_be_claim_if_attested
     assert found.missing == ""
     assert (found.route, found.copy, found.tries, found.transform) == ("model", "a friend", 3, {"scale": 2.0})
     assert abs(found.expected_z - found.z) < 4
@@ -56,38 +62,76 @@ def test_chance_rate_without_the_stricter_one() -> None:
     assert needed == pytest.approx((strict.z_threshold / strict.z) ** 2, abs=0.06)
 
 
+def test_evidence_between_the_two_rates_would_be_a_claim() -> None:
+    """A record that nobody attests may have been chosen out of very many."""
+    unattested = ClaimConfig.at(applicable_rate(1e-9, None))
+    between = claim(0.15, config=unattested, derivation=FOUND)
+    assert (between.verdict, between.would_be_claim_if_attested) == (Verdict.INCONCLUSIVE, True)
+    assert (between.false_claim_rate, between.rate_basis) == (2.0**-128, "self_declared")
+    weak, strong = claim(0.05, config=unattested), claim(0.3, config=unattested)
+    assert (weak.verdict, weak.would_be_claim_if_attested) == (Verdict.INCONCLUSIVE, False)
+    assert (strong.verdict, strong.would_be_claim_if_attested) == (Verdict.MARKED, False)
+    older = claim(0.15, config=ClaimConfig.at(applicable_rate(1e-9, Attested("2026-01-01", "x"), "2025-01-01")))
+    assert (older.verdict, older.would_be_claim_if_attested) == (Verdict.INCONCLUSIVE, False)
+
+
 def test_an_unmarked_suspect() -> None:
-    found = claim(0.0, signal=0.5, derived_fraction=0.8)
+    found = claim(0.0, signal=0.5, noise=0.1, derivation=FOUND)
     assert found.verdict is Verdict.NOT_MARKED
     assert found.power >= 0.999
+    assert found.change == pytest.approx(0.2, abs=0.01)
     assert abs(found.z) < 4
-    assert found.derived_but_unmarked
+    assert found.derivation.derived
     assert found.missing == ""
     assert max(found.bit_reliability) < 0.95
-    assert not claim(0.0, signal=0.5, derived_fraction=0.01).derived_but_unmarked
-    assert not claim(0.0, signal=0.5).derived_but_unmarked
+
+
+def test_nothing_found_is_never_called_unmarked() -> None:
+    """Mirrored, merged or disguised: where the asset was not found its mark was not looked for."""
+    for derivation in (Derivation(False), Derivation(False, 0.01, 90)):
+        found = claim(0.0, signal=0.5, noise=0.1, derivation=derivation)
+        assert found.power >= 0.999
+        assert found.verdict is Verdict.INCONCLUSIVE
+        assert "too little of the asset" in found.missing
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.7, 0.9, 0.95])
+def test_a_mark_that_was_covered_is_never_called_absent(correlation: float) -> None:
+    """Who cleans a stolen model subtracts an estimate of its mark until Z is gone; what he leaves gives him away."""
+    mark = 0.5 * CHIP * MESSAGE[BIT_OF]
+    wrong = math.sqrt(1 / correlation**2 - 1) * 0.5 * np.random.default_rng(5).normal(size=CHIPS)
+    wrong -= mark * (wrong @ mark) / (mark @ mark)  # exactly nothing of the mark is left
+    found = decide(wrong, WEIGHTS, np.full(CHIPS, 0.5), BIT_OF, CHIP, MESSAGE, derivation=FOUND)
+    assert abs(found.z) < 1e-6
+    assert found.change == pytest.approx(math.sqrt(1 / correlation**2 - 1), rel=0.05)
+    assert found.verdict is Verdict.INCONCLUSIVE
+    assert found.derivation.derived
+
+
+def test_who_has_the_original_leaves_no_trace_but_the_derivation() -> None:
+    found = decide(np.zeros(CHIPS), WEIGHTS, np.full(CHIPS, 0.5), BIT_OF, CHIP, MESSAGE, derivation=FOUND)
+    assert (found.verdict, found.change, found.derivation.derived) == (Verdict.NOT_MARKED, 0.0, True)
 
 
 def test_too_little_evidence() -> None:
-    found = claim(0.0, signal=0.08)
+    found = claim(0.0, signal=0.08, derivation=FOUND)
     assert found.verdict is Verdict.INCONCLUSIVE
     assert found.power < 0.999
     assert found.missing.startswith("about ")
-    assert "more than 1000x" in claim(0.0, signal=0.001).missing
-    assert not found.derived_but_unmarked
+    assert "more than 1000x" in claim(0.0, signal=0.001, derivation=FOUND).missing
 
 
 def test_power_counts_a_worn_mark() -> None:
     """The same evidence: enough for a mark at full strength, not for one at half."""
-    signal = 0.2
-    assert claim(0.0, signal).verdict is Verdict.INCONCLUSIVE
-    full = claim(0.0, signal, config=ClaimConfig(surviving=1.0))
+    anything = ClaimConfig(room=10.0)
+    assert claim(0.0, 0.2, config=anything, derivation=FOUND).verdict is Verdict.INCONCLUSIVE
+    full = claim(0.0, 0.2, config=replace(anything, surviving=1.0), derivation=FOUND)
     assert full.verdict is Verdict.NOT_MARKED
 
 
 def test_a_suspicious_z_is_never_called_unmarked() -> None:
     """A worn mark: below the threshold, yet far beyond what an unmarked suspect shows."""
-    found = claim(0.11, signal=0.8)
+    found = claim(0.011, signal=0.8, noise=0.1, derivation=FOUND)
     assert 3.8 < found.z < found.z_threshold
     assert found.power >= 0.999
     assert found.verdict is Verdict.INCONCLUSIVE
@@ -107,12 +151,8 @@ def test_no_evidence_at_all() -> None:
     zero = np.zeros(CHIPS)
     found = decide(zero, zero, zero, BIT_OF, CHIP, MESSAGE)
     assert found.verdict is Verdict.INCONCLUSIVE
-    assert "nothing of the reference" in found.missing
+    assert "nothing of the asset" in found.missing
     assert (found.z, found.confidence, found.matching_bits, found.bit_accuracy) == (0, 0, 0, 0)
-    absent = decide(zero, zero, zero, BIT_OF, CHIP, MESSAGE, absence_power=0.9999, derived_fraction=0.0)
-    assert absent.verdict is Verdict.NOT_MARKED
-    assert absent.power == 0.9999
-    assert not absent.derived_but_unmarked
 
 
 def test_tries_raise_the_bar() -> None:
@@ -128,14 +168,14 @@ def test_json_is_plain_and_complete() -> None:
     found = claim(0.3, notes=("first", "second"), transform={"scale": 1.0})
     plain = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert plain["verdict"] == "marked"
-    assert set(plain) == set(Claim.__dataclass_fields__)
+    assert set(plain) == {*Claim.__dataclass_fields__, "derived", "derived_fraction"}
     assert len(plain["bit_reliability"]) == BITS
     assert plain["notes"] == ["first", "second"]
     assert replace(found) == found
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"false_claim_rate": 0.0}, {"power": 1.0}, {"doubt_rate": 2.0}, {"surviving": 0.0}, {"derived_least": 2}]
+    "wrong", [{"false_claim_rate": 0.0}, {"power": 1.0}, {"doubt_rate": 2.0}, {"surviving": 0.0}, {"room": 0.0}]
 )
 def test_config_is_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):

@@ -63,6 +63,7 @@ def test_repr_and_errors_hide_the_secret(tmp_path: Path) -> None:
     path = tmp_path / "bad.key"
     body = KEY.secret.hex()[:-1] + "g"
     path.write_text(f"mark3dgs-owner-key 1 {KEY.fingerprint}\n{body}\n")
+    path.chmod(0o600)
     with pytest.raises(KeyFileError) as caught:
         OwnerKey.read(path)
     assert body[:16] not in str(caught.value)
@@ -83,6 +84,7 @@ def test_repr_and_errors_hide_the_secret(tmp_path: Path) -> None:
 def test_bad_key_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.key"
     path.write_text(text)
+    path.chmod(0o600)
     with pytest.raises(KeyFileError, match=message):
         OwnerKey.read(path)
 
@@ -153,3 +155,15 @@ def test_the_text_of_a_key_file_is_a_key(tmp_path: Path) -> None:
         OwnerKey.from_text("", "upload")
     with pytest.raises(KeyFileError, match="was altered"):
         OwnerKey.from_text(text.replace("0001", "0002"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="files have no such rights here")
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o602, 0o660])
+def test_a_key_that_others_can_read_is_no_secret(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "owner.key"
+    KEY.write(path)
+    path.chmod(mode)
+    with pytest.raises(KeyFileError, match="chmod 600"):
+        OwnerKey.read(path)
+    path.chmod(0o400)
+    assert OwnerKey.read(path) == KEY

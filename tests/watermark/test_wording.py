@@ -18,10 +18,18 @@ def report(verdict: str, **changes: object) -> dict[str, object]:
         "expected_z": 53.0,
         "log10_false_claim": -612.4,
         "false_claim_rate": 1e-9,
+        "rate_basis": "drawn",
+        "would_be_claim_if_attested": False,
         "power": 1.0,
         "missing": "",
-        "derived_fraction": 0.248,
-        "derived_but_unmarked": False,
+        "derivation": {
+            "derived": True,
+            "share": 0.248,
+            "gaussians": 28412,
+            "exactness": 0.0021,
+            "where": ((-1.0, -2.0, -3.0), (1.0, 2.0, 3.0)),
+            "views": None,
+        },
         "transform": None,
         "route": "model",
         "copy": "acme",
@@ -30,6 +38,7 @@ def report(verdict: str, **changes: object) -> dict[str, object]:
         "record_id": "ab" * 16,
         "owner": "cd" * 8,
         "registered_at": "",
+        "attested": None,
     }
     return base | changes
 
@@ -83,8 +92,11 @@ def test_a_marked_claim_says_all_of_it() -> None:
         "c0ffee42",
         "32 of 32",
         "1 in 10^612, 2 tries counted",
-        "asked for: 1 in 10^9",
-        "24.8 %",
+        "needed: 1 in 10^9",
+        "24.8 % of your asset was found in the suspect (28,412 Gaussians)",
+        "half of them within 0.0021 of their own size",
+        "from (-1, -2, -3) to (1, 2, 3)",
+        "that is settled by a dispute",
         "ab" * 16,
         "proven bound",
         "does not say",
@@ -108,31 +120,75 @@ def test_the_suspect_is_called_what_it_is(pictures: int, text: str) -> None:
     assert words_of(report("marked"), PLAIN, pictures=pictures).finding.startswith(text)
 
 
-def test_a_weak_claim_says_that_the_date_matters() -> None:
+def test_a_weak_claim_says_why_it_counts() -> None:
     weak = report("marked", meets_dishonest_claimant_rate=False)
-    assert "known to be older" in words_of(weak, PLAIN).meaning["record_time"]
+    assert "it counts because the registration is attested" in words_of(weak, PLAIN).meaning["record_time"]
 
 
-def test_a_log_vouches_for_more_than_a_record() -> None:
-    dated = report("marked", registered_at="2026-11-03T09:14:07+00:00")
-    assert "The record is dated 3 November 2026" in words_of(dated, PLAIN).meaning["record_time"]
-    assert "This service logged" in words_of(dated, PLAIN, logged=True).meaning["record_time"]
+def test_a_strong_claim_does_not_take_the_thief_s_side() -> None:
+    """Whoever marks a stolen model has a true mark in it: no bound says who was first."""
+    for date in ("", "2020-01-01"):
+        text = text_of(words_of(report("marked", registered_at=date), PLAIN))
+        assert "Who was first it does not say" in text
+        assert "whose mark is in the other's original" in text
+        for wrong in ("stands even", "needs no trust", "disputed", "forger"):
+            assert wrong not in text
 
 
-def test_derived_but_unmarked_is_its_own_finding() -> None:
-    text = text_of(words_of(report("not_marked", derived_but_unmarked=True, log10_false_claim=0.0), PLAIN, suspect="s"))
-    assert "is in s, but not this copy's hidden mark" in text
+def test_dates_are_called_what_they_are() -> None:
+    own = report("marked", registered_at="2026-11-03T09:14:07+00:00")
+    assert "registered 3 November 2026, 09:14:07 UTC (self-declared)" in text_of(words_of(own, PLAIN))
+    attested = {"at": "2026-11-04T00:00:00+00:00", "by": "the log of this service", "drawn": True}
+    text = text_of(words_of({**own, "attested": attested}, PLAIN))
+    assert "registered by 4 November 2026, 00:00:00 UTC (attested by the log of this service)" in text
+    assert "self-declared" in text
+    assert "not dated" in text_of(words_of(report("marked"), PLAIN))
+
+
+def test_which_rate_applied_and_why() -> None:
+    strict = report("marked", false_claim_rate=2.0**-128, rate_basis="self_declared")
+    text = text_of(words_of(strict, PLAIN))
+    assert "needed: 1 in 2^128" in text
+    assert "nobody but the owner says when the record was made" in text
+    ((bar, said),) = words_of(strict, PLAIN).limits
+    assert (round(bar, 2), said) == (-38.53, "without an attested date: 1 in 2^128")
+    between = report("inconclusive", would_be_claim_if_attested=True, missing="more", rate_basis="self_declared")
+    assert "would be a claim if the registration were attested" in words_of(between, PLAIN).finding
+
+
+def test_no_mark_is_no_acquittal() -> None:
+    """A stolen copy from which the mark was taken reads as what it is: derived."""
+    words = words_of(report("not_marked", log10_false_claim=0.0), PLAIN, suspect="s")
+    assert words.finding == "s is derived from your asset; this copy's mark is absent or was taken out."
+    assert words.headline.startswith("Derived")
+    text = text_of(words)
+    assert "That the suspect is derived from your asset stands, mark or no mark" in text
+    assert "It does not acquit anybody" in text
     assert "no better than chance" in text
+    check = {each["code"]: each for each in checks_of(report("not_marked"), None)}
+    assert (check["derived"]["ok"], check["mark"]["ok"]) == (True, False)
+    assert "the suspect is derived from the asset stands" in check["mark"]["text"]
 
 
-def test_what_nothing_was_found_of_was_not_measured() -> None:
-    says = words_of(report("not_marked", expected_z=0.0), PLAIN).meaning["says"]
-    assert "a piece of the registered model" in says
+NOTHING = {"derived": False, "share": 0.0, "gaussians": 0, "exactness": None, "where": None, "views": None}
+
+
+def test_where_nothing_was_found_nothing_is_said() -> None:
+    words = words_of(report("inconclusive", derivation=NOTHING, missing="more"), PLAIN, suspect="s")
+    assert words.finding == "Nothing of your asset was recognised in s: neither a yes nor a no."
+    checks = checks_of(report("inconclusive", derivation=NOTHING, missing="more"), None)
+    assert [check["ok"] for check in checks] == [True, True, None, None, False]
+
+
+def test_derivation_stands_where_the_mark_is_undecided() -> None:
+    words = words_of(report("inconclusive", missing="more"), PLAIN, suspect="s")
+    assert words.finding.startswith("s is derived from your asset; whether")
+    assert "derived from your asset stands" in words.meaning["says"]
 
 
 def test_an_inconclusive_answer_says_what_is_missing() -> None:
     missing = "about 3.0x as much evidence of this kind is needed"
-    text = text_of(words_of(report("inconclusive", missing=missing), PLAIN))
+    text = text_of(words_of(report("inconclusive", missing=missing, derivation=NOTHING), PLAIN))
     assert missing in text
     assert "Neither yes nor no" in text
 
@@ -143,7 +199,7 @@ def test_leading_facts_come_first() -> None:
 
 
 def test_a_record_that_does_not_open_leaves_the_rest_unchecked() -> None:
-    wrong, broken = checks_of(None, WrongKeyError("x"), 0), checks_of(None, MalformedRecordError("cut short"), 0)
+    wrong, broken = checks_of(None, WrongKeyError("x")), checks_of(None, MalformedRecordError("cut short"))
     assert [check["ok"] for check in wrong] == [True, False, None, None, None]
     assert [check["ok"] for check in broken] == [False, None, None, None, None]
     assert [check["code"] for check in wrong] == list(CHECKS)
@@ -151,6 +207,8 @@ def test_a_record_that_does_not_open_leaves_the_rest_unchecked() -> None:
 
 
 def test_pictures_without_the_asset_decide_nothing() -> None:
-    seen = report("inconclusive", notes=["picture 1: not recognised"], missing="more")
-    assert [check["ok"] for check in checks_of(seen, None, 1)] == [True, True, None, None, False]
-    assert "1 of 2 pictures" in checks_of(seen, None, 2)[2]["text"]
+    for shown, ok in ((0, None), (1, True)):
+        derivation = {**NOTHING, "derived": shown > 0, "share": None, "views": (shown, 2)}
+        seen = report("inconclusive", derivation=derivation, missing="more")
+        assert [check["ok"] for check in checks_of(seen, None)] == [True, True, ok, None, False]
+    assert "1 of 2 pictures" in checks_of(seen, None)[2]["text"]

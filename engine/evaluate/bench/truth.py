@@ -25,6 +25,7 @@ from engine.records.header import make_record_id
 from engine.sim.adversaries.collusion import RULES, collude
 from engine.watermark.keys import CHIPS, OwnerKey, signs
 from engine.watermark.messages import derive_message
+from engine.watermark.rates import MADE_FIRST
 from engine.watermark.statistics import log10_false_claim_bound, wrong_key_z
 
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
@@ -101,7 +102,7 @@ def forge(scene: MarkedScene, config: EmbedConfig) -> Row:
     original = scene.marked.with_(sh=add_dc(scene.marked.sh, -own))
     digest = hashlib.sha256(original.sh.tobytes()).hexdigest()
     result = embed(original, thief, original_sha256=digest, config=config)
-    opened = open_record(result.record.to_bytes(thief), thief)
+    opened = open_record(result.record.to_bytes(thief), thief, MADE_FIRST)
     verification = verify_model(scene.marked, opened, VerifyConfig(route="model"))
     return {"scene": scene.name, **claim_row("forged original", verification)}
 

@@ -26,6 +26,7 @@ from engine.pipeline.rigs import make_rig, measure_extent
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
 from engine.raster import render
+from engine.watermark.rates import MADE_FIRST
 
 RASTER_SIZE = (1297, 840)
 FLOPS_PER_FRAGMENT = 32
@@ -76,7 +77,7 @@ def measure_size(
         made = embed(model, key, original_sha256=loaded.sha256, bits=16, config=config)
         runs.append(made.report["seconds_by_stage"])
     memory = peak_memory_mb()
-    opened = open_record(made.record.to_bytes(key), key)
+    opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     camera = make_rig(model, 1, picture_size, picture_size)[0]
     picture = to_8_bit(render(made.model, camera))
     whole = [verify_model(made.model, opened, VerifyConfig(route="model")) for _ in range(repeats)]

@@ -29,6 +29,7 @@ from engine.watermark.image_evidence import add_evidence
 from engine.watermark.keys import CHIPS, signs
 from engine.watermark.model_evidence import gather_model_evidence
 from engine.watermark.power import expected_z
+from engine.watermark.rates import MADE_FIRST
 from engine.watermark.statistics import claim_z, z_threshold
 
 __all__ = [
@@ -141,7 +142,7 @@ def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     """Records of recipients who had no part, drawn by the real key derivation, on one recipient's copy."""
     loaded, key = read_model(path), bench_key(seed)
     made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=32, config=fast_config(quick), copy="guilty")
-    opened = open_record(made.record.to_bytes(key), key)
+    opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     result = verify_model(made.model, opened, VerifyConfig(route="model"))
     chips = len(result.evidence.y)
     signs = (one.spreading_of(chips).signs(one.message) for one in innocent_copies(opened, key, copies))

@@ -26,6 +26,7 @@ from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.strength import add_dc
 from engine.raster import render
 from engine.sim.suite import Trial
+from engine.watermark.rates import MADE_FIRST
 from engine.watermark.spreading import signed_amplitudes
 
 ATTACKS: tuple[Trial, ...] = (
@@ -77,7 +78,7 @@ def measure_point(scene: str, point: dict[str, Any], seed: int, quick: bool) -> 
     config, key = made.config, bench_key(seed)
     record = made.record.to_bytes(key)
     views = other_views(loaded.model, HELD_OUT, size, (seed, OF_VIEWS))[: 2 if quick else None]
-    subject = MarkedScene(Path(scene).name, loaded.model, made.model, open_record(record, key), made.report)
+    subject = MarkedScene(Path(scene).name, loaded.model, made.model, open_record(record, key, MADE_FIRST), made.report)
     camera = bench_camera(loaded.model, *((320, 200) if quick else FPS_SIZE))
     foretold = None
     if setting.axis in PREDICTED and not quick:

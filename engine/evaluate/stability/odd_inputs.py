@@ -24,6 +24,7 @@ from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.sim.attacks import model_attack
 from engine.watermark.claim import Claim
+from engine.watermark.rates import MADE_FIRST
 
 __all__ = ["ODD", "QUICK", "claim_digest", "stress"]
 
@@ -164,7 +165,7 @@ def _filed(model: GaussianModel) -> GaussianModel:
 def _mark_and_verify(model: GaussianModel, views: int, seed: int) -> Row:
     key, config = bench_key(seed), replace(fast_config(True), views=views)
     result = embed(_filed(model), key, original_sha256="00" * 32, bits=BITS, config=config)
-    opened = open_record(result.record.to_bytes(key), key)
+    opened = open_record(result.record.to_bytes(key), key, MADE_FIRST)
     row = _verify_twice(_filed(result.model), opened)
     unmarked = verify_model(_filed(model), opened, VerifyConfig(route="model")).claim
     row["unmarked_verdict"] = unmarked.verdict.value

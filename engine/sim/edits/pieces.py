@@ -8,6 +8,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
+from engine.pipeline.derivation import derivation_of_model
 from engine.pipeline.judging import VerifyConfig, judge
 from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
@@ -83,7 +84,8 @@ def verify_pieces(
     share = len(np.unique(pieces.matches[pieces.matches >= 0])) / len(opened.reference)
     whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=share)
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
-    return judge(read_gaussians(suspect, opened, whole), opened, "model", 1, config, whole, notes)
+    evidence, derivation = read_gaussians(suspect, opened, whole), derivation_of_model(opened.reference, suspect, whole)
+    return judge(evidence, opened, "model", 1, config, whole, notes, derivation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,9 @@ def verify_objects(
             found = register(index, part, seed=config.seed, config=RIGID)
             if instance and not found.found:
                 break
-            claim = judge(read_gaussians(part, opened, found), opened, "model", tries, config, found)
+            derivation = derivation_of_model(opened.reference, part, found)
+            evidence = read_gaussians(part, opened, found)
+            claim = judge(evidence, opened, "model", tries, config, found, derivation=derivation)
             rows = left[found.matches >= 0]
             objects = _shares(suspect.owner[rows], suspect.names) if isinstance(suspect, FlatScene) else ()
             placement, low, high = None, None, None

@@ -20,6 +20,7 @@ from engine.sim.capture.training import TrainConfig
 from engine.sim.scenario.tables import Table, given
 from engine.sim.scenario.world import World
 from engine.watermark.keys import OwnerKey
+from engine.watermark.rates import MADE_FIRST
 
 __all__ = ["Part", "Photos", "load_world", "mark", "scenario_key"]
 
@@ -100,7 +101,7 @@ def mark(
     made = embed(
         model, key, original_sha256=digest, bits=bits, config=profile(profile_name), copy=copy, progress=progress
     )
-    return made.model, open_record(made.record.to_bytes(key), key)
+    return made.model, open_record(made.record.to_bytes(key), key, MADE_FIRST)
 
 
 def _bring(part: Part, seed: int, progress: Progress, notes: list[str]) -> tuple[GaussianModel, str]:

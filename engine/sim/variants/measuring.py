@@ -41,6 +41,7 @@ from engine.sim.variants.table4 import (
     measure_variant,
 )
 from engine.watermark.keys import OwnerKey
+from engine.watermark.rates import MADE_FIRST
 
 __all__ = ["measure_codebook", "measure_discs", "measure_generated", "measure_spacetime"]
 
@@ -85,7 +86,8 @@ def measure_discs(
 
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
         result = embed(discs, key, original_sha256=hashlib.sha256(file).hexdigest(), bits=BITS, config=finer)
-        return read_model(encode_model(result.model, "ply")).model, open_record(result.record.to_bytes(key), key)
+        delivered = read_model(encode_model(result.model, "ply")).model
+        return delivered, open_record(result.record.to_bytes(key), key, MADE_FIRST)
 
     def read(suspect: Suspect) -> Readings:
         readings: Readings = {
@@ -117,7 +119,7 @@ def measure_codebook(
         digest = hashlib.sha256((folder / "before" / PLY).read_bytes()).hexdigest()
         marked, embedding = embed_codebook(compressed, key, original_sha256=digest, bits=BITS, config=finer)
         write_codebook(marked, folder / "after")
-        return read_codebook(folder / "after").decode(), open_record(embedding.record.to_bytes(key), key)
+        return read_codebook(folder / "after").decode(), open_record(embedding.record.to_bytes(key), key, MADE_FIRST)
 
     return _row("Compact3D (made)", original, compressed.decode(), config, mark, _read_everything, seed)
 
@@ -136,7 +138,7 @@ def measure_generated(
     def mark(finer: EmbedConfig) -> tuple[GaussianModel, OpenedRecord]:
         marking(key, folder / "records", bits=BITS, config=finer)(path)
         (record,) = (folder / "records").glob("*.record")
-        return read_model(path).model, open_record(record.read_bytes(), key)
+        return read_model(path).model, open_record(record.read_bytes(), key, MADE_FIRST)
 
     return _row("DreamGaussian (made)", original, read_model(path).model, config, mark, _read_everything, seed)
 
@@ -160,7 +162,7 @@ def measure_spacetime(
     marked, embedding = embed_moving(original, key, bits=BITS, config=config)
     marked, _ = read_spacetime_ply(b"".join(write_spacetime_ply(marked)), file="marked")
     after = pictures(marked)
-    opened = open_record(embedding.record.to_bytes(key), key)
+    opened = open_record(embedding.record.to_bytes(key), key, MADE_FIRST)
     shown = [
         Suspect(visible(marked.at(time)), [after[k]], [cameras[k]], move_record(opened, original, time), seed)
         for k, time in enumerate(TIMES)

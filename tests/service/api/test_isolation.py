@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import secrets
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from fastapi.testclient import TestClient
 from service.clock import now
 from service.core import Service
 from service.db.schema import assets, claims
+from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api
 
 PUBLIC = {"/healthz", "/readyz", "/metrics", "/.well-known/jwks.json"}
@@ -56,7 +58,21 @@ def ids(api: Api) -> dict[str, str]:
 
         tenant = connection.execute(jobs.select().where(jobs.c.id == job)).one().tenant
     asset, claim = _rows(api.service, tenant, job)
-    return {"upload_id": upload, "key_id": key, "job_id": job, "asset_id": asset, "claim_id": claim}
+    dispute = _dispute(api.service, tenant, asset)
+    named = {"upload_id": upload, "key_id": key, "job_id": job, "asset_id": asset, "claim_id": claim}
+    return {**named, "dispute_id": dispute}
+
+
+def _dispute(service: Service, tenant: str, asset: str) -> str:
+    """A settled dispute about a tenant's asset."""
+    from service.db.schema import jobs
+
+    job = Job(f"job_{secrets.token_hex(12)}", tenant, "x", "dispute", State.QUEUED, {"assets": [asset, "as_x"]})
+    service.jobs.submit(job)
+    with service.db.write() as connection:
+        ended = {"state": "succeeded", "result": json.dumps({"document": {}, "jws": "a.b.c"})}
+        connection.execute(jobs.update().where(jobs.c.id == job.id).values(**ended))
+    return "di_" + job.id.removeprefix("job_")
 
 
 def _operations(client: TestClient) -> list[tuple[str, str, dict[str, Any]]]:

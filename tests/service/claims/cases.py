@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from engine.watermark.claim import decide
+from engine.watermark.claim import ClaimConfig, decide
+from engine.watermark.derivation import Derivation
 from engine.watermark.messages import message_hex
+from engine.watermark.rates import Attested, applicable_rate
 from service.db.schema import assets
 
 KINDS = ("marked", "not_marked", "inconclusive")
 CHIPS = 8192
+ATTESTED = Attested("2026-11-03T09:14:07.123456+00:00", "the log of this service", drawn=True)
+DRAWN = "drawn for the record of as_1"
 
 
 def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any]:
@@ -21,7 +25,8 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
     random = np.random.default_rng(7)
     bit_of = np.arange(CHIPS) % bits
     chips, message = (random.integers(0, 2, size, dtype=np.int8) * 2 - 1 for size in (CHIPS, bits))
-    y = random.normal(size=CHIPS) + (chips * message[bit_of] if kind == "marked" else 0.0)
+    noise = 0.1 if kind == "not_marked" else 1.0
+    y = noise * random.normal(size=CHIPS) + (chips * message[bit_of] if kind == "marked" else 0.0)
     signal = np.full(CHIPS, 1e-3 if kind == "inconclusive" else 1.0)
     pictures = kind == "inconclusive"
     claim = decide(
@@ -34,7 +39,8 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
         tries=3,
         route="image" if pictures else "model",
         copy="Studio Nord",
-        derived_fraction=None if pictures else 0.75,
+        config=ClaimConfig.at(applicable_rate(1e-9, ATTESTED)),
+        derivation=Derivation(True, views=(1, 2)) if pictures else Derivation(True, 0.75, 925, 0.01),
         notes=("picture 1: no view of this asset was recognised",) if pictures else (),
     )
     assert claim.verdict == kind
@@ -45,6 +51,7 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
         "tries": 3,
         "asset": "as_1",
         "claim": claim.to_json(),
+        "attested": ATTESTED.to_json(),
         "registered_message": message_hex(message),
         "checks": [
             {"code": "record_intact", "ok": True, "text": "The record is whole and unaltered."},
@@ -56,7 +63,8 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
 def nothing() -> dict[str, Any]:
     """A reply where no record could be compared."""
     check = {"code": "record_intact", "ok": False, "text": "The record cannot be used."}
-    return reply() | {"asset": None, "claim": None, "registered_message": None, "tries": 0, "checks": [check]}
+    unknown = dict.fromkeys(("asset", "claim", "attested", "registered_message"))
+    return reply() | unknown | {"tries": 0, "checks": [check]}
 
 
 def asset_row(**changes: Any) -> dict[str, Any]:

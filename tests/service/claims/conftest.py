@@ -16,7 +16,7 @@ from service.settings import Settings
 from service.trust import signing
 from service.trust.commitments import commit_asset
 from service.trust.master import MasterKey
-from tests.service.claims.cases import PICTURES, asset_row, reply
+from tests.service.claims.cases import DRAWN, PICTURES, asset_row, reply
 
 
 class Registry:
@@ -37,7 +37,7 @@ class Registry:
     def register(self, **changes: Any) -> None:
         with self.db.write() as connection:
             connection.execute(assets.insert().values(asset_row(**changes)))
-            commit_asset(connection, asset_row(**changes))
+            commit_asset(connection, asset_row(**changes), DRAWN)
 
     def issue(self, found: dict[str, Any] | None = None, job: str = "job_1", tenant: str = "acme") -> IssuedClaim:
         with self.db.write() as connection:

@@ -8,15 +8,15 @@ import threading
 import pytest
 import sqlalchemy as sa
 
+from engine.records import signatures
+from engine.records.timestamps import Stamped
 from service.claims import issuing
-from service.claims.document import ClaimDocument
 from service.claims.issuing import IssuedClaim, stamp_claim
+from service.claims.schema import ClaimDocument
 from service.db.schema import assets, audit, claims
 from service.problems import Problem
-from service.trust import signing
 from service.trust.audit_check import verify_log
 from service.trust.canonical import canonical
-from service.trust.timestamps import Stamped
 from tests.service.claims.cases import KINDS, nothing, reply
 from tests.service.claims.conftest import Registry
 
@@ -29,7 +29,7 @@ def count(registry: Registry, table: sa.Table) -> int:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_claim_is_logged_signed_and_stored(registry: Registry, kind: str) -> None:
     claim = registry.issue(reply(kind))
-    payload, _ = signing.verify(claim.jws, registry.jwks)
+    payload, _ = signatures.verify(claim.jws, registry.jwks)
     assert json.loads(payload) == claim.document
     assert canonical(claim.document) == payload
     assert claim.document["verdict"] == kind
@@ -63,11 +63,15 @@ def test_two_workers_with_one_job_issue_one_claim(registry: Registry) -> None:
     assert count(registry, claims) == 1
 
 
-def test_the_first_registration_of_the_original_is_named(registry: Registry) -> None:
+def test_the_first_registration_of_the_original_is_the_log_s_word(registry: Registry) -> None:
+    """A row that says it is older does not make it so."""
     registry.register(id="as_0", job="other", registered_at="2025-01-01T00:00:00.000000+00:00")
     registry.register(id="as_x", job="foreign", tenant="other", registered_at="2024-01-01T00:00:00.000000+00:00")
-    claim = registry.issue()
-    assert claim.document["original"]["registered_at"].startswith("2025-01-01")
+    first, second = registry.issue().document, registry.issue(reply(asset="as_0"), "job_2").document
+    for document in (first, second):
+        proven = document["audit"]["first_registration"]["entry"]
+        assert (proven["subject"], proven["at"]) == ("as_1", document["original"]["registered_at"])
+    assert second["registered_at"] > second["original"]["registered_at"] == first["registered_at"]
 
 
 def test_without_a_comparison_nothing_is_claimed(registry: Registry) -> None:

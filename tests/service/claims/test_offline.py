@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import InputError
+from engine.records.merkle import leaf_hash
 from service.claims.document import summary_of
 from service.claims.offline import Findings, Status, verify_report
 from service.claims.report import report_html
@@ -21,7 +22,6 @@ from service.cli import verify_report as command
 from service.trust import signing
 from service.trust.canonical import canonical
 from service.trust.commitments import claim_digest
-from service.trust.merkle import leaf_hash
 from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
 from tests.service.claims.conftest import Registry
 
@@ -53,7 +53,7 @@ def test_whole_claims_hold(registry: Registry, kind: str) -> None:
         assert found.signed_by == registry.jwks["keys"][0]["kid"]
         codes = [check.code for check in found.checks]
         around = {"jws": [], "json": ["document"], "html": ["pictures", "page"]}[form]
-        assert codes == ["signature", "schema", "arithmetic", "log", "registration", *around]
+        assert codes == ["signature", "schema", "arithmetic", "meaning", "log", "registration", *around]
 
 
 def test_a_claim_about_nothing_holds(registry: Registry) -> None:
@@ -180,6 +180,24 @@ def relog(document: Document) -> None:
 
 SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("verdict", to="not_marked"), "arithmetic"),
+    (edit("meets_dishonest_claimant_rate", to=False), "arithmetic"),
+    (edit("confidence", to=0.5), "arithmetic"),
+    (edit("threshold", "false_claim_rate", to=0.5), "arithmetic"),
+    (edit("threshold", "basis", to="self_declared"), "arithmetic"),
+    (edit("threshold", "basis", to="trusted"), "arithmetic"),
+    (edit("attested", to=None), "arithmetic"),
+    (edit("attested", "drawn", to=False), "arithmetic"),
+    (edit("would_be_claim_if_attested", to=True), "arithmetic"),
+    (edit("derived_fraction", to=1.0), "arithmetic"),
+    (edit("derived_but_unmarked", to=True), "arithmetic"),
+    (edit("derivation", to=None), "arithmetic"),
+    (edit("meaning", "says", to="It was stolen by Mallory."), "meaning"),
+    (edit("meaning", "record_time", to="It stands whatever anybody says."), "meaning"),
+    (edit("attested", "at", to="2020-01-01T00:00:00+00:00"), "registration"),
+    (edit("original", "registered_at", to="2020-01-01T00:00:00+00:00"), "registration"),
+    (edit("audit", "first_registration", to=None), "registration"),
+    (edit("audit", "first_registration", "entry", "at", to="2020"), "registration"),
+    (edit("audit", "first_registration", "proof", to=["00" * 32]), "registration"),
     (edit("log10_false_claim", to=-5000.5), "arithmetic"),
     (edit("tries", to=1), "arithmetic"),
     (edit("threshold", "z", to=1.0), "arithmetic"),
@@ -200,7 +218,7 @@ SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("audit", "registration", "entry", "subject", to="as_2"), "registration"),
     (edit("audit", "registration", "proof", to=["00" * 32]), "registration"),
     (edit("registered_at", to="2020-01-01T00:00:00+00:00"), "registration"),
-    (edit("schema_version", to=2), "schema"),
+    (edit("schema_version", to=3), "schema"),
     (edit("schema_version", to="1"), "schema"),
     (edit("confidence", to=1.5), "schema"),
     (edit("confidence", to="high"), "schema"),
@@ -228,7 +246,7 @@ def test_a_signed_something_is_no_claim(registry: Registry, payload: bytes) -> N
 
 
 def test_a_later_version_is_not_called_a_forgery(registry: Registry) -> None:
-    document = registry.issue().document | {"schema_version": 2, "more": True}
+    document = registry.issue().document | {"schema_version": 3, "more": True}
     found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
     assert "a later version of this program" in found.checks[-1].text
 

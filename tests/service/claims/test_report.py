@@ -36,16 +36,18 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
     marked, not_marked, undecided = (page(registry, reply(kind), f"job_{kind}") for kind in KINDS)
     assert "<h1>Mark found</h1>" in marked
     assert "32 of 32" in marked
-    assert "<h1>No mark</h1>" in not_marked
-    assert "not this copy&#39;s hidden mark" in not_marked
+    assert "<h1>Derived, without this mark</h1>" in not_marked
+    assert "derived from your asset; this copy&#39;s mark is absent or was taken out" in not_marked
+    assert "It does not acquit anybody" in not_marked
     assert "coins would give about 16" in not_marked
     assert "<h1>Undecided</h1>" in undecided
-    assert "No mark" not in undecided
+    assert "derived from your asset" in undecided
     assert "no view of this asset was recognised" in undecided
     for text in (marked, not_marked, undecided):
         assert "1 in 2¹²⁸" in text
         assert "mark3dgs verify-report claim.jws --jwks jwks.json" in text
-        assert "asked for: 1 in 10⁹" in text
+        assert "needed here: 1 in 10⁹" in text
+        assert "attested by the log of this service" in text
 
 
 def test_a_claim_about_nothing_has_a_page(registry: Registry) -> None:

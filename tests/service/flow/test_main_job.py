@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
+from engine.records.signatures import DISPUTE, verify
 from tests.service import serving
 from tests.service.serving import ROOT, Served
 
@@ -141,6 +142,8 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
     key = alice.post("/v1/keys", json={"reveal": True, "label": "second"}).json()
     job = alice.embed(PLANT.read_bytes(), key_id=key["id"], bits="16", format="spz")
     (tmp_path / "owner.key").write_text(key["key"])
+    (tmp_path / "owner.key").chmod(0o600)
+    (tmp_path / "jwks.json").write_bytes(alice.get("/.well-known/jwks.json").content)
     for name, part in (("scene.record", "record"), ("marked.spz", "model")):
         (tmp_path / name).write_bytes(alice.get(f"/v1/assets/{job['result']['asset_id']}/{part}").content)
     done = mark3dgs(
@@ -151,9 +154,14 @@ def test_the_record_proves_it_without_the_service(alice: Client, tmp_path: Path,
         str(tmp_path / "scene.record"),
         "--key",
         str(tmp_path / "owner.key"),
+        "--jwks",
+        str(tmp_path / "jwks.json"),
         "--json",
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout)
+    assert (told["false_claim_rate"], told["rate_basis"]) == (1e-9, "drawn")
+    assert told["attested"]["by"].startswith("the log of the service")
 
 
 def test_what_is_not_marked_is_not_claimed(alice: Client, marked: dict[str, Any]) -> None:
@@ -182,6 +190,29 @@ def test_its_owner_can(alice: Client, marked: dict[str, Any]) -> None:
     job = alice.embed(marked["model"], key_id=key)
     assert job["state"] == "succeeded"
     assert marked["asset_id"] in job["result"]["already_carries"]
+
+
+def test_a_dispute_is_settled_and_signed(alice: Client, bob: Client, marked: dict[str, Any]) -> None:
+    """Two assets of hers, the second made from the first one's marked model: the first came first."""
+    newest = alice.get("/v1/assets").json()["items"][0]["id"]
+    assert newest != marked["asset_id"]
+    asked = {"asset_a": newest, "asset_b": marked["asset_id"]}
+    assert bob.post("/v1/disputes", json=asked).status_code == 404
+    job = alice.wait(alice.post("/v1/disputes", json=asked).json())
+    assert job["state"] == "succeeded", job
+    assert job["result"]["first"] == "b"
+    address = f"/v1/disputes/{job['result']['dispute_id']}"
+    settled = alice.get(address).json()
+    assert settled["headline"] == "Party B came first"
+    assert any(reason.startswith("Re-marking") for reason in settled["reasons"])
+    payload, _ = verify(settled["jws"], alice.get("/.well-known/jwks.json").json(), DISPUTE)
+    assert json.loads(payload) == settled["document"]
+    assert settled["document"]["assets"] == {"a": newest, "b": marked["asset_id"]}
+    dates = settled["document"]["finding"]["dates"]
+    assert dates["b"]["attested"] < dates["a"]["attested"]
+    assert "Party B came first" in alice.get(f"{address}/report").text
+    for path in (address, f"{address}/report"):
+        assert bob.get(path).status_code == 404
 
 
 def test_a_tenant_without_assets(served: Served) -> None:

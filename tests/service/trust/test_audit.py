@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from engine.records import merkle
 from service.db import Database
 from service.db.schema import audit as table
-from service.trust import audit, merkle
+from service.trust import audit
 from service.trust.audit_check import verify_log
 from service.trust.canonical import canonical
 from tests.reference import merkle as twin

@@ -11,6 +11,7 @@ import pytest
 from joserfc import jws
 from joserfc.jwk import OctKey, OKPKey
 
+from engine.records import signatures
 from service.db import Database
 from service.db.schema import signing_keys
 from service.problems import Problem
@@ -28,7 +29,7 @@ def signed(db: Database, master: MasterKey, payload: bytes = PAYLOAD) -> str:
 def test_what_is_signed_is_verified(db: Database, master: MasterKey) -> None:
     kid = signing.ensure_key(db, master)
     assert signing.ensure_key(db, master) == kid
-    assert signing.verify(signed(db, master), signing.jwks(db)) == (PAYLOAD, kid)
+    assert signatures.verify(signed(db, master), signing.jwks(db)) == (PAYLOAD, kid)
 
 
 def test_the_key_id_is_the_thumbprint_and_no_secret_is_published(db: Database, master: MasterKey) -> None:
@@ -46,8 +47,8 @@ def test_after_a_rotation_old_signatures_hold(db: Database, master: MasterKey) -
     before = signed(db, master)
     new = signing.rotate(db, master)
     assert [key["kid"] for key in signing.jwks(db)["keys"]] == [new, old]
-    assert signing.verify(before, signing.jwks(db)) == (PAYLOAD, old)
-    assert signing.verify(signed(db, master), signing.jwks(db)) == (PAYLOAD, new)
+    assert signatures.verify(before, signing.jwks(db)) == (PAYLOAD, old)
+    assert signatures.verify(signed(db, master), signing.jwks(db)) == (PAYLOAD, new)
 
 
 def test_without_a_key_nothing_is_signed(db: Database, master: MasterKey) -> None:
@@ -68,17 +69,17 @@ def test_no_character_can_be_changed(token: tuple[str, dict[str, Any]]) -> None:
     for spot, old in enumerate(text):
         others = string.ascii_letters + string.digits + "-_" if spot > len(text) - 3 else "Aa0-._=+ "
         for new in set(others) - {old}:
-            with pytest.raises(signing.SignatureFault):
-                signing.verify(text[:spot] + new + text[spot + 1 :], keys)
+            with pytest.raises(signatures.SignatureFault):
+                signatures.verify(text[:spot] + new + text[spot + 1 :], keys)
     for other in (text + "=", text + "\n", " " + text, text + ".", text[:-1], text.replace(".", "..", 1), ""):
-        with pytest.raises(signing.SignatureFault):
-            signing.verify(other, keys)
+        with pytest.raises(signatures.SignatureFault):
+            signatures.verify(other, keys)
 
 
 @pytest.mark.parametrize("settings", ["sqlite"], indirect=True)
 def test_other_ways_to_sign_are_refused(db: Database, token: tuple[str, dict[str, Any]]) -> None:
     text, keys = token
-    kid, header = keys["keys"][0]["kid"], {"typ": signing.TYPE}
+    kid, header = keys["keys"][0]["kid"], {"typ": signatures.CLAIM}
     own = OKPKey.generate_key("Ed25519")
     public = base64.urlsafe_b64decode(keys["keys"][0]["x"] + "=")
     nothing = base64.urlsafe_b64encode(json.dumps({"alg": "none", "kid": kid, **header}).encode()).rstrip(b"=")
@@ -89,10 +90,10 @@ def test_other_ways_to_sign_are_refused(db: Database, token: tuple[str, dict[str
         f"{nothing.decode()}.{text.split('.')[1]}.AAAA",
     ]
     for forged in forgeries:
-        with pytest.raises(signing.SignatureFault):
-            signing.verify(forged, keys)
-    with pytest.raises(signing.SignatureFault):
-        signing.verify(text, {"keys": []})
+        with pytest.raises(signatures.SignatureFault):
+            signatures.verify(forged, keys)
+    with pytest.raises(signatures.SignatureFault):
+        signatures.verify(text, {"keys": []})
 
 
 @pytest.mark.parametrize("settings", ["sqlite"], indirect=True)
@@ -101,7 +102,7 @@ def test_signed_for_another_purpose_is_no_claim(db: Database, master: MasterKey)
     with db.read() as connection:
         row = connection.execute(signing_keys.select()).one()
     private = OKPKey.import_key(json.loads(master.unseal(row.sealed, signing.bind("signing key", kid))))
-    for extra in ({"typ": "JWT"}, {}, {"typ": signing.TYPE, "cty": "x"}):
+    for extra in ({"typ": "JWT"}, {}, {"typ": signatures.CLAIM, "cty": "x"}):
         forged = jws.serialize_compact({"alg": "Ed25519", "kid": kid, **extra}, PAYLOAD, private, ["Ed25519"])
-        with pytest.raises(signing.SignatureFault, match="not as a claim"):
-            signing.verify(forged, signing.jwks(db))
+        with pytest.raises(signatures.SignatureFault, match="not as mark3dgs-claim"):
+            signatures.verify(forged, signing.jwks(db))

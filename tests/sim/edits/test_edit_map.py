@@ -123,7 +123,7 @@ def test_a_foreign_model_holds_nothing(scene: MarkedScene, sheet: GaussianModel)
     seen = map_edits(sheet, scene.opened)
     assert not seen.found
     assert (seen.kinds == Change.FOREIGN).all()
-    assert verify_pieces(sheet, scene.opened).verdict is Verdict.NOT_MARKED
+    assert verify_pieces(sheet, scene.opened).verdict is Verdict.INCONCLUSIVE
 
 
 def edits(model: GaussianModel, patch: Bool) -> tuple[GaussianModel, EditTrack]:

@@ -192,7 +192,7 @@ def test_an_absent_or_unmarked_object_is_not_claimed(objects: Objects) -> None:
     model, opened = objects["ball"]
     others = Scene().insert("foreign", solid(77)).insert("bell", objects["bell"][0]).flatten()
     (absent,) = verify_objects(others, {"ball": opened})
-    assert absent.claim.verdict is Verdict.NOT_MARKED
+    assert absent.claim.verdict is Verdict.INCONCLUSIVE
     assert (len(absent.rows), absent.placement) == (0, None)
     unmarked = Scene().insert("foreign", solid(77)).insert("ball", solid(11)).flatten()
     (plain,) = verify_objects(unmarked, {"ball": opened})

@@ -1,4 +1,4 @@
-"""Time stamps (RFC 3161): somebody else's word that a claim's signature existed at a time."""
+"""Time stamps (RFC 3161): somebody else's word that bytes, such as a record's header, existed at a time."""
 
 import hashlib
 import time
@@ -12,6 +12,7 @@ from cryptography import x509
 from rfc3161_client import (
     HashAlgorithm,
     PKIStatus,
+    TimeStampRequest,
     TimestampRequestBuilder,
     TimeStampResponse,
     VerifierBuilder,
@@ -35,31 +36,37 @@ class Stamped:
     failure: str = ""
 
 
-def stamp(url: str, jws: str) -> Stamped:
-    """A time stamp of the SHA-256 of a compact JWS, from the service at an http(s) address. Never raises: a claim
-    stands without it."""
+def make_query(data: bytes) -> bytes:
+    """A query (DER) for a time stamp of the SHA-256 of these bytes, to be sent by any means."""
+    query: bytes = _query(data).as_bytes()
+    return query
+
+
+def stamp(url: str, data: bytes) -> Stamped:
+    """A time stamp of the SHA-256 of these bytes, from the service at an http(s) address. Never raises: a claim stands
+    without it."""
     try:
-        request = TimestampRequestBuilder().data(jws.encode()).hash_algorithm(HashAlgorithm.SHA256).build()
+        request = _query(data)
         reply = _ask(url, request.as_bytes())
         response = _read(reply)
         if response.tst_info.nonce != request.nonce:
             raise TimestampFault("the reply answers another request")
-        _check_digest(response, jws)
+        _check_digest(response, data)
         return Stamped(reply)
     except (TimestampFault, OSError, HTTPException, ValueError) as error:
         return Stamped(None, f"no time stamp: {error or type(error).__name__}")
 
 
-def stamped_at(token: bytes, jws: str) -> str:
-    """The time a stamp of this JWS names, UTC, ISO 8601; who gave it is left open. TimestampFault if it is none."""
+def stamped_at(token: bytes, data: bytes) -> str:
+    """The time a stamp of these bytes names, UTC, ISO 8601; who gave it is left open. TimestampFault if it is none."""
     response = _read(token)
-    _check_digest(response, jws)
+    _check_digest(response, data)
     return response.tst_info.gen_time.replace(tzinfo=UTC).isoformat(timespec="seconds")
 
 
-def check_stamp(token: bytes, jws: str, roots: Sequence[x509.Certificate]) -> str:
+def check_stamp(token: bytes, data: bytes, roots: Sequence[x509.Certificate]) -> str:
     """As `stamped_at`, for a stamp whose signer one of these certificates vouches for."""
-    at = stamped_at(token, jws)
+    at = stamped_at(token, data)
     response = _read(token)
     try:
         builder = VerifierBuilder(roots=list(roots))
@@ -67,10 +74,14 @@ def check_stamp(token: bytes, jws: str, roots: Sequence[x509.Certificate]) -> st
             certificate = x509.load_der_x509_certificate(raw)
             if not _stamps_time(certificate) and certificate not in roots:
                 builder = builder.add_intermediate_certificate(certificate)
-        builder.build().verify_message(response, jws.encode())
+        builder.build().verify_message(response, data)
     except Exception as error:  # parsers of foreign certificates raise many kinds; whichever it is, it does not hold
         raise TimestampFault(f"the time stamp's signature does not hold: {error}") from None
     return at
+
+
+def _query(data: bytes) -> TimeStampRequest:
+    return TimestampRequestBuilder().data(data).hash_algorithm(HashAlgorithm.SHA256).build()
 
 
 def _ask(url: str, query: bytes) -> bytes:
@@ -91,6 +102,15 @@ def _ask(url: str, query: bytes) -> bytes:
     return b"".join(parts)
 
 
+def authority_of(token: bytes) -> str:
+    """Name of whoever gave a stamp, as its certificate has it."""
+    for raw in _read(token).signed_data.certificates:
+        certificate = x509.load_der_x509_certificate(raw)
+        if _stamps_time(certificate):
+            return certificate.subject.rfc4514_string()
+    return "a time-stamping service without a certificate"
+
+
 def _read(token: bytes) -> TimeStampResponse:
     try:
         response = decode_timestamp_response(token)
@@ -102,8 +122,8 @@ def _read(token: bytes) -> TimeStampResponse:
     return response
 
 
-def _check_digest(response: TimeStampResponse, jws: str) -> None:
-    if response.tst_info.message_imprint.message != hashlib.sha256(jws.encode()).digest():
+def _check_digest(response: TimeStampResponse, data: bytes) -> None:
+    if response.tst_info.message_imprint.message != hashlib.sha256(data).digest():
         raise TimestampFault("the time stamp is one of something else")
 
 

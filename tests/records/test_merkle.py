@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.trust import merkle
-from service.trust.merkle import Node
+from engine.records import merkle
+from engine.records.merkle import Node
 from tests.reference import merkle as twin
 
 LEAVES = st.lists(st.binary(max_size=8), min_size=1, max_size=70)

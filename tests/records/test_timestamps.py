@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from service.trust import timestamps
-from service.trust.timestamps import TimestampFault, check_stamp, stamp, stamped_at
+from engine.records import timestamps
+from engine.records.timestamps import TimestampFault, check_stamp, stamp, stamped_at
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the time stamps")
-JWS = "eyJh.bbbb.cccc"
+JWS = b"eyJh.bbbb.cccc"
 
 CONFIG = """
 [ req ]
@@ -138,12 +138,12 @@ def test_a_stamp_holds_under_its_authority(authority: Authority, token: bytes) -
 def test_openssl_takes_the_stamp_too(authority: Authority, token: bytes) -> None:
     """A reader without this program can check it."""
     (authority.folder / "token").write_bytes(token)
-    (authority.folder / "claim.jws").write_text(JWS)
+    (authority.folder / "claim.jws").write_bytes(JWS)
     authority.run("ts", "-verify", "-in", "token", "-data", "claim.jws", "-CAfile", "ca.pem")
 
 
 def test_a_stamp_of_something_else_is_refused(authority: Authority, token: bytes) -> None:
-    for check in (lambda: stamped_at(token, JWS + "x"), lambda: check_stamp(token, JWS + "x", authority.roots)):
+    for check in (lambda: stamped_at(token, JWS + b"x"), lambda: check_stamp(token, JWS + b"x", authority.roots)):
         with pytest.raises(TimestampFault, match="of something else"):
             check()
 

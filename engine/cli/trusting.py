@@ -1,0 +1,78 @@
+"""Whose word counts: certificates and public keys that the user trusts, read from files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
+    from engine.records.attestation import Attestation, Trust
+
+TsaCertificates = Annotated[
+    Path | None, typer.Option("--tsa-certificates", help="PEM certificates trusted to vouch for time stamps.")
+]
+Jwks = Annotated[
+    Path | None, typer.Option("--jwks", help="Public keys of a service whose log is trusted (/.well-known/jwks.json).")
+]
+
+_MOST_BYTES = 1 << 20
+
+
+def read_trust(certificates: Path | None, jwks: Path | None) -> Trust:
+    """What the options name; nobody is trusted otherwise."""
+    from engine.records.attestation import Trust
+
+    trusted = read_certificates(certificates) if certificates is not None else []
+    return Trust(trusted, read_jwks(jwks)) if jwks is not None else Trust(trusted)
+
+
+def read_jwks(path: Path) -> dict[str, Any]:
+    """Public keys (RFC 7517), or InputError."""
+    try:
+        keys = json.loads(_read(path), object_pairs_hook=_each_once)
+        if keys["keys"] and all(isinstance(key, dict) and "kid" in key for key in keys["keys"]):
+            return dict(keys)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise InputError(f"{str(path)!r} is no set of public keys (JWKS)")
+
+
+def read_certificates(path: Path) -> list[Certificate]:
+    """Certificates in PEM, or InputError."""
+    from cryptography.x509 import load_pem_x509_certificates
+
+    try:
+        return load_pem_x509_certificates(_read(path))
+    except ValueError:
+        raise InputError(f"{str(path)!r} holds no certificates in PEM") from None
+
+
+def read_attestation(path: Path) -> Attestation:
+    """A time-stamping service's reply (DER), or a service's signed word on a registration (compact JWS)."""
+    from engine.records.attestation import LOG, Attestation, stamp_of
+
+    data = _read(path)
+    text = data.decode("ascii", errors="replace").strip()
+    return Attestation(LOG, text) if text.count(".") == 2 and text.isprintable() else stamp_of(data)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as opened:
+            return opened.read(_MOST_BYTES)
+    except OSError as error:
+        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("a name stands twice in one object")
+    return found

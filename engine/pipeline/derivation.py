@@ -1,0 +1,45 @@
+"""The derivation that a registration, or the sight of the asset, stands for. Blind to all chips."""
+
+import numpy as np
+
+from engine.model import GaussianModel
+from engine.registration.registering import Registration
+from engine.watermark.derivation import Derivation
+
+__all__ = ["DERIVED_LEAST", "derivation_of_model", "derivation_of_pictures", "derivation_of_sight"]
+
+DERIVED_LEAST = 0.02
+"""Share of the reference to be found before a suspect is called derived from it."""
+SAMPLE = 50_000
+"""Matched Gaussians of which the exactness is measured."""
+
+
+def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, registration: Registration) -> Derivation:
+    """What the matched Gaussians say."""
+    rows = np.flatnonzero(registration.matches >= 0)
+    if not registration.found:
+        return Derivation(False, 0.0, 0)
+    matched = registration.matches[rows]
+    low, high = np.quantile(reference.means[matched].astype(np.float64), [0.01, 0.99], axis=0)
+    exactness = None
+    if not registration.deformed:
+        part = slice(None, None, max(1, len(rows) // SAMPLE))
+        placed = registration.similarity.apply(suspect.means[rows[part]].astype(np.float64))
+        gaps = np.linalg.norm(placed - reference.means[matched[part]], axis=1)
+        sizes = np.exp(reference.log_scales[matched[part]].mean(axis=1, dtype=np.float64))
+        exactness = float(np.median(gaps / sizes))
+    share = registration.derived_fraction
+    where = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+    return Derivation(share >= DERIVED_LEAST, share, len(rows), exactness, where)
+
+
+def derivation_of_sight(of_model: Derivation, shown: bool) -> Derivation:
+    """What renders of a suspect model say, beside its Gaussians."""
+    if of_model.derived or not shown:
+        return of_model
+    return Derivation(True, of_model.share or None, of_model.gaussians)
+
+
+def derivation_of_pictures(shown: int, pictures: int) -> Derivation:
+    """What pictures say of which so many show the asset."""
+    return Derivation(shown > 0, views=(shown, pictures))

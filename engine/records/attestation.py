@@ -1,0 +1,148 @@
+"""Attestations: somebody else's word on when a record existed, kept in its file beside the seal.
+
+They come after the record is sealed, so the seal does not cover them; each is bound to the record by the SHA-256 of its
+public bytes (prefix and header), which name reference, plan, owner and original. Appended to the record, little-endian:
+
+    magic 8s | length u32 | canonical JSON: a list of {"kind", "value"}
+
+kind "rfc3161": the reply of a time-stamping service about the public bytes, base64. Kind "log": a service's signed word
+that it registered the record (compact JWS): {"header_sha256", "entry", "index", "size", "root", "proof"}, the entry
+being one of its audit log, proven to be under the root (RFC 6962).
+
+An attestation counts only where the reader trusts its author, by certificates or public keys of his own.
+"""
+
+import base64
+import binascii
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Any
+
+import rfc8785
+from cryptography import x509
+
+from engine.errors import MalformedRecordError
+from engine.records.codec import canonical_json, parse_json
+from engine.records.file import APPENDED, public_bytes, split
+from engine.records.merkle import check_inclusion, leaf_hash
+from engine.records.signatures import REGISTRATION, SignatureFault, verify
+from engine.records.timestamps import TimestampFault, authority_of, check_stamp, stamped_at
+
+STAMP, LOG = "rfc3161", "log"
+ASSET_REGISTERED = "asset.registered"
+"""Event of a log entry that registers a record."""
+MOST = 16
+"""Attestations of one record."""
+
+_HEAD = struct.Struct("<8sI")
+_MAX_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Attestation:
+    """One word on a record, not yet believed."""
+
+    kind: str  # STAMP or LOG
+    value: str  # base64 of a time-stamping service's reply, or a compact JWS
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whose word counts for a reader."""
+
+    certificates: Sequence[x509.Certificate] = ()  # that vouch for time-stamping services
+    jwks: Mapping[str, Any] = field(default_factory=lambda: {"keys": []})  # public keys of services with a log
+
+
+@dataclass(frozen=True)
+class Witness:
+    """An attestation that was checked."""
+
+    at: str  # UTC, ISO 8601
+    by: str  # who says so, for people
+    drawn_sha256: str = ""  # digest of what the attester drew for the record's plan; empty where he drew nothing
+
+
+def read_attestations(data: bytes) -> tuple[Attestation, ...]:
+    """Attestations in a record file; MalformedRecordError if what follows the record is something else."""
+    appendix = split(data)[1]
+    if not appendix:
+        return ()
+    magic, length = _HEAD.unpack_from(appendix) if len(appendix) >= _HEAD.size else (b"", 0)
+    if magic != APPENDED or length > _MAX_BYTES or _HEAD.size + length != len(appendix):
+        raise MalformedRecordError("what follows the record was cut or extended: it is no attestation")
+    found = parse_json(appendix[_HEAD.size :], "the record's attestation")
+    if not isinstance(found, list) or len(found) > MOST:
+        raise MalformedRecordError(f"a record has at most {MOST} attestations")
+    for each in found:
+        if not isinstance(each, dict) or set(each) != {"kind", "value"} or not isinstance(each["value"], str):
+            raise MalformedRecordError("an attestation of the record is malformed")
+        if each["kind"] not in (STAMP, LOG):
+            raise MalformedRecordError(f"an attestation of kind {each['kind']!r} is unknown here")
+    return tuple(Attestation(**each) for each in found)
+
+
+def attach(data: bytes, *more: Attestation) -> bytes:
+    """The record file with further attestations; what it has already is not added again."""
+    kept = tuple(dict.fromkeys((*read_attestations(data), *more)))
+    text = canonical_json([{"kind": each.kind, "value": each.value} for each in kept])
+    if len(kept) > MOST or len(text) > _MAX_BYTES:
+        raise MalformedRecordError(f"a record has at most {MOST} attestations of {_MAX_BYTES} bytes together")
+    return split(data)[0] + _HEAD.pack(APPENDED, len(text)) + text
+
+
+def stamp_of(token: bytes) -> Attestation:
+    """A time-stamping service's reply (DER), as an attestation."""
+    return Attestation(STAMP, base64.b64encode(token).decode())
+
+
+def header_digest(data: bytes) -> str:
+    """SHA-256 of a record's public bytes, hex: what attestations are bound to."""
+    return sha256(public_bytes(data)).hexdigest()
+
+
+def check_attestations(data: bytes, trust: Trust) -> tuple[tuple[Witness, ...], tuple[str, ...]]:
+    """Who attests the record, of those that the reader trusts; and what is to be said of the others."""
+    witnesses, notes = [], []
+    for each in read_attestations(data):
+        try:
+            check = _check_stamp if each.kind == STAMP else _check_statement
+            witnesses.append(check(each.value, data, trust))
+        except (TimestampFault, SignatureFault) as fault:
+            notes.append(f"an attestation does not count: {fault}")
+    return tuple(witnesses), tuple(notes)
+
+
+def _check_stamp(value: str, data: bytes, trust: Trust) -> Witness:
+    try:
+        token = base64.b64decode(value, validate=True)
+    except binascii.Error:
+        raise TimestampFault("a time stamp is not written in base64") from None
+    stamped = public_bytes(data)
+    if not trust.certificates:
+        at = stamped_at(token, stamped)
+        raise TimestampFault(f"a stamp of {at} is there, but no certificate was given to trust its author by")
+    return Witness(check_stamp(token, stamped, trust.certificates), authority_of(token))
+
+
+def _check_statement(value: str, data: bytes, trust: Trust) -> Witness:
+    if not trust.jwks["keys"]:
+        raise SignatureFault("a service's log attests it, but no public key was given to trust the service by")
+    payload, kid = verify(value, trust.jwks, REGISTRATION)
+    try:
+        said = json.loads(payload)
+        entry, bound = said["entry"], said["header_sha256"]
+        steps, root = [bytes.fromhex(step) for step in said["proof"]], bytes.fromhex(said["root"])
+        included = check_inclusion(leaf_hash(rfc8785.dumps(entry)), entry["index"], said["size"], steps, root)
+        event, at, drawn = entry["event"], str(entry["at"]), str(entry["payload"].get("drawn_sha256", ""))
+        logged = entry["payload"]["record_sha256"] == sha256(split(data)[0]).hexdigest()
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise SignatureFault("a service's word on a registration has another form") from None
+    if bound != header_digest(data) or event != ASSET_REGISTERED or not logged:
+        raise SignatureFault("a service's word is about another record")
+    if not included:
+        raise SignatureFault("the log's proof of the registration does not lead to its root")
+    return Witness(at, f"the log of the service with the key {kid}", drawn)

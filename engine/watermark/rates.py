@@ -1,0 +1,103 @@
+"""Which false-claim rate a claim must meet: not the claimant's choice (DESIGN 4.9).
+
+A record that somebody made after he saw the suspect can be one of very many that he tried: 10^10 plans reach a bound of
+10^-9 by themselves. So 10^-9 is enough only where somebody else vouches that the record is older than the suspect, or
+that what its chips follow from was drawn by somebody else (then nobody could try records out). Else the bound must be
+below 2^-128.
+"""
+
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from engine.errors import InputError
+from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
+
+BASES = {
+    "attested": "the registration is attested, and older than the suspect",
+    "drawn": "the registration is attested, by somebody who drew a part of what the chips follow from",
+    "self_declared": "nobody but the owner says when the record was made",
+    "undated": "the registration is attested, but nobody said since when the suspect is known",
+    "younger": "the suspect was known before the attested registration",
+}
+"""Why a rate applies."""
+
+DEMANDS = {basis: CHANCE_RATE if basis in ("attested", "drawn") else DISHONEST_CLAIMANT_RATE for basis in BASES}
+"""Largest rate that does, by its basis."""
+
+
+@dataclass(frozen=True)
+class Attested:
+    """Somebody else's word on when a record existed. ValueError if the time is none."""
+
+    at: str  # UTC, ISO 8601
+    by: str  # who says so, for people
+    # The attester drew a part of the plan, which decides the chips, when the reference and the key were settled: nobody
+    # could try many records beforehand
+    drawn: bool = False
+
+    def __post_init__(self) -> None:
+        _ = self.moment
+
+    @property
+    def moment(self) -> datetime:
+        """The time, to compare."""
+        return moment(self.at)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class AppliedRate:
+    """The rate that a claim must meet, and why."""
+
+    rate: float
+    basis: str  # a key of BASES
+    # The rate that would do if the registration were attested and older than the suspect; None where the suspect is
+    # known to be older
+    if_attested: float | None
+
+
+def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str = "") -> AppliedRate:
+    """The rate that applies to a record; what was asked for counts only where it is stricter.
+
+    Parameters
+    ----------
+    asked : float
+        In (0, 1).
+    suspect_seen : str
+        Since when the suspect is known, ISO 8601 (a date counts from its first moment); empty where nobody knows.
+        InputError if it is no time.
+    """
+    usual = min(asked, CHANCE_RATE)
+    basis = _basis(attested, suspect_seen)
+    return AppliedRate(min(asked, DEMANDS[basis]), basis, None if basis == "younger" else usual)
+
+
+def _basis(attested: Attested | None, suspect_seen: str) -> str:
+    seen = _seen(suspect_seen) if suspect_seen else None
+    if attested is None:
+        return "self_declared"
+    if seen is not None and seen <= attested.moment:
+        return "younger"
+    if attested.drawn:
+        return "drawn"
+    return "attested" if seen is not None else "undated"
+
+
+def _seen(text: str) -> datetime:
+    try:
+        return moment(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no date: write 2026-11-03 or 2026-11-03T09:14:07+00:00") from None
+
+
+def moment(text: str) -> datetime:
+    found = datetime.fromisoformat(text)
+    return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
+
+
+MADE_FIRST = Attested("1970-01-01T00:00:00+00:00", "whoever measures", drawn=True)
+"""For measurements, whose records are older than their suspects."""

@@ -1,0 +1,102 @@
+"""Whether a claim's numbers and words follow from one another."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import version
+from typing import Any
+
+from engine.watermark.claim import ClaimConfig
+from engine.watermark.rates import DEMANDS
+from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
+from service.claims.document import document_words
+
+
+class Status(StrEnum):
+    """What came of a check. "Could not check" is an answer of its own."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    NOT_CHECKED = "not_checked"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked."""
+
+    code: str  # readable, signature, schema, arithmetic, log, registration, or as `_around` says
+    status: Status
+    text: str
+
+
+def arithmetic_fault(document: Mapping[str, Any]) -> str:
+    """What does not follow in a claim's numbers; empty where all does."""
+    stated, threshold, message = (document[name] for name in ("log10_false_claim", "threshold", "message"))
+    if document["meets_dishonest_claimant_rate"] != (stated <= math.log10(DISHONEST_CLAIMANT_RATE)):
+        return f"whether the bound of 10^{stated:g} is at most 2^-128 is stated wrongly"
+    if not math.isclose(document["confidence"], -math.expm1(stated * math.log(10)), abs_tol=1e-12):
+        return f"a confidence of {document['confidence']:g} does not follow from a bound of 10^{stated:g}"
+    if threshold is not None:
+        needed = z_threshold(threshold["false_claim_rate"], document["tries"])
+        if not math.isclose(threshold["z"], needed, rel_tol=1e-9):
+            return f"a threshold of z = {threshold['z']:g} does not follow from its rate and {document['tries']} tries"
+    for one in document["evidence"]:
+        if threshold is None:
+            return "evidence without a threshold"
+        if not math.isclose(log10_false_claim_bound(one["z"], document["tries"]), stated, abs_tol=1e-6):
+            return f"a bound of 10^{stated:g} does not follow from z = {one['z']:g} and {document['tries']} tries"
+        if (one["z"] >= threshold["z"]) != (document["verdict"] == "marked"):
+            return f"the verdict does not follow from z = {one['z']:g} and the threshold {threshold['z']:g}"
+    if document["verdict"] == "marked" and not document["evidence"]:
+        return "a mark without evidence"
+    if document["schema_version"] > 1 and (fault := _rate_fault(document) or _derivation_fault(document)):
+        return fault
+    if message is not None:
+        if len(message["reliability"]) != message["bits"]:
+            return "the message does not have a reliability for each bit"
+        if not math.isclose(message["bit_accuracy"], message["matching"] / message["bits"]):
+            return "the bit accuracy is not the share of matching bits"
+    return ""
+
+
+def _rate_fault(document: Mapping[str, Any]) -> str:
+    """The rate is not the claimant's choice: it follows from who says when the record was registered."""
+    threshold, attested = document["threshold"], document["attested"]
+    would = document["would_be_claim_if_attested"]
+    if threshold is None:
+        return "a claim without evidence would be none, attested or not" if would else ""
+    basis, rate = threshold["basis"], threshold["false_claim_rate"]
+    if basis not in DEMANDS or rate > DEMANDS[basis]:
+        return f"a rate of {rate:g} does not do where the record is {basis!r}"
+    if (attested is None) != (basis == "self_declared") or (basis == "drawn" and not attested["drawn"]):
+        return f"the record is called {basis!r}, but what is attested says otherwise"
+    enough = document["log10_false_claim"] <= math.log10(CHANCE_RATE) and document["verdict"] != "marked"
+    return "a bound above 10^-9 would be no claim, attested or not" if would and not enough else ""
+
+
+def _derivation_fault(document: Mapping[str, Any]) -> str:
+    """`not_marked` is said only of what was found in the suspect, and near the original."""
+    derivation, config = document["derivation"], ClaimConfig()
+    if derivation is None or derivation["share"] != document["derived_fraction"]:
+        return "the share of the asset is stated in two ways"
+    if document["derived_but_unmarked"] != (document["verdict"] == "not_marked"):
+        return "whether the suspect is derived, and without this mark, does not follow from the verdict"
+    if document["verdict"] != "not_marked":
+        return ""
+    one = document["evidence"][0] if document["evidence"] else None
+    if one is None or one["change"] is None:
+        return "a mark is called absent without evidence"
+    sure = one["power"] >= config.power and one["change"] <= config.room
+    return "" if sure and derivation["derived"] else "the evidence leaves room for the mark that is called absent"
+
+
+def meaning_check(document: Mapping[str, Any]) -> Check:
+    """Whether the signed words are those that follow from the signed numbers."""
+    made_by = document["tool"]["version"]
+    if document["schema_version"] == 1 or made_by != version("mark3dgs"):
+        text = f"The meaning is in the words of version {made_by}; they were not made anew."
+        return Check("meaning", Status.NOT_CHECKED, text)
+    if document_words(document).meaning == document["meaning"]:
+        return Check("meaning", Status.PASS, "The meaning is the one that this program reads out of the numbers.")
+    return Check("meaning", Status.FAIL, "the signed words are not those that follow from the signed numbers")

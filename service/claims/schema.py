@@ -1,0 +1,176 @@
+"""The claim document: its exact form. Version 1 had no derivation, no basis of its rate, no proof of the original's
+registration; it is still read."""
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = 2
+
+Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
+Share = Field(ge=0.0, le=1.0)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Tool(_Part):
+    """The program that made the claim."""
+
+    name: str
+    version: str
+
+
+class Subject(_Part):
+    """What was examined."""
+
+    kind: Literal["model", "pictures"]
+    sha256: list[str] = Field(min_length=1, description="Of each file handed in, hex, in order.")
+    format: str = Field(description="File format of a model, or `pictures`.")
+    gaussians: int | None = Field(description="Of a model.")
+
+
+class Original(_Part):
+    """The file that its owner registered."""
+
+    sha256: str = Hex64
+    format: str
+    registered_at: str = Field(description="When a copy of it first entered the audit log, UTC.")
+
+
+class Threshold(_Part):
+    """The bar, set before the evidence was looked at."""
+
+    basis: str | None = Field(None, description="Why this rate applies, a key of `engine.watermark.rates.BASES`.")
+    false_claim_rate: float = Field(gt=0.0, lt=1.0, description="Largest acceptable false-claim bound.")
+    z: float = Field(description="The z at which the bound meets that rate for this number of tries.")
+
+
+class Message(_Part):
+    """The bits."""
+
+    hex: str = Field(description="As extracted; a bit without evidence reads 0.")
+    registered: str = Field(description="As registered.")
+    bits: int = Field(gt=0)
+    matching: int = Field(ge=0)
+    bit_accuracy: float = Share
+    reliability: list[float] = Field(description="For each bit, the probability that it was read right.")
+    log10_binomial_tail: float = Field(description="log10 of the chance that as many bits match by luck.")
+
+
+class Evidence(_Part):
+    """One kind of evidence."""
+
+    route: str = Field(description="model, render or image.")
+    z: float = Field(description="The claim statistic as observed.")
+    unmarked_z: float = Field(description="What is expected without a mark, with a standard deviation of 1.")
+    expected_z: float = Field(description="What is expected of the mark at full strength.")
+    power: float = Field(
+        description="Least chance that a mark worn to half strength would be seen, had nobody worked against it."
+    )
+    change: float | None = Field(None, description="Size of what was measured, in sizes of the mark.")
+
+
+class Derivation(_Part):
+    """Whether the suspect was made from the asset; stands whatever became of the mark."""
+
+    derived: bool
+    share: float | None = Field(description="Share of the registered model's Gaussians found in the suspect.")
+    gaussians: int | None = Field(description="Gaussians of the suspect that were recognised.")
+    exactness: float | None = Field(description="Median distance from where the original has them, in their own sizes.")
+    where: list[list[float]] | None = Field(description="Box around what was found, in the original's coordinates.")
+    views: list[int] | None = Field(description="Pictures in which the asset was recognised, of so many.")
+
+
+class AttestedTime(_Part):
+    """Who says when the record was registered."""
+
+    at: str
+    by: str
+    drawn: bool = Field(description="The attester drew a part of what the mark's chips follow from.")
+
+
+class Check(_Part):
+    """One thing that was checked. `ok` is null where it could not be."""
+
+    code: str
+    ok: bool | None
+    text: str
+
+
+class Meaning(_Part):
+    """What the claim means, and what it does not."""
+
+    says: str
+    does_not_say: str
+    method: str
+    record_time: str
+
+
+class LogEntry(_Part):
+    """An entry of the audit log; its canonical JSON is the leaf."""
+
+    index: int = Field(ge=0)
+    at: str
+    tenant: str
+    event: str
+    subject: str
+    payload: dict[str, Any]
+    previous: str = Hex64
+
+
+class Registration(_Part):
+    """The asset's registration in the same log, under the same root."""
+
+    entry: LogEntry
+    proof: list[str]
+
+
+class Audit(_Part):
+    """Where the claim stands in the audit log. The entry's digest is that of the document without this member."""
+
+    index: int = Field(ge=0)
+    size: int = Field(gt=0)
+    root: str = Hex64
+    proof: list[str]
+    entry: LogEntry
+    registration: Registration | None
+    first_registration: Registration | None = Field(None, description="Of the original: its first copy's.")
+
+
+class ClaimDocument(_Part):
+    """The answer of one verification, as it is signed."""
+
+    schema_version: Literal[1, 2]
+    claim_id: str
+    created_at: str
+    tool: Tool
+    subject: Subject
+    asset: str | None = Field(description="The asset that the answer is about; null where none could be compared.")
+    original: Original | None
+    record_id: str | None
+    copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose mark was looked for.")
+    registered_at: str | None = Field(description="When that copy entered the audit log, UTC: attested.")
+    attested: AttestedTime | None = Field(None, description="The same, as it counted for the rate.")
+    verdict: Literal["marked", "not_marked", "inconclusive"]
+    confidence: float = Field(ge=0.0, le=1.0, description="1 - min(1, false-claim bound), all tries counted.")
+    log10_false_claim: float = Field(le=0.0, description="log10 of the false-claim bound, all tries counted.")
+    meets_dishonest_claimant_rate: bool = Field(description="Whether the bound is at most 2^-128 too.")
+    would_be_claim_if_attested: bool = Field(
+        False, description="The bound would do if the registration were attested and older than the suspect."
+    )
+    tries: int = Field(ge=0, description="Hypotheses tried: records times routes.")
+    threshold: Threshold | None
+    message: Message | None
+    derived_fraction: float | None = Field(description="Share of the registered model found in the suspect.")
+    derived_but_unmarked: bool = Field(description="Derived; this copy's mark is absent or was taken out.")
+    derivation: Derivation | None = None
+    transform: dict[str, Any] | None = Field(description="From suspect to registered model.")
+    evidence: list[Evidence]
+    checks: list[Check]
+    missing: str = Field(description="What an inconclusive answer lacks.")
+    notes: list[str]
+    pictures: dict[str, str] = Field(description="Name and SHA-256 of each picture of the report.")
+    meaning: Meaning
+    audit: Audit | None = Field(default=None, description="Always there in a signed document.")

@@ -1,0 +1,1 @@
+"""Disputes of two owners: the request (`endpoints`), who may ask (`consent`), steps and finding (`flow`)."""

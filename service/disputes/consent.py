@@ -1,0 +1,62 @@
+"""Who may have two assets held against each other: whoever runs the service, or both owners.
+
+A consent is an entry of the audit log. Nobody learns whether another's asset exists.
+"""
+
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.core import Service
+from service.db import alone
+from service.db.schema import assets
+from service.problems import Problem
+from service.trust import audit
+from service.trust.api_keys import OPERATOR, Caller
+
+CONSENTED = "dispute.consented"
+
+
+def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
+    """Note the caller's consent to a dispute about two assets; "conflict" while that of the other owner lacks.
+
+    "not-found" where neither asset is the caller's, "invalid-request" where both are one.
+    """
+    if pair[0] == pair[1]:
+        raise Problem("invalid-request", "a dispute is about two assets")
+    owners = _owners(service, pair)
+    if OPERATOR in caller.scopes:
+        if len(owners) < 2:
+            raise Problem("not-found", "there are no two such assets")
+        return
+    if caller.tenant not in owners.values():
+        raise Problem("not-found", "neither asset is yours")
+    with service.db.write() as connection:
+        alone(connection)
+        _consent(connection, caller.tenant, pair)
+        tenants = set(owners.values()) if len(owners) == 2 else {caller.tenant, None}
+        waiting = [each for each in tenants if each is None or not _has_consented(connection, each, pair)]
+    if waiting:
+        text = "your consent is noted; the dispute begins when the owner of the other asset asks for it, too"
+        raise Problem("conflict", text)
+
+
+def _owners(service: Service, pair: tuple[str, str]) -> dict[str, str]:
+    """Tenant of each of the assets that exist."""
+    with service.db.read() as connection:
+        rows = connection.execute(sa.select(assets.c.id, assets.c.tenant).where(assets.c.id.in_(pair))).all()
+    return {row.id: row.tenant for row in rows}
+
+
+def _consent(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> None:
+    if not _has_consented(connection, tenant, pair):
+        payload: dict[str, Any] = {"assets": sorted(pair)}
+        audit.append(connection, tenant, CONSENTED, payload, _subject(tenant, pair))
+
+
+def _has_consented(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> bool:
+    return audit.find(connection, CONSENTED, _subject(tenant, pair)) is not None
+
+
+def _subject(tenant: str, pair: tuple[str, str]) -> str:
+    return " ".join((tenant, *sorted(pair)))

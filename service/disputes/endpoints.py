@@ -1,0 +1,104 @@
+"""POST /v1/disputes: two assets carry each other's claims; who was first?"""
+
+import asyncio
+import json
+from typing import Annotated, Any
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from engine.pipeline.dispute_text import dispute_page, dispute_words
+from service.core import Service
+from service.db.schema import assets, jobs
+from service.disputes.consent import agreed
+from service.http.access import Core, Reader, Verifier
+from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
+from service.http.budgets import spend
+from service.http.failures import OF_OWN
+from service.jobs.port import Job, State
+from service.problems import Problem
+from service.trust.api_keys import OPERATOR, Caller
+
+router = APIRouter(prefix="/v1/disputes", tags=["disputes"])
+AssetId = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+class DisputeRequest(BaseModel):
+    """Which two registered assets are held against each other."""
+
+    model_config = ConfigDict(extra="forbid")
+    asset_a: AssetId
+    asset_b: AssetId
+
+
+class Settled(BaseModel):
+    """A settled dispute: the document, and the signature over it."""
+
+    headline: str
+    finding: str
+    reasons: list[str]
+    document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
+    jws: str = Field(description="Compact JWS over the document, Ed25519.")
+
+
+@router.post("", status_code=202, operation_id="dispute", response_model=JobView, responses=JOB_RESPONSES)
+async def dispute(
+    body: DisputeRequest, core: Core, caller: Verifier, prefer: Prefer = None, idempotency_key: RetryKey = None
+) -> Response:
+    """Settle whose mark is in the other's original. Whoever runs the service may ask, or both owners: the first of them
+    leaves a consent (409), the second starts the job."""
+    job = await asyncio.to_thread(_submit, core, caller, body, idempotency_key)
+    return await respond(core, job, prefer)
+
+
+@router.get("/{dispute_id}", operation_id="getDispute", responses=OF_OWN)
+def get_dispute(dispute_id: str, core: Core, caller: Reader) -> Settled:
+    """A settled dispute, for both owners and whoever runs the service."""
+    result = _found(core, caller, dispute_id)
+    words = dispute_words(result["document"]["finding"])
+    said = {"headline": words.headline, "finding": words.finding, "reasons": list(words.reasons)}
+    return Settled(document=result["document"], jws=result["jws"], **said)
+
+
+@router.get(
+    "/{dispute_id}/report",
+    operation_id="getDisputeReport",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
+        **OF_OWN,
+    },
+)
+def get_dispute_report(dispute_id: str, core: Core, caller: Reader) -> Response:
+    """The dispute as one page to read, print and send."""
+    result = _found(core, caller, dispute_id)
+    return Response(dispute_page(result["document"]["finding"], result["jws"]), media_type="text/html")
+
+
+def _submit(core: Service, caller: Caller, body: DisputeRequest, retry_key: str | None) -> Job:
+    asked = {"assets": [body.asset_a, body.asset_b]}
+
+    def make() -> dict[str, Any]:
+        limit = core.settings.verifies_per_hour
+        spend(core.db, f"verify:{caller.key_id}", limit, 1, "verify jobs of this API key")
+        agreed(core, caller, (body.asset_a, body.asset_b))
+        return asked
+
+    return submit(core, caller, "dispute", retry_key, {"dispute": asked}, make)
+
+
+def _found(core: Service, caller: Caller, dispute_id: str) -> dict[str, Any]:
+    """Result of a dispute that the caller is a party of; "not-found" otherwise."""
+    missing = Problem("not-found", f"there is no dispute {dispute_id!r}")
+    job_id = "job_" + dispute_id.removeprefix("di_")
+    with core.db.read() as connection:
+        row = connection.execute(jobs.select().where(jobs.c.id == job_id, jobs.c.kind == "dispute")).one_or_none()
+        if row is None or row.state != State.SUCCEEDED or not dispute_id.startswith("di_"):
+            raise missing
+        asked = json.loads(row.request)["assets"]
+        owners = connection.execute(sa.select(assets.c.tenant).where(assets.c.id.in_(asked))).scalars().all()
+    if OPERATOR not in caller.scopes and caller.tenant not in owners:
+        raise missing
+    result: dict[str, Any] = json.loads(row.result)
+    return result

@@ -1,0 +1,20 @@
+"""Task `dispute`: whose mark is in the other's original, of two registered assets?"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from engine.pipeline.dispute import Party, settle
+from service.work.candidates import load_candidates
+from service.work.inputs import load_model
+from service.work.process import Progress
+
+
+def settle_dispute(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Contract: docs/SERVICE.md."""
+    progress("open record", 0.0)
+    asked = request["parties"]
+    opened = [candidate.open() for candidate in load_candidates({"candidates": asked})]
+    models = [load_model(each).model for each in asked]
+    a, b = (Party(*each) for each in zip(opened, models, strict=True))
+    return {"finding": settle(a, b, progress).to_json(), "files": {}}
