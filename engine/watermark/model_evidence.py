@@ -128,20 +128,19 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
     # Registration, quantisation and whoever cleaned the model leave errors that the members share and that their own
-    # spread does not show. How large means usually are, in the mark's own size, does; it bounds what one chip can say,
-    # so that this layer neither drowns the other nor the other routes.
-    usual = _usual(y, amplitudes, seen, carriers)
-    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + (usual * amplitudes) ** 2 + 1e-12), 0.0)
+    # spread does not show. How large means are shows it; and no mean is trusted beyond the mark's own size, so that this
+    # layer drowns neither the other nor the other routes.
+    variance = np.where(seen, variance, 1.0) + amplitudes**2 + _shared(y, seen, carriers) + 1e-12
+    weights = np.where(seen, amplitudes / variance, 0.0)
     y = np.where(seen, y, 0.0)
     return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
 
 
-def _usual(y: Float64, amplitudes: Float64, seen: Bool, carriers: int) -> Float64:
-    """(C,) robust deviation of the means of each carrier, in amplitudes; at least 1."""
-    use = (seen & (amplitudes > 0)).reshape(-1, carriers)
-    ratio = (np.abs(y) / np.where(amplitudes > 0, amplitudes, 1.0)).reshape(-1, carriers)
-    deviations = [np.median(r[u]) / 0.6745 if u.any() else 1.0 for r, u in zip(ratio.T, use.T, strict=True)]
-    return np.tile(np.maximum(deviations, 1.0), len(ratio))
+def _shared(y: Float64, seen: Bool, carriers: int) -> Float64:
+    """(C,) robust variance of the means of each carrier, whatever it comes from."""
+    pairs = zip(np.square(y).reshape(-1, carriers).T, seen.reshape(-1, carriers).T, strict=True)
+    usual = [float(np.median(squares[use])) / 0.455 if use.any() else 0.0 for squares, use in pairs]
+    return np.tile(usual, len(y) // carriers)
 
 
 def _saturated(y: Float64, weights: Float64, carriers: int) -> Float64:
