@@ -200,12 +200,12 @@ def _size_classes(log_scales: Float32) -> Int32:
 def _usual(y: Float64, seen: Bool, classes: Int32) -> Float64:
     """(N, 6) robust deviation of differences of the same kind and class: the median size over 0.6745.
 
-    From a histogram over the logarithm of the size, PER_OCTAVE to a factor of two.
+    From a histogram over the logarithm of the size, PER_OCTAVE to a factor of two; centres and scales are two kinds.
     """
     with np.errstate(divide="ignore"):
         size = np.log2(np.abs(y))
     bins = np.clip((size + OCTAVES / 2) * PER_OCTAVE, 0, OCTAVES * PER_OCTAVE - 1).astype(np.int32)  # (N, 6)
-    kinds = np.concatenate([classes, classes + SIZES], axis=1)  # (N, 6) of two kinds: centres, scales
+    kinds = np.concatenate([classes, classes + SIZES], axis=1)
     width = OCTAVES * PER_OCTAVE
     table = np.bincount((kinds * width + bins)[seen].reshape(-1), minlength=2 * SIZES * width)
     running = np.cumsum(table.reshape(2 * SIZES, width), axis=1)
