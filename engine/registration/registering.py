@@ -119,17 +119,10 @@ def _nothing(m: int, tried: int) -> Registration:
 
 def _answer(index: ReferenceIndex, suspect: GaussianModel, verdict: Verdict, tried: int) -> Registration:
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
-    if verdict.matcher is None:
-        assert verdict.order_quality is not None
-        quality = verdict.order_quality
-        matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
-    else:
-        neighbours = verdict.matcher.match(suspect, verdict.fit, verdict.deviations)
-        quality = verdict.matcher.quality(neighbours)
-        matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+    matches, quality = verdict.match(suspect)
     rows = np.flatnonzero(matches >= 0)
     fit = verdict.fit
-    if verdict.matcher is not None and len(rows) > 3:
+    if verdict.order_quality is None and len(rows) > 3:
         part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
         fit = fit_suspect(suspect.means[part], index.model.means[matches[part]], start=fit) or fit
     return Registration(fit.scale, fit.R, fit.t, matches, quality, _found(index.model, matches), True, tried)
