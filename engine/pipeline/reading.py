@@ -7,7 +7,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.numerics.similarity import transform_model
+from engine.numerics.similarity import mirror_model, transform_model
 from engine.pictures.alignment import align_image
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.features import luma
@@ -58,8 +58,9 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     camera is refined on its picture, and the views by which the model was recognised are read, too.
     """
     if registration.found and not registration.deformed:
-        moved = transform_model(suspect, registration.scale, registration.R, registration.t)
-        return Seen(_read_placed(moved, opened, clock), (), True)
+        return Seen(_read_placed(registration.place(suspect), opened, clock), (), True)
+    if registration.mirrored:
+        suspect = mirror_model(suspect)
     cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
     parts, notes = [], []
     moved = suspect

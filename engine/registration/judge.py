@@ -33,16 +33,18 @@ class Verdict:
 
     `matcher` lays the reference out for these errors. Where the order was kept, suspect Gaussian i is reference
     Gaussian i, `order_quality` (M,) is the trust in each pair, and the matcher is for those with none; it is None where
-    all have some.
+    all have some. `mirrored`: all this is of the suspect's mirror image.
     """
 
     fit: Similarity
     matcher: Matcher | None
     deviations: Deviations
     order_quality: Float32 | None = None
+    mirrored: bool = False
 
     def match(self, suspect: GaussianModel) -> tuple[Int32, Float32]:
-        """(M,) reference Gaussian of each suspect Gaussian, -1 where there is none, and the trust in it, 0 to 1."""
+        """(M,) reference Gaussian of each Gaussian of the suspect, or of its mirror image, -1 where there is none, and
+        the trust in it, 0 to 1."""
         matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
         if self.order_quality is not None:
             quality = self.order_quality.copy()
@@ -83,18 +85,15 @@ def judge(
     (s,): suspect Gaussians to look at, which must be matched to at least `min_matches` distinct reference Gaussians.
     `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
     """
-    floor = floor_matcher.deviations
-    smallest = clipped_at(reference, suspect, fit)
-    if smallest > -np.inf:
-        floor = replace(floor, smallest=smallest)
-        floor_matcher = Matcher(reference, floor)
-    matcher, deviations = floor_matcher, floor
+    floor = replace(floor_matcher.deviations, smallest=clipped_at(reference, suspect, fit))
+    deviations = floor
     if inliers is not None:
         measured = estimate_deviations(reference, suspect, inliers, fit, floor)
         if measured.much_above(floor, 1.5):
             # Candidates are pairs that look alike: their errors are too small by selection.
             deviations = measured
-            matcher = Matcher(reference, deviations)
+    as_laid_out = deviations is floor and floor.smallest == floor_matcher.deviations.smallest
+    matcher = floor_matcher if as_laid_out else Matcher(reference, deviations)
     spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
     if not _tells(deviations, spread):
         return None
@@ -211,8 +210,10 @@ def same_order(
     return Verdict(fit, matcher, deviations, quality)
 
 
-def _order_quality(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> Float32:
-    """(n,) trust, 0 to 1, that suspect Gaussian i is reference Gaussian i."""
+def _order_quality(
+    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations
+) -> Float32:
+    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i."""
     origin = np.zeros(3)
     a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
     b = joint_vectors(suspect, fit, deviations, origin)

@@ -24,7 +24,7 @@ from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import quaternion_product
 from engine.registration.candidates import by_region, invariant_features, log_sizes
 from engine.registration.kernels import degrees_of_agreement
-from engine.registration.registering import LOOSE
+from engine.registration.locating import LOOSE
 
 __all__ = ["ALIKE", "Sketch", "SuspectIndex", "make_sketch"]
 

@@ -77,7 +77,8 @@ def _derived_model(claim: Mapping[str, Any]) -> tuple[bool, str]:
 
 
 def _derived_picture(claim: Mapping[str, Any], pictures: int) -> tuple[bool | None, str]:
-    showing = pictures - len(claim["notes"])  # each picture in which the asset was not found left one note
+    # each picture in which the asset was not found left a note that begins so
+    showing = pictures - sum(note.startswith("picture ") for note in claim["notes"])
     if showing == 0:
         return None, "No view of the registered model was recognised in the pictures."
     return True, f"{showing} of {pictures} pictures show the registered model."
