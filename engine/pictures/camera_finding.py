@@ -51,8 +51,6 @@ ITERATIONS = 12
 """Renders of one level at most."""
 STEP = 0.005
 """The refinement ends when its step is smaller, pixels."""
-MIRRORED = 1.5
-"""Times as many matches as the picture has must its mirror image have to be looked at."""
 GUIDED = (1.0, 1.0, 0.5)
 """Tolerances of the rounds of guided matching, in those of the first."""
 
@@ -103,7 +101,7 @@ def find_camera(
     if best is not None and _is_sure(best, config):
         return best
     mirrored = _Look.of(own.keypoints.turned_over(grey.shape[1]), landmarks)
-    if mirrored.support < MIRRORED * own.support:
+    if mirrored.support <= own.support:
         return best
     other = _search(landmarks, reference_model, np.ascontiguousarray(grey[:, ::-1]), mirrored, config)
     return _better(best, None if other is None else replace(other, mirrored=True))
