@@ -108,11 +108,11 @@ def _same_frame(
     """Step 2: no scale, no translation, at most a turn of the axes, and a mirror."""
     rows = sample_rows(len(hands.suspect), GLANCE, rng)
     part = hands.suspect.take(rows)
-    turns = _axis_rotations()
+    quarter = _axis_rotations()
     hits: list[int] = []
     for mirrored in asked:
         seen = mirror_model(part) if mirrored else part
-        for R in turns:
+        for R in quarter:
             matched = index.matcher.match(seen, Similarity(1.0, R, np.zeros(3)))
             hits.append(int((matched.index >= 0).sum()))
             if len(hits) == 1 and hits[0] > 0.5 * len(rows):
@@ -122,8 +122,8 @@ def _same_frame(
     best = int(np.argmax(hits))
     if hits[best] < max(MIN_MATCHES, 0.01 * len(rows)):
         return None, len(hits)
-    fit = Similarity(1.0, turns[best % len(turns)], np.zeros(3))
-    return _judge(index, hands, asked[best // len(turns)], fit, None, rng), len(hits)
+    fit = Similarity(1.0, quarter[best % len(quarter)], np.zeros(3))
+    return _judge(index, hands, asked[best // len(quarter)], fit, None, rng), len(hits)
 
 
 def _search(
@@ -148,7 +148,7 @@ def _search(
                 scene, seed = (index.extent, index.chance), int(rng.integers(2**31))
                 believed: list[tuple[Hypothesis, bool]] = []
                 for mirrored in asked:
-                    seen, turn = pairs.mirrored() if mirrored else pairs, _turns(*theirs, mirrored)
+                    seen, turn = pairs.mirrored() if mirrored else pairs, turns(*theirs, mirrored)
                     hypotheses, count = propose(seen, turn, agreement, *scene, seeds=SEEDS, draws=DRAWS, seed=seed)
                     tried += count
                     believed += [(h, mirrored) for h in hypotheses[:2] if _believable(h)]
@@ -161,7 +161,7 @@ def _search(
     return None, tried
 
 
-def _turns(reference: npt.NDArray[np.float32], suspect: npt.NDArray[np.float32], mirrored: bool) -> Float64:
+def turns(reference: npt.NDArray[np.float32], suspect: npt.NDArray[np.float32], mirrored: bool) -> Float64:
     """(n, 4) how each pair's suspect Gaussian, or its mirror image, turned."""
     conjugate = np.array([1, -1, -1, -1]) * (suspect * MIRROR_QUATS if mirrored else suspect)
     return quaternion_product(reference, conjugate)
