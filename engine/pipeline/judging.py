@@ -69,7 +69,10 @@ def judge(
                 "scale": registration.scale,
                 "rotation": registration.R.tolist(),
                 "translation": registration.t.tolist(),
+                "mirrored": registration.mirrored,  # x of the suspect is negated first
             }
+            if registration.mirrored:
+                notes = (*notes, "the suspect model is a mirror image of the asset, and was read as such")
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":

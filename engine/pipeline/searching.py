@@ -122,7 +122,8 @@ def readings(
     """
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
-        seen = len(suspect.pictures) - len(notes)  # each picture in which the asset was not found left one note
+        # Each picture in which the asset was not found left one note that begins so.
+        seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
         sight = derivation_of_pictures(seen, len(suspect.pictures))
         yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
         return
