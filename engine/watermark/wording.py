@@ -142,7 +142,7 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     if claim["verdict"] == "inconclusive":
         it = suspect or f"the {kind}"
         if claim["would_be_claim_if_attested"]:
-            return f"{_WOULD}. " + (f"{derived}." if claim["derivation"]["derived"] else "")
+            return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
             return f"{derived}; whether this copy's mark is in it, the evidence does not decide."
         return f"Nothing of your asset was recognised in {it}: neither a yes nor a no."
