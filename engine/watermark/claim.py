@@ -53,7 +53,7 @@ class ClaimConfig:
     # the colours by more may as well have covered a mark. Copies as they are, re-exported or noised by a tenth of each
     # attribute's deviation stay below 0.1; other marks and cleaned ones leave 0.3 and more
     room: float = 0.25
-    # A bound below this, though above the false-claim rate, forbids the answer `not_marked`, and so does a Z as far below
+    # A bound below this, though above the false-claim rate, forbids the answer `not_marked`, as does a Z so far below
     # 0; in (0, 1)
     doubt_rate: float = 1e-3
 

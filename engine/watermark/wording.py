@@ -209,7 +209,9 @@ def derivation_text(derivation: Mapping[str, Any]) -> str:
         return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "nothing was found"
     if share is None:
         return "yes: the suspect looks like your asset from several sides, though its Gaussians are others"
-    text = f"yes: {percent(share)} of your asset was found in the suspect ({derivation['gaussians']:,} Gaussians)"
+    text = f"yes: {percent(share)} of your asset was found in the suspect"
+    if (count := derivation["gaussians"]) is not None:
+        text += f" ({count:,} Gaussians)"
     if (gap := derivation["exactness"]) is not None:
         text += f", half of them within {gap:.2g} of their own size of where the original has them"
     if (where := derivation["where"]) is not None:
