@@ -119,7 +119,7 @@ def readings(
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
         seen = len(suspect.pictures) - len(notes)  # each picture in which the asset was not found left one note
-        sight = derivation_of_pictures(seen, len(suspect.pictures))
+        sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
         return
     with clock.stage("register"):
@@ -132,7 +132,7 @@ def readings(
                 reading = Reading(route, evidence, registration, (), registration.found, matched)
             else:
                 renders = read_renders(suspect.model, opened, registration, clock)
-                sight = derivation_of_sight(matched, renders.shown)
+                sight = derivation_of_sight(matched, renders.recognised)
                 reading = Reading(route, renders.evidence, registration, renders.notes, renders.shown, sight)
         yield reading
 

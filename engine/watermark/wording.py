@@ -206,7 +206,7 @@ def derivation_text(derivation: Mapping[str, Any]) -> str:
         return f"yes: {shown} of {of} pictures show your asset" if shown else "no picture was recognised"
     share = derivation["share"]
     if not derivation["derived"]:
-        return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "nothing was found"
+        return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "not shown"
     if share is None:
         return "yes: the suspect looks like your asset from several sides, though its Gaussians are others"
     text = f"yes: {percent(share)} of your asset was found in the suspect"

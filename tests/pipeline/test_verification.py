@@ -258,3 +258,11 @@ def test_renders_say_as_much_however_small_the_key_views_were(small_plant: Gauss
         opened = open_record(made.record.to_bytes(bench_key(1)), bench_key(1))
         found[size] = verify_model(made.model, opened, VerifyConfig(route="render")).claim.z
     assert found[128] > 0.85 * found[512]
+
+
+def test_a_picture_whose_camera_was_given_shows_no_derivation_by_itself(scene: MarkedScene) -> None:
+    """Anything bright in the same places can be laid over a view that somebody names."""
+    camera = scene.opened.cameras[0]
+    claim = verify_images([to_8_bit(render(scene.original, camera))], scene.opened, cameras=[camera]).claim
+    assert not claim.derivation.derived
+    assert claim.verdict.value == "inconclusive"
