@@ -67,14 +67,16 @@ def trace(
 
     config, owner = VerifyConfig(false_claim_rate=false_claim_rate), OwnerKey.read(key)
 
-    def opened() -> Iterator[OpenedRecord]:
-        for file in files:
-            yield open_record(read_bytes(file, "record"), owner)
+    class Opened:
+        """The records, opened one at a time, as often as they are asked for."""
+
+        def __iter__(self) -> Iterator[OpenedRecord]:
+            return (open_record(read_bytes(file, "record"), owner) for file in files)
 
     with console.progress() as progress:
         prepare_kernels(console, progress, "pictures" if pictures else "model")
         suspect, _ = load_suspect(console, suspects, cameras, progress)
-        found = search_for_copies(suspect, opened(), config, progress)
+        found = search_for_copies(suspect, Opened(), config, progress)
     report: dict[str, Any] = found.to_json() | {
         "suspects": [str(path) for path in suspects],
         "seconds": time.perf_counter() - began,

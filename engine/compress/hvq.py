@@ -19,9 +19,9 @@ Matrix = Float32 | Float64
 class HvqConfig:
     """Knobs of the quantiser."""
 
-    cells: int = 8192  # code vectors of stage 0; a power of two, at most one for `min_members` Gaussians
+    cells: int = 32768  # code vectors of stage 0; a power of two, at most one for `min_members` Gaussians
     residual_codes: tuple[int, ...] = ()  # code vectors of each residual stage
-    min_members: int = 8  # fewest Gaussians a cell should have on average
+    min_members: int = 2  # fewest Gaussians a cell should have on average
     decay: float = 0.8  # EMA decay lambda_d of the residual codebooks (paper: 0.8)
     # Weight of the high-frequency part of the error (Eq 7; paper's appendix: 0.1). No profile uses it: it buys nothing
     # (docs/RESULTS.md, ablation).

@@ -71,6 +71,12 @@ def _is_codes(value: Any) -> bool:
     return whole and all(type(count) is int and 1 <= count <= MOST_CHIPS for count in value)
 
 
+def _is_grain(value: Any) -> bool:
+    if not isinstance(value, dict) or set(value) != {"center", "scale"}:
+        return False
+    return all(type(step) is float and 0.0 <= step <= 1.0 for step in value.values()) and any(value.values())
+
+
 def _is_texts(value: Any) -> bool:
     return isinstance(value, dict) and 1 <= len(value) <= 16 and all(map(_is_text, (*value, *value.values())))
 
@@ -91,24 +97,32 @@ class Rule:
 PLAN: Mapping[str, Rule] = {
     "message": Rule(_is_message, "16 to 256 bits in lower-case hexadecimal digits"),
     "codes": Rule(_is_codes, f"1 to {MOST_STAGES} numbers of code vectors"),
+    "grain": Rule(_is_grain, "two amplitudes from 0 to 1, not both 0", required=False),
     "commitments": Rule(_is_texts, "short texts by name", required=False),
 }
 """JSON values of the plan."""
 
 EXTRA: Mapping[str, Rule] = {
-    "strength": Rule(_is_number, "a positive number up to 10^6"),
+    "strength": Rule(_is_number, "a positive number up to 10^6", required=False),
     "settings": Rule(lambda value: isinstance(value, dict), "an object"),
 }
 """JSON values beside the plan: nothing here may decide anything that the chips do not follow from."""
 
 
 def admit(
-    copy: Any, plan: Mapping[str, Any], extra: Mapping[str, Any], arrays: Mapping[str, Array], gaussians: int
+    version: int,
+    copy: Any,
+    plan: Mapping[str, Any],
+    extra: Mapping[str, Any],
+    arrays: Mapping[str, Array],
+    gaussians: int,
 ) -> None:
     """Raise MalformedRecordError unless everything in a record is what the tables of this module say.
 
     Parameters
     ----------
+    version : int
+        Of the record's format: the first has a strength, the second may have a grain.
     copy : str
         Name of the recipient.
     plan, extra : mapping
@@ -122,6 +136,8 @@ def admit(
         raise MalformedRecordError("the record's copy has no usable name")
     _admit_values(plan, PLAN, "plan")
     _admit_values(extra, EXTRA, "settings")
+    if ("strength" in extra) != (version == 1) or ("grain" in plan and version == 1):
+        raise MalformedRecordError(f"the record's fields are not those of format {version}")
     codes = plan["codes"]
     _admit_arrays(arrays, len(codes), {"N": gaussians})
     chips = sum(codes) * len(arrays["directions/0"])

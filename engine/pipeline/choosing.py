@@ -27,6 +27,7 @@ from engine.pipeline.scenes import look
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.keys import OwnerKey
+from engine.watermark.layout import Layout
 from engine.watermark.masses import spare_masses
 from engine.watermark.planning import BIT_Z, make_plan
 from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
@@ -189,11 +190,12 @@ class _Rehearsing:
         totals = energies.sum(axis=1)
         start = first_guess(energies, ground.cameras, config.psnr_db)
         strength = solve_strength(ground.views, self._displacement, config.psnr_db, config.ssim, start)
+        layout = self._plan.times(strength.factor).layout
         marked = add_dc(ground.model.sh, np.float32(strength.factor) * self._displacement)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
         held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
         with ThreadPoolExecutor() as pool:  # most of it is NumPy on one thread
-            read = list(pool.map(lambda k: self._read(pictures[k], k), self._telling))
+            read = list(pool.map(lambda k: self._read(pictures[k], k, layout), self._telling))
         found = sorted(zip(read, self._telling, strict=True))
         self._telling = [k for _, k in found[:WORST]]
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
@@ -201,11 +203,10 @@ class _Rehearsing:
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
         return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db)
 
-    def _read(self, picture: Float32, number: int) -> float:
+    def _read(self, picture: Float32, number: int, layout: Layout) -> float:
         """z of the claim from an unseen view of the marked model, kept badly."""
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (self._unseen.images[number], picture))
-        layout, rms = self._plan.layout, float(np.std(marked - plain))
-        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), rms, QUALITY)
+        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), QUALITY)
         one_bit = np.zeros(layout.chips, dtype=np.int32)
         return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
 

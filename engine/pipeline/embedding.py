@@ -1,9 +1,9 @@
 """The embedding flow: model -> prune -> quantise -> displace code vectors -> refine -> marked model and record.
 
 0. Choose the settings, where that is left open.
-1. Look at the model from the key views.            5. Plan carriers and amplitudes; commit to them.
-2. Prune to the budget, if one was given.           6. Draw bits and chips from the owner's key.
-3. Fix the canonical reference.                     7. Solve the strength; refine; solve it again.
+1. Look at the model from the key views.            5. Plan both layers; commit to the plan.
+2. Prune to the budget, if one was given.           6. Settle the strength; draw bits and chips from the key.
+3. Fix the canonical reference.                     7. Refine, where that was asked for.
 4. Quantise hierarchically.                         8. Write the record: all that verification needs.
 """
 
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.compress.hvq import group_means
 from engine.compress.impact import uncertainty
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
@@ -21,20 +22,23 @@ from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import lay_groundwork
+from engine.pipeline.marking import Committed, Copy, make_mark
 from engine.pipeline.profiles import Auto, EmbedConfig, Settings
 from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
-from engine.pipeline.sealing import DRAWN, draw_spreading, plan_of
-from engine.pipeline.strength import Strength, add_dc, first_guess, solve_strength
+from engine.pipeline.sealing import DRAWN
+from engine.pipeline.settling import measure, settle
+from engine.pipeline.strength import Fidelity, add_dc, solve_strength
 from engine.pipeline.variant import PLAIN, Variant
 from engine.records.record import Record
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
-from engine.watermark.planning import capacity_bits, check_capacity, make_plan, predict_z
-from engine.watermark.spreading import signed_amplitudes
+from engine.watermark.planning import make_plan, predict_z
+from engine.watermark.secret_cells import cells_key, jitter, join_cells
+from engine.watermark.unpredictability import unexplained
 
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
@@ -120,29 +124,45 @@ def embed(
         ground = ground.of(slim, clock)
         impact = ground.impact
         delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, settings)
+        reference_arrays = encode_reference(delivered)
+        digest = reference_digest(reference_arrays)
+        secret = cells_key(key, digest, copy)
+        missed = None
+        if variant.labels is None:
+            joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
+            stages = (joined, *stages[1:])
+            centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
+            missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
         emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
         # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
         if variant.labels is None and settings.output == "fidelity":
             stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
-        reference_arrays = encode_reference(delivered)
-        digest = reference_digest(reference_arrays)
+            if missed is not None and len(stages[0].codebook) > len(missed):
+                missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
     with clock.stage("landmarks"):
         landmarks = _landmarks(delivered, extent, settings, clock)
     with clock.stage("plan"):  # 5, 6
         views = ground.views_of(delivered, clock)
-        plan = make_plan(stages, impact, settings.plan, emphasis)
-        layout = plan.layout
+        grainy = variant is PLAIN and settings.plan.grain_center + settings.plan.grain_scale > 0.0
+        settled = settle(
+            views,
+            make_plan(stages, impact, settings.plan, emphasis, missed, lambda chips: jitter(secret, chips)),
+            settings,
+            grainy=grainy,
+        )
+    with clock.stage("mark"):
         sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
-        committed = plan_of(layout, sign, key_cameras, landmarks, {**variant.commitments, **_drawn(drawn)})
-        spreading = draw_spreading(key, digest, copy, layout, committed)
-        signed = signed_amplitudes(layout.amplitudes, spreading, sign)
-        displacement = layout.displace(signed)
-        guess = first_guess(plan.energies, key_cameras, settings.psnr_db)
-        strength = solve_strength(views, displacement, settings.psnr_db, settings.ssim, guess)
-        pictured = plan.energies * ground.picture_scale
-        capacity = capacity_bits(pictured, strength.factor, layout.chips)
-        check_capacity(bits, capacity)
-    displacement = np.float32(strength.factor) * displacement
+        mark = make_mark(
+            views,
+            settled,
+            Copy(key, digest, copy, sign),
+            Committed(key_cameras, landmarks, {**variant.commitments, **_drawn(drawn)}),
+            Fidelity(settings.psnr_db, settings.ssim),
+            ground.picture_scale,
+            variant.at_view,
+        )
+        plan = mark.settled.plan
+    marked, fidelity = mark.model, mark.fidelity
     if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
             from engine.pipeline.refinement import refine  # torch is only needed here
@@ -150,35 +170,34 @@ def embed(
             doubt = uncertainty(impact.squared)
             displacement = refine(
                 delivered,
-                displacement,
+                plan.layout.displace(mark.signed),
                 list(key_cameras),
-                layout,
-                signed,
-                spreading.bit_of,
+                plan.layout,
+                mark.signed,
+                mark.spreading.bit_of,
                 bits,
                 doubt,
                 settings.refine,
                 clock.advance,
             )
-            again = solve_strength(views, displacement, settings.psnr_db, settings.ssim, 1.0)
-            displacement = np.float32(again.factor) * displacement
-            strength = Strength(strength.factor, again.psnr_db, again.ssim)
-    marked = delivered.with_(sh=add_dc(delivered.sh, displacement))
+            again = solve_strength(views, displacement, mark.settled.tint.psnr_db, mark.settled.tint.ssim, 1.0)
+            marked = marked.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
+            fidelity = measure(views, marked)
     with clock.stage("record"):  # 8
         record = Record.make(
             key,
             reference_arrays,
             original_digest=original_sha256,
-            plan=committed[0],
-            plan_arrays=committed[1],
-            extra={"strength": strength.factor, "settings": asdict(settings)},
+            plan=mark.plan[0],
+            plan_arrays=mark.plan[1],
+            extra={"settings": asdict(settings)},
             copy=copy,
             registered_at=registered_at,
         )
-        total = strength.psnr_db
+        total = fidelity.psnr_db
         if delivered is not model:
             total = worst_psnr_against(original.images, key_cameras, variant.at_view)(marked)
-    predicted = predict_z(pictured, strength.factor, spreading.bit_of, bits)
+    predicted = predict_z(plan.energies * ground.picture_scale, mark.spreading.bit_of, bits)
     report = {
         "gaussians_in": len(model),
         "gaussians_out": len(marked),
@@ -186,12 +205,13 @@ def embed(
         "message": message_hex(sign),
         "copy": copy,
         "record_id": record.header.record_id,
-        "psnr_worst_view": strength.psnr_db,
-        "ssim_worst_view": strength.ssim,
+        "psnr_worst_view": fidelity.psnr_db,
+        "ssim_worst_view": fidelity.ssim,
         "psnr_total_worst_view": total,
         "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
-        "capacity_bits": capacity,
-        "chips": layout.chips,
+        "capacity_bits": mark.capacity,
+        "chips": plan.layout.chips,
+        "grain": asdict(mark.settled.grain),
         "choice": None if choice is None else choice.report(),
         **pruned,
         "seconds": clock.total,

@@ -6,12 +6,13 @@ Made once for an embedding; `choosing` rehearses on it and hands it on, so that 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from engine.compress.hvq import Stage, quantize
+from engine.compress.cells import cell_features
+from engine.compress.hvq import Stage, group_means, quantize
 from engine.compress.impact import Impact, measure_impact
 from engine.errors import InputError
 from engine.model import Camera, Float64, GaussianModel
@@ -25,6 +26,9 @@ from engine.watermark.keys import POSE, OwnerKey, uniform
 from engine.watermark.planning import REFERENCE_PIXELS
 
 __all__ = ["Groundwork", "lay_groundwork"]
+
+COMPACT = 4
+"""By how much fewer public cells the compact output has, of whose code vectors its file consists."""
 
 LEAST_WIDTH = 1e-4
 """Of the centres across a line through them, in its length: a rotation about the line itself shows nowhere."""
@@ -53,9 +57,22 @@ class Groundwork:
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
         """The quantiser: the file's own codes where the variant says so, else ours."""
-        weights = color_weights(self.model, self.impact)
-        own = self.variant.own_stages(self.model, weights)
-        return own or quantize(self.model, weights, self.extent.radius, self.config.quantize)
+        own = self.variant.own_stages(self.model, self.colors)
+        config = self.config.quantize
+        if self.config.output == "compact":
+            config = replace(config, cells=config.cells // COMPACT, min_members=config.min_members * COMPACT)
+        return own or quantize(self.model, self.colors, self.extent.radius, config)
+
+    @cached_property
+    def colors(self) -> Float64:
+        """(N,) how much an error in each Gaussian's colour is seen."""
+        return color_weights(self.model, self.impact)
+
+    @cached_property
+    def cell_features(self) -> Float64:
+        """(M, 6) mean position and colour, as the quantiser weighs them, of each public cell."""
+        stage = self.stages[0]
+        return group_means(cell_features(self.model, self.extent.radius), stage.labels, self.colors).astype(np.float64)
 
     @property
     def picture_scale(self) -> Float64:

@@ -60,7 +60,7 @@ def judge(
     derivation: Derivation = NOT_FOUND,
 ) -> Claim:
     """The claim that this evidence supports."""
-    spreading = opened.spreading
+    spreading = opened.spreading_of(len(evidence.y))
     transform = None
     if registration is not None:
         if registration.found:
@@ -90,8 +90,10 @@ def judge(
         notes=notes,
     )
     if config.decoder == "paper":
+        tint = slice(opened.layout.chips)  # the paper knows of no other layer
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
-        bits, lead = decode_paper(evidence.y, steps, spreading.chips, spreading.bit_of, len(opened.message))
+        chips, bit_of = spreading.chips[tint], spreading.bit_of[tint]
+        bits, lead = decode_paper(evidence.y[tint], steps, chips, bit_of, len(opened.message))
         matching = int((bits == opened.message).sum())
         claim = replace(
             claim,
@@ -108,4 +110,4 @@ def judge(
 def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:
     """Pictures give y in units of precision: the paper's step is scaled to the response that was expected."""
     amplitudes = opened.layout.amplitudes
-    return float(amplitudes @ evidence.signal / max(float(amplitudes @ amplitudes), 1e-300))
+    return float(amplitudes @ evidence.signal[: len(amplitudes)] / max(float(amplitudes @ amplitudes), 1e-300))

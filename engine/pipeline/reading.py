@@ -18,11 +18,12 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
 from engine.registration.registering import Registration
+from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
 from engine.watermark.spreading import signed_amplitudes
 
-__all__ = ["Seen", "read_gaussians", "read_pictures", "read_renders"]
+__all__ = ["Seen", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
 
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
@@ -44,11 +45,24 @@ class Seen:
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10)."""
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.matches, registration.match_quality
-    )
-    return Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
+    """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10), and where the
+    record has a grain, of its centres and sizes.
+    """
+    tint = read_tint(suspect, opened, registration)
+    return tint.then(read_grain(suspect, opened, registration)) if opened.grain.there else tint
+
+
+def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
+    """What the suspect's colours say, in the cells of this record's copy."""
+    pairs = registration.matches, registration.match_quality
+    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], *pairs)
+    return Evidence(tint.y, tint.weights, opened.strength * tint.signal)
+
+
+def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
+    """What the suspect's centres and sizes say: the same for all copies of an asset."""
+    pairs = registration.matches, registration.match_quality
+    return gather_grain_evidence(opened.grain, opened.reference, suspect, registration.similarity, *pairs)
 
 
 def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:

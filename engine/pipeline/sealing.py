@@ -1,12 +1,15 @@
 """Between a record's arrays and what the flows work with: layout, chips, message, cameras, landmarks.
 
 What enters the decision (reference, labels, carriers, amplitudes, message, key views, landmarks) goes into the
-record's *plan*; the record id, and so the chips, follow from its digest. Only what may follow from the mark (its
-strength) and the settings go beside it.
+record's *plan*; the record id, and so the chips, follow from its digest. Only the settings go beside it.
+
+Amplitudes are those embedded: their strength was settled before the chips were drawn. Records of the first version
+have no grain, planned amplitudes of unit strength, and beside the plan the strength, which followed from the chips:
+it is used to say what a mark would have shown, never to read one.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +20,15 @@ from engine.model import Camera, GaussianModel
 from engine.pictures.landmarks import Landmarks
 from engine.pipeline.admission import admit
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
+from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
 from engine.watermark.rates import Attested
-from engine.watermark.spreading import Spreading, spread
+from engine.watermark.spreading import Spreading, grain_key, spread, spread_grain
+
+FIRST_STRENGTH = 2.4
+"""Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -36,10 +43,12 @@ class OpenedRecord:
     header: RecordHeader
     copy: str  # name of the recipient
     reference: GaussianModel  # the unmarked reference
-    layout: Layout  # with the planned (relative) amplitudes
-    strength: float  # factor from planned amplitudes to embedded displacements
+    layout: Layout  # of the tint, with its amplitudes
+    grain: Grain  # amplitudes of the second layer
+    strength: float  # factor from these amplitudes to embedded displacements: 1 but in records of the first version
     message: Signs  # (B,)
-    spreading: Spreading  # bits and chips, drawn anew from the key and the digests of what was opened
+    spreading: Spreading  # bits and chips of the tint, drawn anew from the key and the digests of what was opened
+    grain_key: bytes = field(repr=False)  # the secret from which those of the grain are drawn
     cameras: list[Camera]  # key views
     landmarks: Landmarks | None
     settings: dict[str, Any]  # profile and configuration of the embedding
@@ -47,9 +56,20 @@ class OpenedRecord:
     commitments: dict[str, str] = field(default_factory=dict)
     attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
+    def spreading_of(self, chips: int) -> Spreading:
+        """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""
+        if chips == len(self.spreading.chips):
+            return self.spreading
+        grain = spread_grain(self.grain_key, len(self.reference), len(self.message))
+        both = self.spreading.then(grain)
+        if chips != len(both.chips):
+            raise ValueError(f"evidence on {chips} chips, where {len(self.spreading.chips)} or {len(both.chips)} are")
+        return both
+
 
 def plan_of(
     layout: Layout,
+    grain: Grain,
     message: Signs,
     cameras: Sequence[Camera],
     landmarks: Landmarks | None,
@@ -57,6 +77,8 @@ def plan_of(
 ) -> tuple[dict[str, Any], Arrays]:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
     plan: dict[str, Any] = {"message": message_hex(message), "codes": list(layout.codes)}
+    if grain.there:
+        plan["grain"] = asdict(grain)
     if commitments:
         plan["commitments"] = dict(commitments)
     arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
@@ -75,11 +97,12 @@ def plan_of(
 
 def draw_spreading(
     key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: tuple[dict[str, Any], Arrays]
-) -> Spreading:
-    """Bits and chips of one copy, from the owner's key and everything that enters the decision."""
+) -> tuple[Spreading, bytes]:
+    """Bits and chips of one copy, from the owner's key and everything that enters the decision; and its grain's key."""
     record_id = make_record_id(key, reference_digest, copy, *plan)
     context = chip_context(reference_digest, record_id)
-    return spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
+    tint = spread(key, context, layout.codes, len(layout.directions[0]), 4 * len(plan[0]["message"]))
+    return tint, grain_key(key, context)
 
 
 def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) -> OpenedRecord:
@@ -97,14 +120,20 @@ def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) ->
 
 def _open(record: Record, key: OwnerKey) -> OpenedRecord:
     reference = record.reference()
-    admit(record.copy, record.plan, record.extra, record.plan_arrays, len(reference))
+    version = record.header.format_version
+    admit(version, record.copy, record.plan, record.extra, record.plan_arrays, len(reference))
     codes = tuple(int(count) for count in record.plan["codes"])
     arrays = record.plan_arrays
     labels = tuple(np.ascontiguousarray(arrays[f"labels/{s}"], dtype=np.int32) for s in range(len(codes)))
     directions = tuple(np.asarray(arrays[f"directions/{s}"], dtype=np.float64) for s in range(len(codes)))
     layout = Layout(labels, codes, directions, arrays["amplitudes"].astype(np.float64))
     message = message_signs(record.plan["message"])
-    spreading = spread(key, record.header.chip_context(), codes, len(directions[0]), len(message))
+    context = record.header.chip_context()
+    spreading = spread(key, context, codes, len(directions[0]), len(message))
+    strength = 1.0
+    if version == 1:
+        strength = float(record.extra["strength"]) / FIRST_STRENGTH
+        layout = replace(layout, amplitudes=FIRST_STRENGTH * layout.amplitudes)
     cameras = [
         Camera(viewmat, K, int(size[0]), int(size[1]))
         for viewmat, K, size in zip(
@@ -119,9 +148,11 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
         record.copy,
         reference,
         layout,
-        float(record.extra["strength"]),
+        Grain(**record.plan.get("grain", {})),
+        strength,
         message,
         spreading,
+        grain_key(key, context),
         cameras,
         landmarks,
         dict(record.extra["settings"]),

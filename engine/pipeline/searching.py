@@ -3,7 +3,8 @@
 1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not.
 2. Of many records only those are asked whose geometry the suspect resembles; sketches are blind to chips.
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
-4. Every reading is judged with all tries counted; the answer that tells most stands first.
+4. What a route says is added to what those before it said, never chosen over it.
+5. Every reading is judged with all tries counted; the answer that tells most stands first.
 
 Verification asks one record (`verify`), tracing all copies of an asset (`readings`), the service all that is registered
 (`search`), the simulator every object of a file (`count_tries`).
@@ -125,15 +126,20 @@ def readings(
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
         matched = derivation_of_model(opened.reference, suspect.model, registration)
+    said: Evidence | None = None
     for route in routes:
         with clock.stage(route):
             if route == "model":
                 evidence = read_gaussians(suspect.model, opened, registration)
+                said = evidence if evidence.weights.any() else None
                 reading = Reading(route, evidence, registration, (), registration.found, matched)
             else:
                 renders = read_renders(suspect.model, opened, registration, clock)
+                both = said is not None and bool(renders.evidence.weights.any())
+                evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
                 sight = derivation_of_sight(matched, renders.recognised)
-                reading = Reading(route, renders.evidence, registration, renders.notes, renders.shown, sight)
+                asked = "both" if both else route
+                reading = Reading(asked, evidence, registration, renders.notes, renders.shown, sight)
         yield reading
 
 
@@ -143,7 +149,7 @@ def verify(
 ) -> Verification:
     """Does this suspect carry the record's mark?
 
-    Route "auto" reads a model's Gaussians, and looks at renders of the pose key only when that is not conclusive.
+    Route "auto" reads a model's Gaussians, and looks at renders of the pose key, too, where these do not show the mark.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)
@@ -166,9 +172,9 @@ def verify(
             tried = tuple(dict.fromkeys((*tried, *claim.notes)))
         found = reading.registration is not None and reading.registration.found
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
-        if best is None or claim.verdict is Verdict.MARKED or (reading.shown and not found):
+        if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
             best = Verification(claim, reading.evidence, 0.0, {})
-        if claim.verdict is not Verdict.INCONCLUSIVE and found:
+        if claim.verdict is Verdict.MARKED and found:
             break
     assert best is not None
     if best.claim.verdict is Verdict.INCONCLUSIVE:  # then all that was tried is worth telling

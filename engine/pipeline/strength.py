@@ -17,12 +17,22 @@ a black background; steps that trust the square then jump to and fro across the 
 
 
 @dataclass(frozen=True)
-class Strength:
+class Fidelity:
+    """What the worst view shows, or is to show."""
+
+    psnr_db: float
+    ssim: float
+
+    def meets(self, other: "Fidelity") -> bool:
+        """Whether it is at least as good in both."""
+        return self.psnr_db >= other.psnr_db and self.ssim >= other.ssim
+
+
+@dataclass(frozen=True)
+class Strength(Fidelity):
     """Factor on the displacement, and what the worst view then measures."""
 
     factor: float
-    psnr_db: float
-    ssim: float
 
 
 def add_dc(sh: Float32, displacement: Float32) -> Float32:
@@ -82,4 +92,4 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
 def _measure(views: ViewSet, displacement: Float32, factor: float) -> Strength:
     sh = add_dc(views.model.sh, np.float32(factor) * displacement)
     pairs = [(image, views.render(k, sh)) for k, image in enumerate(views.images)]
-    return Strength(factor, min(psnr(a, b) for a, b in pairs), min(ssim(a, b) for a, b in pairs))
+    return Strength(min(psnr(a, b) for a, b in pairs), min(ssim(a, b) for a, b in pairs), factor)

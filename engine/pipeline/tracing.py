@@ -1,30 +1,34 @@
 """The tracing flow: which copies of an asset took part in a suspect? One reading, one Z for every copy.
 
-1. Records are put together by asset and layout; of each group one is kept whole, of the others only the signs.
-2. The number of hypotheses (records times routes) and with it the bar are fixed before the suspect is read.
-3. Each group is read once along a route, blind to all chips.
-4. Every copy whose Z passes the bar is named. A group in which none is named goes on to the next route.
+1. Records are opened one at a time; of each asset one is kept.
+2. Each asset is placed in the suspect once, and read along a route, blind to all chips.
+3. Every copy's cells are read from that, which gives its Z.
+4. Hypotheses are records times routes times two signs. Every copy whose Z passes that bar, one way or the other, is
+   named. An asset of which none is named goes on to the next route.
 """
 
-import hashlib
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.progress import Clock, Progress
+from engine.pipeline.reading import read_grain, read_tint
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.searching import Reading, Suspect, count_tries, readings
-from engine.watermark.copies import CopyMark, copies_z, copy_mark
+from engine.watermark.copies import copies_z
+from engine.watermark.grain import Grain
+from engine.watermark.image_evidence import gather_again
+from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
+
+SIGNS = 2
+"""A copy's mark may show turned round."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,9 @@ class CopyFinding:
     copy: str  # name of the recipient
     record_id: str
     named: bool  # the copy took part: its false-claim bound, all tries counted, is at most the rate asked for
-    z: float  # 0 expected with a standard deviation of 1 for a copy that took no part
+    # 0 expected with a standard deviation of 1 for a copy that took no part; negative where copies were put together
+    # so that what they differ in is turned round
+    z: float
     log10_false_claim: float  # log10 of that bound
     route: str  # kind of evidence
     # Share of the record's reference found in the suspect; None where the route does not measure it
@@ -63,12 +69,36 @@ class Tracing:
         return {"named": [finding.copy for finding in self.named], **asdict(self)}
 
 
-@dataclass(eq=False)
-class _Group:
-    """Copies that share reference, code vectors, carriers and amplitudes: one reading serves all."""
+class _Asset:
+    """One asset's place in the suspect, found once for all of its copies."""
 
-    opened: OpenedRecord
-    marks: list[CopyMark] = field(default_factory=list)
+    def __init__(self, suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock) -> None:
+        self._suspect = suspect
+        self._readings = readings(suspect, opened, routes, seed, clock)
+        self._grain: Evidence | None = None
+        self.reading: Reading | None = None
+        self.records: list[str] = []
+        self.settled = False  # some copy was named: no further route is asked
+
+    def read_next(self) -> None:
+        """Go along the next route."""
+        self.reading = next(self._readings)
+
+    def evidence(self, opened: OpenedRecord) -> Evidence:
+        """What the suspect says of the chips of one copy, along all routes so far."""
+        reading = self.reading
+        assert reading is not None
+        pictures = gather_again(opened.layout, reading.evidence.pulled)
+        if reading.route in ("image", "render"):
+            return pictures
+        assert self._suspect.model is not None
+        assert reading.registration is not None
+        model = read_tint(self._suspect.model, opened, reading.registration)
+        if opened.grain.there:
+            if self._grain is None:
+                self._grain = read_grain(self._suspect.model, opened, reading.registration)
+            model = model.then(self._grain)
+        return model.plus(pictures) if reading.route == "both" else model
 
 
 def trace_model(
@@ -102,70 +132,69 @@ def trace(
     """Which of these copies took part in making this suspect?
 
     InputError if there is no record, one is given twice, the suspect is empty, or the route takes another kind of
-    suspect. Of any number of records only one of each asset and layout is kept in memory. Route "auto" reads a model's
-    Gaussians, and looks at renders of the pose key only where they name nobody.
+    suspect. Records that can be gone through again, a list or an object that opens files, are opened once for each
+    route, and one of each asset is kept in memory. Route "auto" reads a model's Gaussians, and looks at renders of the
+    pose key, too, where they name nobody.
     """
     config = config or VerifyConfig()
     clock = Clock(progress)
     routes = suspect.routes(config.route)
-    with clock.stage("open records"):
-        groups = _group(records)  # 1
-    tries = count_tries(sum(len(group.marks) for group in groups), routes, config)  # 2
-    findings: list[CopyFinding] = []
-    notes: tuple[str, ...] = ()
-    for group in groups:
-        best: list[CopyFinding] = []
-        for reading in readings(suspect, group.opened, routes, config.seed, clock):  # 3
-            found = _judge(reading, group, tries, config)  # 4
-            notes += reading.notes
-            named = any(finding.named for finding in found)
-            if not best or named:
-                best = found
-            if named:
-                break
-        findings += best
-    strongest_first = tuple(sorted(findings, key=lambda finding: -finding.z))
+    again = list(records) if iter(records) is records else records
+    assets: dict[tuple[str, Grain], _Asset] = {}
+    found: dict[str, CopyFinding] = {}
+    tries = 0
+    for number in range(len(routes)):
+        for opened in _opened(again, clock):  # 1
+            record_id = opened.header.record_id
+            place = (opened.header.reference_digest, opened.grain)
+            if place not in assets:
+                assets[place] = _Asset(suspect, opened, routes, config.seed, clock)
+            asset = assets[place]
+            if number == 0:
+                if record_id in found:
+                    raise InputError(f"record {record_id} (copy {opened.copy!r}) is given twice")
+                asset.records.append(record_id)
+            if asset.settled:
+                continue
+            if record_id == asset.records[0]:
+                asset.read_next()  # 2
+            found[record_id] = _judge(asset, opened)  # 3
+        tries = SIGNS * count_tries(len(found), routes, config)
+        found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
+        for asset in assets.values():
+            asset.settled = any(found[name].named for name in asset.records)
+        if all(asset.settled for asset in assets.values()):
+            break
+    if not found:
+        raise InputError("no record was given")
+    notes = tuple(note for asset in assets.values() if asset.reading is not None for note in asset.reading.notes)
+    strongest_first = tuple(sorted(found.values(), key=lambda finding: -abs(finding.z)))
     threshold = z_threshold(config.false_claim_rate, tries)
     return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
 
 
-def _group(records: Iterable[OpenedRecord]) -> list[_Group]:
-    groups: dict[bytes, _Group] = {}
-    seen: set[str] = set()
-    for opened in records:
-        record_id = opened.header.record_id
-        if record_id in seen:
-            raise InputError(f"record {record_id} (copy {opened.copy!r}) is given twice")
-        seen.add(record_id)
-        group = groups.setdefault(_layout_digest(opened), _Group(opened))
-        group.marks.append(copy_mark(record_id, opened.copy, opened.spreading, opened.message))
-    if not groups:
-        raise InputError("no record was given")
-    return list(groups.values())
+def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRecord]:
+    """The records one by one, the time to open them told apart."""
+    left = iter(records)
+    while True:
+        with clock.stage("open records"):
+            opened = next(left, None)
+        if opened is None:
+            return
+        yield opened
 
 
-def _layout_digest(opened: OpenedRecord) -> bytes:
-    """Digest of what a reading depends on: reference, code vectors, carriers, amplitudes."""
-    layout, digest = opened.layout, hashlib.sha256(bytes.fromhex(opened.header.reference_digest))
-    arrays: list[npt.NDArray[Any]] = [*layout.labels, *layout.directions, layout.amplitudes]
-    for array in arrays:
-        digest.update(repr((array.shape, array.dtype.str)).encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()
+def _judge(asset: _Asset, opened: OpenedRecord) -> CopyFinding:
+    evidence = asset.evidence(opened)
+    signs = opened.spreading_of(len(evidence.y)).signs(opened.message)
+    z = float(copies_z(evidence.y, evidence.weights, [signs])[0])
+    assert asset.reading is not None
+    route, share = asset.reading.route, asset.reading.derived_fraction
+    return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share)
 
 
-def _judge(reading: Reading, group: _Group, tries: int, config: VerifyConfig) -> list[CopyFinding]:
-    threshold = z_threshold(config.false_claim_rate, tries)
-    z_of_each = copies_z(reading.evidence.y, reading.evidence.weights, group.marks)
-    return [
-        CopyFinding(
-            mark.copy,
-            mark.record_id,
-            bool(z >= threshold),
-            float(z),
-            log10_false_claim_bound(float(z), tries),
-            reading.route,
-            reading.derived_fraction,
-        )
-        for mark, z in zip(group.marks, z_of_each, strict=True)
-    ]
+def _counted(finding: CopyFinding, tries: int, config: VerifyConfig) -> CopyFinding:
+    """The finding with its bound, now that all tries are known; their number does not depend on what was read."""
+    z = abs(finding.z)
+    named = z >= z_threshold(config.false_claim_rate, tries)
+    return replace(finding, named=named, log10_false_claim=log10_false_claim_bound(z, tries))

@@ -57,7 +57,7 @@ def seal(header: RecordHeader, body: bytes, key: OwnerKey) -> bytes:
     packed = zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(body)
     text = canonical_json(header.to_json())
     sealed_length = _TAG_BYTES + len(packed)
-    public = _PREFIX.pack(_MAGIC, FORMAT_VERSION, 0, len(text), len(body), sealed_length) + text
+    public = _PREFIX.pack(_MAGIC, header.format_version, 0, len(text), len(body), sealed_length) + text
     data = public + AESSIV(_seal_key(key, public)).encrypt(packed, [public])
     return data + sha256(data).digest()
 
@@ -122,6 +122,10 @@ def _open_public(data: bytes) -> tuple[bytes, RecordHeader, int]:
     fields = parse_json(data[_PREFIX.size : public_length], "the record's header")
     if not isinstance(fields, dict) or set(fields) != set(FIELDS):
         raise MalformedRecordError("the record's header is malformed")
+    if fields["format_version"] != version:
+        raise MalformedRecordError(
+            f"the record's header is of format {fields['format_version']!r}, its file of {version}"
+        )
     return data[:public_length], RecordHeader(**fields), body_length
 
 

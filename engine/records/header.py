@@ -16,7 +16,8 @@ from engine.errors import MalformedRecordError, WrongKeyError
 from engine.records.codec import pack
 from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Of records made here; those of 1 and 2 are read. 2 has the grain, and settles strengths before chips are drawn."""
 
 HEX_LENGTHS = {
     "record_id": 32,
@@ -82,7 +83,7 @@ class RecordHeader:
             value = getattr(self, name)
             if not (isinstance(value, str) and len(value) <= 64 and value.isascii() and value.isprintable()):
                 raise MalformedRecordError(f"{name} of a record must be up to 64 ASCII characters: {value!r}")
-        if type(self.format_version) is not int or self.format_version != FORMAT_VERSION:
+        if type(self.format_version) is not int or not 1 <= self.format_version <= FORMAT_VERSION:
             raise MalformedRecordError(f"a record of format {self.format_version!r} cannot be made here")
 
     def chip_context(self) -> bytes:

@@ -15,6 +15,7 @@ from engine.pictures.residual import image_cotangent
 from engine.raster import View
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
+from engine.watermark.spreading import public_signs
 
 CLIP = 8.0
 """Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
@@ -48,61 +49,72 @@ def gather_image_evidence(
         Pixels that carry evidence.
     mark_image : (H, W, 3) float32
         What the mark under test would add to `reference`. With `mark_signs` it serves only to say how much
-        evidence this picture could have held (the power of a "not marked" answer); of y and weights only its rms is a
-        part, which scales the spread of a JPEG's score.
+        evidence this picture could have held (the power of a "not marked" answer): no part of y and weights.
     mark_signs : (C,) float64
         Sign of each chip's displacement in that mark.
     """
     weights = layout.amplitudes
-    pull = _reader(layout, view, warped, mask, float(np.std(mark_image)))
-    y = pull(reference)
+    pull = _reader(layout, view, warped, mask)
+    pulled = pull(reference)
+    y = _gathered(layout, pulled)
     limits = _limits(weights * y, len(layout.directions[0]))
     y = _saturate(y, weights, limits)
     # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim. It is what y loses when the
     # reference carries the mark: right for a marked suspect and for an unmarked one.
-    response = y - _saturate(pull(reference + mark_image), weights, limits)
-    return Evidence(y, weights, mark_signs * response)
+    response = y - _saturate(_gathered(layout, pull(reference + mark_image)), weights, limits)
+    return Evidence(y, weights, mark_signs * response, (pulled,))
 
 
-def gather_displacements(
-    layout: Layout, view: View, reference: Float32, picture: Float32, mark_rms: float, quality: int
-) -> Float64:
+def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
+    """The same pictures read for the cells of another copy of the asset, without what to expect."""
+    weights, carriers = layout.amplitudes, len(layout.directions[0])
+    y = np.zeros(layout.chips)
+    for one in pulled:
+        part = _gathered(layout, one)
+        y += _saturate(part, weights, _limits(weights * part, carriers))
+    return Evidence(y, weights if pulled else np.zeros(layout.chips), np.zeros(layout.chips))
+
+
+def gather_displacements(layout: Layout, view: View, reference: Float32, picture: Float32, quality: int) -> Float64:
     """(C,) `Evidence.y` alone, in a third of its time, of a picture of which all but the mark is known.
 
-    The picture (H, W, 3) lies in the reference's pixels and colours and went through JPEG of that `quality`. `mark_rms`
-    is the standard deviation of what the mark adds to it, range 0 to 1.
+    The picture (H, W, 3) lies in the reference's pixels and colours and went through JPEG of that `quality`.
     """
     everywhere = np.ones(picture.shape[:2], dtype=bool)
-    spread = block_spread(_public_pattern(layout, view, mark_rms))
-    y = _pulled(layout, view, jpeg_cotangent(reference, picture, everywhere, spread, quality))
+    spread = block_spread(_public_pattern(layout, view))
+    y = _gathered(layout, _pulled(view, jpeg_cotangent(reference, picture, everywhere, spread, quality)))
     return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
 
 
-def _pulled(layout: Layout, view: View, cotangent: Float32) -> Float64:
-    """(C,) a cotangent image (H, W, 3) pulled back to the chips."""
-    return np.asarray(SH_C0 * layout.gather(view.backward_colors(np.ascontiguousarray(cotangent))))
+def _pulled(view: View, cotangent: Float32) -> Float32:
+    """(N, 3) a cotangent image (H, W, 3) pulled back to the Gaussians' colours."""
+    return view.backward_colors(np.ascontiguousarray(cotangent))
 
 
-def _reader(layout: Layout, view: View, warped: Float32, mask: Bool, mark_rms: float) -> Callable[[Float32], Float64]:
-    """Function from a render (H, W, 3) that the picture is held against to y (C,), before it saturates."""
+def _gathered(layout: Layout, pulled: Float32) -> Float64:
+    """(C,) the same summed over each chip, in SH units."""
+    return np.asarray(SH_C0 * layout.gather(pulled))
+
+
+def _reader(layout: Layout, view: View, warped: Float32, mask: Bool) -> Callable[[Float32], Float32]:
+    """Function from a render (H, W, 3) that the picture is held against to what it says of each Gaussian (N, 3)."""
     quality = find_quality(warped)
-    spread = block_spread(_public_pattern(layout, view, mark_rms)) if quality else None
+    spread = block_spread(_public_pattern(layout, view)) if quality else None
 
-    def pull(known: Float32) -> Float64:
+    def pull(known: Float32) -> Float32:
         if quality is not None and spread is not None:
             exposed = match_exposure(known, warped, mask)
-            return _pulled(layout, view, jpeg_cotangent(exposed, warped, mask, spread, quality))
-        return _pulled(layout, view, image_cotangent(known, warped, mask))
+            return _pulled(view, jpeg_cotangent(exposed, warped, mask, spread, quality))
+        return _pulled(view, image_cotangent(known, warped, mask))
 
     return pull
 
 
-def _public_pattern(layout: Layout, view: View, rms: float) -> Float32:
-    """(H, W, 3) a mark-like pattern of public signs, scaled to `rms`: what a mark's spectrum looks like."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], layout.chips)
-    pattern = view.render(np.ascontiguousarray(SH_C0 * layout.displace(layout.amplitudes * signs)))[0]
-    return pattern * np.float32(rms / max(float(pattern.std()), 1e-12))
+def _public_pattern(layout: Layout, view: View) -> Float32:
+    """(H, W, 3) what a mark of these amplitudes and public signs adds to a picture: the spectrum to expect."""
+    signs = public_signs(layout.chips)
+    return view.render(np.ascontiguousarray(SH_C0 * layout.displace(layout.amplitudes * signs)))[0]
 
 
 def _limits(evidence: Float64, carriers: int) -> Float64:
@@ -127,4 +139,5 @@ def add_evidence(parts: Sequence[Evidence]) -> Evidence:
     pictures and each secret sign still enters once: the theorem of 4.9 stands.
     """
     y = np.sum([part.y for part in parts], axis=0)
-    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0))
+    pulled = tuple(one for part in parts for one in part.pulled)
+    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0), pulled)

@@ -29,6 +29,8 @@ from engine.model import Float64, Int64
 # Purposes of sub-keys. A new use takes a new purpose; two uses never share one.
 CHIPS = "chips"
 ASSIGNMENT = "assignment"
+GRAIN = "grain"
+CELLS = "cells"
 POSE = "pose"
 MESSAGE = "message"
 RECORD_SEAL = "record seal"
@@ -220,7 +222,7 @@ def permutation(subkey: bytes, n: int) -> Int64:
     return np.argsort(words, kind="stable").astype(np.int64)
 
 
-def uniform(subkey: bytes, n: int) -> Float64:
+def uniform(subkey: bytes, n: int, use: str = "uniform") -> Float64:
     """(n,) float64 in [0, 1): multiples of 2^-53, the top bits of n 64-bit keystream words."""
-    words = keystream(subkey, 8 * n, "uniform").view("<u8")
+    words = keystream(subkey, 8 * n, use).view("<u8")
     return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.model import Float32, Float64, Int32
+from engine.model import Bool, Float32, Float64, Int32
 from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
@@ -23,6 +23,27 @@ class Evidence:
     y: Float64  # (C,) estimated displacement of each code vector along each carrier
     weights: Float64  # (C,) non-negative weights: expected displacement over variance, less where |y| stands out
     signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
+    # (N, 3) each: what every picture says of the Gaussians' colours, from which another copy's cells can be read
+    pulled: tuple[Float32, ...] = ()
+
+    @property
+    def evidence(self) -> Float64:
+        """(C,) w y: what each chip's sign is multiplied with."""
+        return self.weights * self.y
+
+    def plus(self, other: "Evidence") -> "Evidence":
+        """Both together, the other on the first of these chips: what each says of a chip is added, so that every secret
+        sign still enters once.
+        """
+        first = np.zeros((2, len(self.y)))
+        first[:, : len(other.y)] = other.evidence, other.weights * other.signal
+        signal = self.weights * self.signal + first[1]
+        return Evidence(self.evidence + first[0], np.ones(len(self.y)), signal, self.pulled + other.pulled)
+
+    def then(self, other: "Evidence") -> "Evidence":
+        """Evidence on more chips: these, the other's behind."""
+        y, weights = np.concatenate([self.y, other.y]), np.concatenate([self.weights, other.weights])
+        return Evidence(y, weights, np.concatenate([self.signal, other.signal]))
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
@@ -106,12 +127,20 @@ def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
-    # Registration and quantisation leave errors that the members share: never trust a mean beyond a tenth of
-    # the mark's own size, else a handful of code vectors would outweigh all others.
-    floor = (0.1 * amplitudes) ** 2 + 1e-12
-    weights = np.where(seen, amplitudes / (np.where(seen, variance, 1.0) + floor), 0.0)
+    # Registration, quantisation and whoever cleaned the model leave errors that the members share and that their own
+    # spread does not show. How large means are shows it; and no mean is trusted beyond the mark's own size, so that this
+    # layer drowns neither the other nor the other routes.
+    variance = np.where(seen, variance, 1.0) + amplitudes**2 + _shared(y, seen, carriers) + 1e-12
+    weights = np.where(seen, amplitudes / variance, 0.0)
     y = np.where(seen, y, 0.0)
     return Evidence(y, _saturated(y, weights, carriers), np.where(seen, amplitudes, 0.0))
+
+
+def _shared(y: Float64, seen: Bool, carriers: int) -> Float64:
+    """(C,) robust variance of the means of each carrier, whatever it comes from."""
+    pairs = zip(np.square(y).reshape(-1, carriers).T, seen.reshape(-1, carriers).T, strict=True)
+    usual = [float(np.median(squares[use])) / 0.455 if use.any() else 0.0 for squares, use in pairs]
+    return np.tile(usual, len(y) // carriers)
 
 
 def _saturated(y: Float64, weights: Float64, carriers: int) -> Float64:

@@ -1,7 +1,7 @@
 """The planner: how far each code vector may be displaced, and how many bits the scene then carries (DESIGN 4.5)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from engine.compress.impact import Impact, uncertainty
 from engine.errors import CapacityError
 from engine.model import SH_C0, Float32, Float64, Int32
 from engine.watermark.carriers import make_carriers
+from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.layout import MARK_SCALE, Layout
 
 REFERENCE_NOISE = 0.05
@@ -21,6 +22,12 @@ REFERENCE_PIXELS = 800 * 800
 BIT_Z = 2.3
 """Least predicted z of a bit that the planner accepts: about one wrong bit in a hundred on that one bad picture;
 several pictures, a better one, or the model itself read all of them."""
+
+GRAIN_CHIPS_PER_BIT = 64
+"""The same for the grain, which is lost Gaussian by Gaussian: a tenth of the model still reads nearly every bit."""
+
+SURPRISE = (0.2, 4.0)
+"""Range of how badly a colour is guessed, against what is usual, within which amplitudes follow it."""
 
 CHIPS_PER_BIT = 16
 """Fewest chips a bit may rest on, so that losing most of the model still leaves each bit some."""
@@ -39,23 +46,40 @@ class PlanConfig:
     balance_rounds: int = 12  # rounds that even out the mark's energy over the key views
     # A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all
     mass_share: float = 0.02
+    # The second layer: how far a centre moves, in its Gaussian's own size, and a log scale; 0 leaves it out. Less where
+    # that would show (see `settling`)
+    grain_center: float = 0.05
+    grain_scale: float = 0.02
+    # Code vectors that a copy's key makes of the public cells, two or more of these each; a power of two
+    codes: int = 4096
+    # Amplitudes grow with this power of how badly a code vector's colour can be guessed from its surroundings
+    surprise_exponent: float = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Layout with amplitudes at unit strength, and chip energies (V, C): squared image displacement by view."""
+    """Layout with amplitudes, and chip energies (V, C): squared image displacement by view."""
 
     layout: Layout
     energies: Float64
 
+    def times(self, factor: float) -> "Plan":
+        """The plan at another strength."""
+        amplitudes = (factor * self.layout.amplitudes).astype(np.float32).astype(np.float64)  # as the record keeps them
+        return Plan(replace(self.layout, amplitudes=amplitudes), factor**2 * self.energies)
+
 
 def make_plan(
-    stages: Sequence[Stage], impact: Impact, config: PlanConfig | None = None, emphasis: Float32 | Float64 | None = None
+    stages: Sequence[Stage],
+    impact: Impact,
+    config: PlanConfig | None = None,
+    emphasis: Float32 | Float64 | None = None,
+    missed: Float64 | None = None,
+    jitter: Callable[[int], Float64] | None = None,
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
-    Scaled to a median amplitude of MARK_SCALE: the decoder's weights follow from the planned amplitudes and so must not
-    know the final strength, which depends on the chips (DESIGN 4.9).
+    Scaled to a median amplitude of MARK_SCALE; `settling` finds the strength.
 
     Parameters
     ----------
@@ -65,6 +89,10 @@ def make_plan(
         Over the key views.
     emphasis : (N,) float, optional
         Factor on the amplitude of each Gaussian's code vector, averaged over its members.
+    missed : (M, 3, 3) float64, optional
+        What the surroundings of each code vector of stage 0 leave unexplained of its colour, see `unexplained`.
+    jitter : callable, optional
+        From a number of chips to keyed factors on their amplitudes.
     """
     config = config or PlanConfig()
     stages = stages[: config.stages]
@@ -83,6 +111,10 @@ def make_plan(
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
         carriers = make_carriers(stage.codebook, usage)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
+        if number == 0 and missed is not None:
+            chip = chip * _surprise(missed, carriers.directions, config.surprise_exponent)
+        if jitter is not None:
+            chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
         share = 1.0 - config.residual_share if number == 0 else config.residual_share / (len(stages) - 1)
         if len(stages) == 1:
@@ -100,6 +132,13 @@ def make_plan(
         (scale * flat).astype(np.float32).astype(np.float64),  # as the record keeps them
     )
     return Plan(layout, scale**2 * np.concatenate(energies, axis=1))
+
+
+def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
+    """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual."""
+    off = np.sqrt(np.einsum("ri,mij,rj->mr", directions, missed, directions))
+    usual = np.maximum(np.median(off, axis=0), 1e-12)
+    return np.asarray(np.clip(off / usual, *SURPRISE) ** exponent)
 
 
 def _incoherence(stage: Stage, impact: Impact, count: int) -> Float64:
@@ -140,7 +179,7 @@ def _balance_views(energy: Float64, rounds: int) -> Float64:
     return np.sqrt(factor)
 
 
-def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> Float64:
+def predict_z(energies: Float64, bit_of: Int32, bits: int) -> Float64:
     """(V, B) z of each bit, read from one picture of each key view through the reference channel.
 
     It is sqrt(E / sigma^2), saturating at the root of the number of chips the view shows (the statistic's own cap).
@@ -149,13 +188,10 @@ def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> F
     ----------
     energies : (V, C)
         Of `Plan`, for a picture of REFERENCE_PIXELS.
-    strength : float
-        Factor on all amplitudes.
     bit_of : (C,) int
     """
     out = np.empty((len(energies), bits))
     for v, energy in enumerate(energies):
-        energy = energy * strength**2
         total = np.bincount(bit_of, energy, bits)
         squares = np.bincount(bit_of, energy**2, bits)
         signal = total / REFERENCE_NOISE**2
@@ -164,13 +200,17 @@ def predict_z(energies: Float64, strength: float, bit_of: Int32, bits: int) -> F
     return out
 
 
-def capacity_bits(energies: Float64, strength: float, chips: int) -> int:
-    """Bits the scene carries at this strength: the median picture (see `predict_z`) must give every bit BIT_Z."""
-    energy = energies * strength**2
-    signal = energy.sum(axis=1) / REFERENCE_NOISE**2
-    effective = energy.sum(axis=1) ** 2 / np.maximum((energy**2).sum(axis=1), 1e-300)
+def capacity_bits(energies: Float64, chips: int) -> int:
+    """Bits the scene's pictures carry: the median one (see `predict_z`) must give every bit BIT_Z."""
+    signal = energies.sum(axis=1) / REFERENCE_NOISE**2
+    effective = energies.sum(axis=1) ** 2 / np.maximum((energies**2).sum(axis=1), 1e-300)
     z_squared = 1.0 / (1.0 / np.maximum(signal, 1e-12) + 1.0 / np.maximum(effective, 1e-12))
     return int(min(float(np.median(z_squared)) / BIT_Z**2, chips / CHIPS_PER_BIT))
+
+
+def grain_capacity(gaussians: int) -> int:
+    """Bits that the grain of so many Gaussians carries in a model."""
+    return ATTRIBUTES * gaussians // GRAIN_CHIPS_PER_BIT
 
 
 def check_capacity(wanted: int, capacity: int) -> None:

@@ -1,6 +1,7 @@
 """Which bit and which secret sign each chip carries (DESIGN 4.5): all of it from the owner's key.
 
-A chip is one code vector in one carrier direction. The flat order of chips is stage, code vector, direction.
+A chip of the tint is one code vector in one carrier direction; their flat order is stage, code vector, direction. Those
+of the grain follow, see `grain`.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float64, Int32
-from engine.watermark.keys import ASSIGNMENT, CHIPS, OwnerKey, permutation, signs
+from engine.watermark.grain import ATTRIBUTES
+from engine.watermark.keys import ASSIGNMENT, CHIPS, GRAIN, OwnerKey, keystream, permutation, signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +20,14 @@ class Spreading:
 
     bit_of: Int32
     chips: npt.NDArray[np.int8]
+
+    def signs(self, message: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
+        """(C,) +-1 of each chip's displacement: chip times the sign of its bit (message of +-1)."""
+        return self.chips * message[self.bit_of]
+
+    def then(self, other: "Spreading") -> "Spreading":
+        """Both, the other's chips behind."""
+        return Spreading(np.concatenate([self.bit_of, other.bit_of]), np.concatenate([self.chips, other.chips]))
 
 
 def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: int, bits: int) -> Spreading:
@@ -51,6 +61,28 @@ def spread(key: OwnerKey, context: bytes, codes: tuple[int, ...], directions: in
     return Spreading(np.repeat(dealt, directions), signs(chip_key, total * directions))
 
 
+def grain_key(key: OwnerKey, context: bytes) -> bytes:
+    """The sub-key from which the grain of one copy is drawn; `context` as in `spread`."""
+    return key.derive(GRAIN, context)
+
+
+def spread_grain(subkey: bytes, gaussians: int, bits: int) -> Spreading:
+    """Deal the bits to the Gaussians and draw the chips of the grain, so that every part of a model carries every bit.
+
+    Parameters
+    ----------
+    subkey : bytes
+        See `grain_key`.
+    """
+    dealt = keystream(subkey, 2 * gaussians, "bits").view("<u2") % np.uint16(bits)
+    return Spreading(np.repeat(dealt.astype(np.int32), ATTRIBUTES), signs(subkey, ATTRIBUTES * gaussians))
+
+
+def public_signs(chips: int) -> Float64:
+    """(chips,) +-1 that everybody knows: they stand for those of a key where none may be looked at."""
+    return np.asarray(2.0 * np.random.default_rng(0).integers(0, 2, chips, dtype=np.int8) - 1.0, dtype=np.float64)
+
+
 def signed_amplitudes(amplitudes: Float64, spreading: Spreading, message: npt.NDArray[np.int8]) -> Float64:
     """(C,) displacement of each chip: amplitude times chip times the sign of its bit (message of +-1)."""
-    return amplitudes * spreading.chips * message[spreading.bit_of]
+    return amplitudes * spreading.signs(message)

@@ -17,6 +17,7 @@ HEADLINES = {"marked": "Mark found", "not_marked": "Derived, without this mark",
 
 ROUTES = {
     "model": "the suspect's Gaussians, compared one by one with the registered original",
+    "both": "the suspect's Gaussians, one by one, and what it shows at the owner's secret views, added up",
     "render": "the suspect model seen at the owner's secret views, as a black box",
     "image": "the pictures, compared with renders of the registered original",
 }

@@ -134,8 +134,8 @@ def cell_scores(opened: OpenedRecord, found: Verification) -> tuple[Float64, Boo
     no mark; `seen`, (N,) bool, whether the suspect says anything about it (never where a Gaussian is unmarked).
     """
     layout, evidence = opened.layout, found.evidence
-    signs = opened.spreading.chips * opened.message[opened.spreading.bit_of]
-    terms = weighted_evidence(evidence.y, evidence.weights) * signs
+    tint = slice(layout.chips)  # the grain has no cells
+    terms = weighted_evidence(evidence.y[tint], evidence.weights[tint]) * opened.spreading.signs(opened.message)
     # Neighbouring numbers of stage 0 are neighbours in the scene. Only codes that carry something count: a cell of few
     # would show their secret signs.
     carries = (layout.split(layout.amplitudes)[0] > 0).any(axis=1)

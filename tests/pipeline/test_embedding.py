@@ -14,6 +14,7 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
+from engine.watermark.grain import units
 from engine.watermark.masses import find_masses
 from engine.watermark.messages import message_hex, message_signs
 from engine.watermark.planning import PlanConfig
@@ -49,9 +50,15 @@ def test_fidelity_is_kept_in_the_key_views(scene: MarkedScene) -> None:
     assert worst_ssim >= 0.998
 
 
-def test_fidelity_changes_dc_and_nothing_else(scene: MarkedScene) -> None:
-    for name in ("means", "log_scales", "quats", "opacity_logits"):
+def test_fidelity_changes_dc_and_by_a_grain_centres_and_sizes(scene: MarkedScene) -> None:
+    for name in ("quats", "opacity_logits"):
         np.testing.assert_array_equal(getattr(scene.marked, name), getattr(scene.original, name))
+    grain = scene.opened.grain
+    step = np.abs(scene.marked.log_scales - scene.original.log_scales)
+    np.testing.assert_allclose(step, grain.scale, atol=1e-5)
+    along = np.linalg.norm(scene.marked.means - scene.original.means, axis=1)
+    reach = grain.center * np.linalg.norm(units(scene.original.log_scales), axis=1)
+    np.testing.assert_allclose(along, reach, rtol=1e-2, atol=1e-6)
     still = find_masses(scene.original.sh[:, 0], PlanConfig().mass_share)
     moved = (scene.marked.sh[:, 0] != scene.original.sh[:, 0]).any(axis=1)
     assert not moved[still].any()

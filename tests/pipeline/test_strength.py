@@ -21,7 +21,7 @@ def test_both_targets_are_met_and_nearly_reached(monkeypatch: pytest.MonkeyPatch
     """SSIM that falls with another power of the factor than the second must not throw the solver off."""
 
     def measure(views: Any, displacement: Any, factor: float) -> Strength:
-        return Strength(factor, 50.0 - 20 * np.log10(factor), 1.0 - 1e-3 * factor**power)
+        return Strength(50.0 - 20 * np.log10(factor), 1.0 - 1e-3 * factor**power, factor)
 
     monkeypatch.setattr(strength, "_measure", measure)
     found = solve_strength(None, np.zeros((1, 3), np.float32), 40.0, 0.996, start)  # type: ignore[arg-type]

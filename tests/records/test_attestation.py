@@ -31,10 +31,10 @@ from engine.records.file import APPENDED, public_bytes
 from engine.records.merkle import leaf_hash, node_hash
 from engine.records.record import Record, read_header
 from engine.records.signatures import REGISTRATION
-from tests.data.records.make_golden import KEY, PATH, golden_record
+from tests.data.records.make_golden import KEY, PATHS, golden_record
 from tests.records.test_timestamps import Authority
 
-GOLDEN = PATH.read_bytes()
+GOLDEN = PATHS[1].read_bytes()
 OTHER = golden_record().__class__.make(
     KEY, golden_record().reference_arrays, original_digest="cd" * 32, plan={"message": "deadbeef"}, plan_arrays={}
 )

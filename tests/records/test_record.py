@@ -20,10 +20,10 @@ from engine.records.file import seal
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id, read_header
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
-from tests.data.records.make_golden import BESIDE, KEY, PATH, golden_model, golden_record
+from tests.data.records.make_golden import BESIDE, KEY, PATHS, golden_model, golden_record
 
 OTHER = OwnerKey(bytes(range(1, 33)))
-GOLDEN = PATH.read_bytes()
+GOLDEN = PATHS[1].read_bytes()
 
 
 def same_arrays(a, b) -> bool:
@@ -34,8 +34,9 @@ def with_checksum(data: bytes) -> bytes:
     return data + sha256(data).digest()
 
 
-def test_golden_record_reads_as_it_was_made() -> None:
-    opened, made = Record.from_bytes(GOLDEN, KEY), golden_record()
+@pytest.mark.parametrize("version", PATHS)
+def test_golden_record_reads_as_it_was_made(version: int) -> None:
+    opened, made = Record.from_bytes(PATHS[version].read_bytes(), KEY), golden_record(version)
     assert opened.header == made.header
     assert (opened.copy, dict(opened.plan), dict(opened.extra)) == (made.copy, dict(made.plan), dict(made.extra))
     for name in ("plan_arrays", "reference_arrays"):
@@ -73,9 +74,9 @@ def test_wrong_key_damage_and_later_version_are_three_errors() -> None:
         Record.from_bytes(GOLDEN, OTHER)
     with pytest.raises(WrongKeyError):
         golden_record().to_bytes(OTHER)
-    later = GOLDEN[:8] + struct.pack("<H", 2) + b"anything"
-    for data in (later + GOLDEN[10:], with_checksum(GOLDEN[:8] + struct.pack("<H", 2) + GOLDEN[10:-32])):
-        with pytest.raises(RecordTooNewError, match="format 2"):
+    later = GOLDEN[:8] + struct.pack("<H", 3) + b"anything"
+    for data in (later + GOLDEN[10:], with_checksum(GOLDEN[:8] + struct.pack("<H", 3) + GOLDEN[10:-32])):
+        with pytest.raises(RecordTooNewError, match="format 3"):
             Record.from_bytes(data, KEY)
     for key in (KEY, OTHER):  # damage is damage, whatever the key
         with pytest.raises(MalformedRecordError, match="damaged"):

@@ -54,10 +54,10 @@ def test_outliers_and_noisy_code_vectors_weigh_less() -> None:
     suspect = suspect.copy()
     suspect[wild] += 3.0
     noisy = layout.labels[0] < 512
-    suspect[noisy] += 0.1 * rng.standard_normal((int(noisy.sum()), 3)).astype(np.float32)
+    suspect[noisy] += 0.5 * rng.standard_normal((int(noisy.sum()), 3)).astype(np.float32)
     evidence = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
     assert np.sign(evidence.y[1536:]) @ np.sign(signed[1536:]) > 0.97 * 1536
-    assert evidence.weights[1536:].mean() > 3 * evidence.weights[:1536].mean()
+    assert evidence.weights[1536:].mean() > 2 * evidence.weights[:1536].mean()
 
 
 def test_gain_tint_and_exposure_are_removed() -> None:
@@ -116,7 +116,7 @@ def noisy_unmarked(amplitudes: np.ndarray | None = None) -> tuple[Layout, np.nda
 
 def test_what_was_moved_far_weighs_more() -> None:
     """The matched filter: of two chips in the same noise the one of four times the amplitude counts for more."""
-    amplitudes = np.where(np.arange(3 * 1024) % 2 == 0, 0.04, 0.01)
+    amplitudes = np.where(np.arange(3 * 1024) % 2 == 0, 0.004, 0.001)
     layout, reference, suspect = noisy_unmarked(amplitudes)
     weights = gather_model_evidence(layout, reference, suspect, *identity(len(reference))).weights
     assert np.median(weights[::2]) > 2.5 * np.median(weights[1::2])
@@ -132,14 +132,23 @@ def test_trust_is_relative() -> None:
     assert np.median(unsure.weights / sure.weights) == pytest.approx(1.0, abs=0.1)
 
 
-def test_no_mean_is_trusted_beyond_a_tenth_of_the_mark() -> None:
+def test_no_mean_is_trusted_beyond_the_mark_itself() -> None:
     """Members share errors that their spread does not show: an exact half outweighs a nearly exact one by little."""
     layout, reference, suspect, _ = marked()
     exact = layout.labels[0] < 512
     noise = np.where(exact[:, None], 1e-7, 1e-3) * np.random.default_rng(4).standard_normal(reference.shape)
     evidence = gather_model_evidence(layout, reference, (suspect + noise).astype(np.float32), *identity(len(reference)))
     assert evidence.weights[:1536].mean() < 1.5 * evidence.weights[1536:].mean()
-    assert evidence.weights.max() <= 0.02 / (0.1 * 0.02) ** 2
+    assert evidence.weights.max() <= 0.02 / 0.02**2
+
+
+def test_what_members_share_is_noise_though_they_agree() -> None:
+    """A cleaned model: all members of a cell moved alike, by ten times the mark. No chip may pretend to be sure."""
+    layout, reference, suspect, _ = marked()
+    plain = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    moved = 0.2 * np.random.default_rng(5).standard_normal((layout.codes[0], 3))[layout.labels[0]]
+    cleaned = gather_model_evidence(layout, reference, (suspect + moved).astype(np.float32), *identity(len(reference)))
+    assert np.median(np.abs(cleaned.evidence)) < 0.3 * np.median(np.abs(plain.evidence))
 
 
 def test_no_chip_outweighs_the_others() -> None:

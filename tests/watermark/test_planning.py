@@ -45,9 +45,9 @@ def test_texture_gets_more() -> None:
 def test_predicted_z_grows_with_strength_and_falls_with_bits() -> None:
     plan = make_plan(*scene())
     bit_of = (np.arange(plan.layout.chips) // 3 % 32).astype(np.int32)
-    weak, strong = (predict_z(plan.energies, s, bit_of, 32).mean() for s in (0.05, 0.2))
+    weak, strong = (predict_z(plan.times(s).energies, bit_of, 32).mean() for s in (0.05, 0.2))
     assert strong > 1.5 * weak
-    more = predict_z(plan.energies, 0.2, (np.arange(plan.layout.chips) // 3 % 64).astype(np.int32), 64).mean()
+    more = predict_z(plan.times(0.2).energies, (np.arange(plan.layout.chips) // 3 % 64).astype(np.int32), 64).mean()
     assert more < 0.8 * strong
 
 
@@ -57,7 +57,7 @@ def test_prediction_agrees_with_simulated_reading() -> None:
     chips, bits, sigma = 4096, 32, 0.05
     energy = rng.gamma(4.0, 0.25, (1, chips)) * 4e-4
     bit_of = (np.arange(chips) % bits).astype(np.int32)
-    expected = predict_z(energy, 1.0, bit_of, bits)[0].mean()
+    expected = predict_z(energy, bit_of, bits)[0].mean()
     observed = []
     for _ in range(60):
         y = energy[0] + np.sqrt(energy[0]) * sigma * rng.standard_normal(chips)
@@ -67,14 +67,13 @@ def test_prediction_agrees_with_simulated_reading() -> None:
 
 
 def test_capacity_is_where_bits_get_their_least_z() -> None:
-    plan = make_plan(*scene())
-    strength = 3.0
-    capacity = capacity_bits(plan.energies, strength, plan.layout.chips)
+    plan = make_plan(*scene()).times(3.0)
+    capacity = capacity_bits(plan.energies, plan.layout.chips)
     bit_of = (np.arange(plan.layout.chips) // 3 % capacity).astype(np.int32)
     if capacity < plan.layout.chips / 16 - 1:
-        z = np.median(predict_z(plan.energies, strength, bit_of, capacity).mean(axis=1))
+        z = np.median(predict_z(plan.energies, bit_of, capacity).mean(axis=1))
         assert z == pytest.approx(BIT_Z, rel=0.15)
-    assert capacity_bits(plan.energies, 1e-6, plan.layout.chips) == 0
+    assert capacity_bits(plan.times(1e-6).energies, plan.layout.chips) == 0
 
 
 def test_energies_are_those_of_the_amplitudes() -> None:
@@ -125,4 +124,4 @@ def test_the_rarely_seen_carry_more() -> None:
 
 def test_a_bit_rests_on_enough_chips_whatever_the_strength() -> None:
     plan = make_plan(*scene())
-    assert capacity_bits(plan.energies, 1e6, 320) == 320 // CHIPS_PER_BIT
+    assert capacity_bits(plan.times(1e6).energies, 320) == 320 // CHIPS_PER_BIT

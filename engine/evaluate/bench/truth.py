@@ -147,8 +147,8 @@ def innocent_copies(record: OpenedRecord, key: OwnerKey, count: int) -> Iterator
     for number in range(count):
         name = f"{INNOCENT} {number}"
         message = derive_message(key, len(record.message), reference + name.encode())
-        plan = plan_of(record.layout, message, record.cameras, None)
-        spreading = draw_spreading(key, reference, name, record.layout, plan)
+        plan = plan_of(record.layout, record.grain, message, record.cameras, None)
+        spreading, grain_key = draw_spreading(key, reference, name, record.layout, plan)
         record_id = make_record_id(key, reference, name, *plan).hex()
         header = replace(record.header, record_id=record_id)
-        yield replace(record, header=header, copy=name, message=message, spreading=spreading)
+        yield replace(record, header=header, copy=name, message=message, spreading=spreading, grain_key=grain_key)

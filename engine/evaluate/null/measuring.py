@@ -24,7 +24,7 @@ from engine.pipeline.sealing import open_record
 from engine.pipeline.strength import add_dc
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.sim.attacks import image_attack, model_attack
-from engine.watermark.copies import copies_z, copy_mark
+from engine.watermark.copies import copies_z
 from engine.watermark.image_evidence import add_evidence
 from engine.watermark.keys import CHIPS, signs
 from engine.watermark.model_evidence import gather_model_evidence
@@ -144,11 +144,9 @@ def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=32, config=fast_config(quick), copy="guilty")
     opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     result = verify_model(made.model, opened, VerifyConfig(route="model"))
-    marks = [
-        copy_mark(record.header.record_id, record.copy, record.spreading, record.message)
-        for record in innocent_copies(opened, key, copies)
-    ]
-    z = copies_z(result.evidence.y, result.evidence.weights, marks)
+    chips = len(result.evidence.y)
+    signs = (one.spreading_of(chips).signs(one.message) for one in innocent_copies(opened, key, copies))
+    z = copies_z(result.evidence.y, result.evidence.weights, signs)
     verdict = "marked" if result.claim.z_threshold <= z.max() else "not_marked"
     what = "copies of other recipients"
     return [_row("copies", Path(path).name, what, "model", False, float(z.max()), verdict, counted(z))]

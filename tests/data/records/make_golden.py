@@ -1,21 +1,23 @@
-"""Made golden_v1.m3dr: python -m tests.data.records.make_golden. Run again only with a new format version.
+"""Makes the golden record of this format version: python -m tests.data.records.make_golden. Early ones stay as made.
 
 golden_v1_beside.m3dr is the same record as the first version could write it, with an array beside the plan.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from engine.model import GaussianModel
+from engine.records.header import FORMAT_VERSION
 from engine.records.record import Record
 from engine.records.reference import encode_reference
 from engine.watermark.keys import OwnerKey
 
 KEY = OwnerKey(bytes(range(32)))
-PATH = Path(__file__).with_name("golden_v1.m3dr")
+PATHS = {version: Path(__file__).with_name(f"golden_v{version}.m3dr") for version in (1, 2)}
 BESIDE = Path(__file__).with_name("golden_v1_beside.m3dr")
 
 
@@ -28,9 +30,9 @@ def golden_model() -> GaussianModel:
     )
 
 
-def golden_record() -> Record:
+def golden_record(version: int = 1) -> Record:
     """A record with something in every part of it."""
-    return Record.make(
+    record = Record.make(
         KEY,
         encode_reference(golden_model()),
         original_digest="ab" * 32,
@@ -45,7 +47,8 @@ def golden_record() -> Record:
         registered_at="2025-01-31T12:00:00Z",
         tool_version="0.1.0",
     )
+    return replace(record, header=replace(record.header, format_version=version))
 
 
 if __name__ == "__main__":
-    PATH.write_bytes(golden_record().to_bytes(KEY))
+    PATHS[FORMAT_VERSION].write_bytes(golden_record(FORMAT_VERSION).to_bytes(KEY))

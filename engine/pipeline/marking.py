@@ -1,0 +1,100 @@
+"""One copy's mark: bits and chips drawn from the key for a settled plan, put into the model, and looked at."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from engine.model import Camera, Float64, GaussianModel
+from engine.pictures.landmarks import Landmarks
+from engine.pipeline.scenes import ViewSet
+from engine.pipeline.sealing import draw_spreading, plan_of
+from engine.pipeline.settling import Settled, measure
+from engine.pipeline.strength import Fidelity, add_dc
+from engine.pipeline.variant import AtView
+from engine.records.header import Arrays
+from engine.watermark.grain import ATTRIBUTES, roughen
+from engine.watermark.keys import OwnerKey
+from engine.watermark.messages import Signs
+from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
+from engine.watermark.spreading import Spreading, signed_amplitudes, spread_grain
+
+DRAWS = 4
+"""Plans tried: weaker ones where a copy's own chips show more than the public ones did."""
+
+
+@dataclass(frozen=True, eq=False)
+class Copy:
+    """What tells one copy of an asset from another, before its chips."""
+
+    key: OwnerKey
+    asset: bytes  # digest of the canonical reference
+    name: str  # of the recipient
+    message: Signs
+
+
+@dataclass(frozen=True, eq=False)
+class Committed:
+    """What the records of all copies commit to beside the plan."""
+
+    cameras: Sequence[Camera]
+    landmarks: Landmarks | None
+    commitments: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A marked model and the plan from which its chips follow."""
+
+    model: GaussianModel
+    plan: tuple[dict[str, Any], Arrays]
+    spreading: Spreading  # of the tint
+    signed: Float64  # (C,) displacement of each chip of the tint
+    settled: Settled
+    fidelity: Fidelity  # worst view, against the unmarked model as delivered
+    capacity: int  # bits
+
+
+def make_mark(
+    views: ViewSet,
+    settled: Settled,
+    copy: Copy,
+    committed: Committed,
+    wanted: Fidelity,
+    pixels: Float64,
+    at_view: AtView | None,
+) -> Mark:
+    """Mark the model of these views.
+
+    CapacityError if the scene cannot carry the message.
+
+    Parameters
+    ----------
+    views : ViewSet
+        Of the unmarked model as delivered.
+    wanted : Fidelity
+        Of the worst view. Where the key's chips miss it, the plan is made weaker, which draws others.
+    pixels : (V, 1) float64
+        By how much more a picture of REFERENCE_PIXELS shows than each view does.
+    """
+    bits = len(copy.message)
+    for _ in range(DRAWS):
+        plan, grain = settled.plan, settled.grain
+        pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
+        capacity = max(pictured, grain_capacity(len(views.model)) if grain.there else 0)
+        check_capacity(bits, capacity)
+        promised = plan_of(
+            plan.layout, grain, copy.message, committed.cameras, committed.landmarks, committed.commitments
+        )
+        tint, grain_key = draw_spreading(copy.key, copy.asset, copy.name, plan.layout, promised)
+        signed = signed_amplitudes(plan.layout.amplitudes, tint, copy.message)
+        model = views.model.with_(sh=add_dc(views.model.sh, plan.layout.displace(signed)))
+        if grain.there:
+            signs = spread_grain(grain_key, len(model), bits).signs(copy.message)
+            model = roughen(model, grain, signs.astype(np.float32).reshape(-1, ATTRIBUTES))
+        fidelity = measure(views, model, at_view)
+        if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db):
+            break
+        settled = settled.lowered(fidelity, wanted)
+    return Mark(model, promised, tint, signed, settled, fidelity, capacity)

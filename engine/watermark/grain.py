@@ -1,0 +1,82 @@
+"""The grain: a second layer of chips, on every Gaussian's centre and size (DESIGN 4.5).
+
+Each centre moves by a small part of the Gaussian's own size along each of its three axes, each log scale by a small
+step; the signs follow from the owner's key. Nothing predicts where a Gaussian's centre lies to a twentieth of its size,
+neither its neighbours nor its colour, so nobody can average this layer away: it goes only with the geometry.
+Opacities stay: their chips would be a seventh of all, and the first to go in merging, pruning and re-training.
+
+Flat order of the chips: Gaussian, then its attributes (centre along axes 0 to 2, log scale of axes 0 to 2).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Bool, Float32, Float64, GaussianModel
+from engine.numerics.similarity import quaternion_to_rotation
+
+ATTRIBUTES = 6
+"""Chips of one Gaussian."""
+
+FLAT = 0.3
+"""A thin axis counts as this much of the middle one. What lies across a flat Gaussian is seen edge-on only: 0.3 shows
+no more than 0 does (three scenes), and holds where formats round a sheet's thickness away."""
+
+THINNEST = 1e-5
+"""Of the middle scale; below it a Gaussian is a disc, whose thickness no file keeps."""
+
+
+@dataclass(frozen=True)
+class Grain:
+    """How far the chips of the second layer displace; zeros stand for no grain (a record of the first version)."""
+
+    center: float = 0.0  # of the size along the axis, see `units`; 0 to 1
+    scale: float = 0.0  # of a log scale; 0 to 1
+
+    @property
+    def there(self) -> bool:
+        """Whether there is a second layer."""
+        return self.center > 0.0 or self.scale > 0.0
+
+    def chips(self, gaussians: int) -> int:
+        """Number of its chips on a model of so many Gaussians."""
+        return ATTRIBUTES * gaussians if self.there else 0
+
+    def times(self, factor: float) -> "Grain":
+        """The grain made finer or coarser."""
+        return Grain(float(np.float32(self.center * factor)), float(np.float32(self.scale * factor)))
+
+
+def units(log_scales: Float32) -> Float64:
+    """(N, 3) length along each own axis, scene units, of which a centre moves a fixed part."""
+    scales = np.exp(log_scales.astype(np.float64))  # (N, 3)
+    return np.maximum(scales, FLAT * _middle(scales)[:, None])
+
+
+def thin(log_scales: Float32) -> Bool:
+    """(N, 3) axes whose scale is no more than the thickness of a disc."""
+    scales = np.exp(log_scales.astype(np.float64))
+    return np.asarray(scales < THINNEST * _middle(scales)[:, None])
+
+
+def _middle(scales: Float64) -> Float64:
+    """(N,) the second of three."""
+    return np.maximum(
+        np.minimum(scales[:, 0], scales[:, 1]), np.minimum(np.maximum(scales[:, 0], scales[:, 1]), scales[:, 2])
+    )
+
+
+def roughen(model: GaussianModel, grain: Grain, signs: Float32) -> GaussianModel:
+    """The model with every centre and log scale displaced.
+
+    Parameters
+    ----------
+    signs : (N, 6) +-1
+        Chip times bit of each chip.
+    """
+    along = grain.center * signs[:, :3] * units(model.log_scales)  # (N, 3) in own axes
+    shift = np.matmul(quaternion_to_rotation(model.quats), along[:, :, None])[:, :, 0]
+    step = np.where(thin(model.log_scales), 0.0, grain.scale * signs[:, 3:])
+    return model.with_(
+        means=(model.means + shift).astype(np.float32), log_scales=(model.log_scales + step).astype(np.float32)
+    )

@@ -1,0 +1,41 @@
+"""How badly a code vector's colour can be guessed from those around it (DESIGN 4.5).
+
+A displacement that stands out against its surroundings is seen by people, found by detectors, and taken out by whoever
+subtracts what he did not expect. So amplitudes follow what the unmarked scene itself leaves unexplained.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from engine.model import Float64
+
+NEIGHBOURS = 24
+"""Code vectors from which a colour is guessed, by a plane fitted to them."""
+AROUND = 9
+"""Code vectors, itself among them, over which the misses are averaged: one alone may have been guessed by luck."""
+RIDGE = 1e-3
+"""Keeps planes through neighbours on a line from tilting without end."""
+
+
+def unexplained(centers: Float64, colors: Float64) -> Float64:
+    """(M, 3, 3) mean outer product of what the neighbours' colours leave unexplained.
+
+    Parameters
+    ----------
+    centers : (M, 3)
+        Of the code vectors, any unit.
+    colors : (M, 3)
+        DC colours.
+    """
+    count = len(centers)
+    if count <= 4:
+        return np.zeros((count, 3, 3))
+    near = cKDTree(centers).query(centers, k=min(NEIGHBOURS + 1, count), workers=2)[1][:, 1:]  # (M, k)
+    offset = centers[near] - centers[:, None]
+    offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
+    design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)
+    normal = np.einsum("mki,mkj->mij", design, design) + RIDGE * np.eye(4)
+    guessed = np.linalg.solve(normal, np.einsum("mki,mkc->mic", design, colors[near]))[:, 3]  # (M, 3)
+    missed = colors - guessed
+    around = np.concatenate([np.arange(count)[:, None], near[:, : AROUND - 1]], axis=1)
+    return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
