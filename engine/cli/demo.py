@@ -224,7 +224,8 @@ def _summary(report: Mapping[str, Any]) -> str:
     if report["verdict"] == "marked":
         chance = PLAIN.odds(report["log10_false_claim"])
         return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
-    return f"{verdict:<11} {bits}, as coins would; a worn mark would show: {surely(report['power'])} sure"
+    sure = f"a worn mark would show: {surely(report['power'])} sure"
+    return f"{verdict:<11} {bits}, as coins would; derived all the same; {sure}"
 
 
 def _wrong_key(work: _Work) -> dict[str, Any]:

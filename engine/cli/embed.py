@@ -51,7 +51,7 @@ def embed(
     ] = None,
     copy: Annotated[str, typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own.")] = "",
     registered_at: Annotated[
-        str, typer.Option("--registered-at", metavar="TEXT", help="Time of registration to record, or 'now'.")
+        str, typer.Option("--registered-at", metavar="TEXT", help="Self-declared time of registration, or 'now'.")
     ] = "",
     knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",

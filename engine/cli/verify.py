@@ -88,7 +88,7 @@ def verify(
     from engine.watermark.keys import OwnerKey
     from engine.watermark.wording import PLAIN, words_of
 
-    config = VerifyConfig(false_claim_rate, suspect_seen, route, decoder)
+    config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
     trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
     owner = OwnerKey.read(key)
     with console.progress() as progress:

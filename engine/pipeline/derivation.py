@@ -4,7 +4,7 @@ import numpy as np
 
 from engine.model import GaussianModel
 from engine.registration.registering import Registration
-from engine.watermark.derivation import Derivation
+from engine.watermark.derivation import NOT_FOUND, Derivation
 
 __all__ = ["DERIVED_LEAST", "derivation_of_model", "derivation_of_pictures", "derivation_of_sight"]
 
@@ -33,13 +33,16 @@ def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, regist
     return Derivation(share >= DERIVED_LEAST, share, len(rows), exactness, where)
 
 
-def derivation_of_sight(of_model: Derivation, shown: bool) -> Derivation:
-    """What renders of a suspect model say, beside its Gaussians."""
-    if of_model.derived or not shown:
+def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
+    """What renders of a suspect model say, beside its Gaussians: views recognised by themselves, or nothing."""
+    if of_model.derived or not recognised:
         return of_model
     return Derivation(True, of_model.share or None, of_model.gaussians)
 
 
-def derivation_of_pictures(shown: int, pictures: int) -> Derivation:
-    """What pictures say of which so many show the asset."""
-    return Derivation(shown > 0, views=(shown, pictures))
+def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation:
+    """What pictures say of which so many show the asset; `found`: their cameras were found, by recognising it.
+
+    Where somebody gave the cameras, a picture of anything that is bright in the same places can be laid over a view.
+    """
+    return Derivation(shown > 0, views=(shown, pictures)) if found else NOT_FOUND

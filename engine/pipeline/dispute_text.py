@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
-from engine.watermark.wording import TYPOGRAPHIC, Form, derivation_text, when
+from engine.watermark.wording import TYPOGRAPHIC, Form, percent, when
 
 __all__ = ["DEEDS", "DisputeWords", "dispute_page", "dispute_words"]
 
@@ -124,8 +124,9 @@ def _answer(look: Mapping[str, Any], form: Form) -> str:
     odds = form.odds(look["log10_false_claim"])
     if look["marked"]:
         return f"there (z = {look['z']:.1f}, {look['z_threshold']:.1f} needed; a false claim: {odds})"
-    derived = derivation_text(look["derivation"])
-    return f"not shown (z = {look['z']:.1f}, {look['z_threshold']:.1f} needed); derived from that asset: {derived}"
+    share = look["derivation"]["share"] or 0.0
+    found = f"; {percent(share)} of that party's asset is in it" if look["derivation"]["derived"] and share else ""
+    return f"not shown (z = {look['z']:.1f}, {look['z_threshold']:.1f} needed){found}"
 
 
 def _date(date: Mapping[str, str]) -> str:

@@ -40,7 +40,8 @@ class Seen:
 
     evidence: Evidence  # all zero where no view could be read
     notes: tuple[str, ...]  # how the model was placed, where not by its Gaussians
-    shown: bool  # whether the suspect shows the asset
+    shown: bool  # whether the suspect shows the asset, as far as it must for being read
+    recognised: bool = False  # whether several of its views were recognised by themselves, which tells it from others
 
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
@@ -96,7 +97,7 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
             parts.append(_read_picture(picture, refined.camera, opened)[0])
         clock.advance((number + 1) / len(cameras))
     read = [part for part in parts if part is not None]
-    return Seen(add_evidence(read) if read else _nothing(opened), tuple(notes), bool(read))
+    return Seen(add_evidence(read) if read else _nothing(opened), tuple(notes), bool(read), place is not None)
 
 
 def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> Evidence:

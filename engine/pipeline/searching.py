@@ -124,7 +124,7 @@ def readings(
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
         # Each picture in which the asset was not found left one note that begins so.
         seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
-        sight = derivation_of_pictures(seen, len(suspect.pictures))
+        sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
         return
     with clock.stage("register"):
@@ -141,7 +141,7 @@ def readings(
                 renders = read_renders(suspect.model, opened, registration, clock)
                 both = said is not None and bool(renders.evidence.weights.any())
                 evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
-                sight = derivation_of_sight(matched, renders.shown)
+                sight = derivation_of_sight(matched, renders.recognised)
                 asked = "both" if both else route
                 reading = Reading(asked, evidence, registration, renders.notes, renders.shown, sight)
         yield reading

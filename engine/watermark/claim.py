@@ -53,7 +53,8 @@ class ClaimConfig:
     # the colours by more may as well have covered a mark. Copies as they are, re-exported or noised by a tenth of each
     # attribute's deviation stay below 0.1; other marks and cleaned ones leave 0.3 and more
     room: float = 0.25
-    # A bound below this, though above the false-claim rate, forbids the answer `not_marked`; in (0, 1)
+    # A bound below this, though above the false-claim rate, forbids the answer `not_marked`, as does a Z so far below
+    # 0; in (0, 1)
     doubt_rate: float = 1e-3
 
     @classmethod
@@ -177,7 +178,7 @@ def decide(
     strength = power(y, w, config.surviving * signal, threshold)
     change = measured_change(y, w, signal)
     # 5. The answer.
-    doubtful = log10_bound < math.log10(config.doubt_rate)
+    doubtful = log10_false_claim_bound(abs(z), tries) < math.log10(config.doubt_rate)  # far below 0: turned round
     if z >= threshold:
         verdict = Verdict.MARKED
     elif derivation.derived and strength >= config.power and change <= config.room and not doubtful:
@@ -189,13 +190,13 @@ def decide(
     would = verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries)
     missing = ""
     if verdict is Verdict.INCONCLUSIVE:
-        if doubtful:  # the evidence itself says what a mark would give
+        if doubtful and z > 0:  # the evidence itself says what a mark would give
             missing = _more((threshold / z) ** 2)
         elif not expected > 0:
             missing = "nothing of the asset could be measured in this evidence"
         elif not derivation.derived:
             missing = "too little of the asset was recognised in the suspect"
-        elif strength >= config.power:
+        elif strength >= config.power or doubtful:
             missing = _COVERED
         else:
             missing = _more(evidence_needed(y, w, config.surviving * signal, threshold, config.power))

@@ -95,6 +95,7 @@ def _seen(text: str) -> datetime:
 
 
 def moment(text: str) -> datetime:
+    """A time to compare, of ISO 8601 text; without a zone it is UTC. ValueError if it is none."""
     found = datetime.fromisoformat(text)
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 

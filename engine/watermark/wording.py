@@ -143,7 +143,7 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
     if claim["verdict"] == "inconclusive":
         it = suspect or f"the {kind}"
         if claim["would_be_claim_if_attested"]:
-            return f"{_WOULD}. " + (f"{derived}." if claim["derivation"]["derived"] else "")
+            return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
             return f"{derived}; whether this copy's mark is in it, the evidence does not decide."
         return f"Nothing of your asset was recognised in {it}: neither a yes nor a no."
@@ -208,10 +208,12 @@ def derivation_text(derivation: Mapping[str, Any]) -> str:
         return f"yes: {shown} of {of} pictures show your asset" if shown else "no picture was recognised"
     share = derivation["share"]
     if not derivation["derived"]:
-        return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "nothing was found"
+        return f"not shown: {percent(share)} of your asset was found in the suspect" if share else "not shown"
     if share is None:
         return "yes: the suspect looks like your asset from several sides, though its Gaussians are others"
-    text = f"yes: {percent(share)} of your asset was found in the suspect ({derivation['gaussians']:,} Gaussians)"
+    text = f"yes: {percent(share)} of your asset was found in the suspect"
+    if (count := derivation["gaussians"]) is not None:
+        text += f" ({count:,} Gaussians)"
     if (gap := derivation["exactness"]) is not None:
         text += f", half of them within {gap:.2g} of their own size of where the original has them"
     if (where := derivation["where"]) is not None:

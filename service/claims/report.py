@@ -67,10 +67,10 @@ def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) ->
         copy = f"Copy for “{document['copy']}”" if document["copy"] else "Marked copy"
         entry = log["registration"]["entry"]["index"] if log["registration"] else "–"
         events += [
-            (original["registered_at"], "Original registered", f"SHA-256 {original['sha256']}"),
-            (document["registered_at"], f"{copy} made and delivered", f"audit log, entry {entry}"),
+            (original["registered_at"], "Original registered", f"attested by the log; SHA-256 {original['sha256']}"),
+            (document["registered_at"], f"{copy} made and delivered", f"attested by the log, entry {entry}"),
         ]
-    events.append((document["created_at"], "This claim made and signed", f"audit log, entry {log['index']}"))
+    events.append((document["created_at"], "This claim made and signed", f"attested by the log, entry {log['index']}"))
     if timestamp is not None:
         with suppress(TimestampFault):  # the page shows what is signed; `verify-report` names the fault
             stamped = stamped_at(timestamp, jws.encode())

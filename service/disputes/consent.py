@@ -20,10 +20,10 @@ CONSENTED = "dispute.consented"
 def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
     """Note the caller's consent to a dispute about two assets; "conflict" while that of the other owner lacks.
 
-    "not-found" where neither asset is the caller's, "invalid-request" where both are one.
+    "not-found" where neither asset is the caller's; a "conflict", too, where both are one.
     """
     if pair[0] == pair[1]:
-        raise Problem("invalid-request", "a dispute is about two assets")
+        raise Problem("conflict", "a dispute is about two assets")
     owners = _owners(service, pair)
     if OPERATOR in caller.scopes:
         if len(owners) < 2:

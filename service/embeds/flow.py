@@ -71,7 +71,8 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
                 audit.append(connection, job.tenant, "embed.disputed", payload, job.id)
         text = (
             "This model already carries a mark that another party registered here. It was not marked again. If you"
-            " made it, show your original and your earlier registration; the audit log holds the time of both."
+            " made it, mark your original, which carries nobody's mark, and have the two held against each other"
+            " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED.value, "result": {"text": text}}
     row = _row(job, made)

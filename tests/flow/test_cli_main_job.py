@@ -33,7 +33,12 @@ VERIFY_KEYS = {
     "bits",
     "bit_accuracy",
     "bit_reliability",
+    "derived",
     "derived_fraction",
+    "derivation",
+    "rate_basis",
+    "would_be_claim_if_attested",
+    "attested",
     "transform",
     "route",
     "copy",
@@ -74,7 +79,7 @@ def test_marked_is_exit_code_0(marked: Marked, capsys: Capsys) -> None:
 
 def test_unmarked_is_exit_code_3(marked: Marked, capsys: Capsys) -> None:
     code, claim = marked.verify(capsys, SCENE)
-    assert (code, claim["verdict"], claim["derived_but_unmarked"]) == (3, "not_marked", True)
+    assert (code, claim["verdict"], claim["derived"]) == (3, "not_marked", True)
 
 
 def test_too_little_is_exit_code_4(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:

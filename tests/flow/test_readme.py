@@ -43,14 +43,26 @@ def folder(tmp_path: Path) -> Path:
 
 def test_verdicts_by_chance_read_alike() -> None:
     """The comma behind a number is not part of it."""
-    shown = "false claim no better than chance, 2 tries counted (asked for: 1 in 10^9)"
-    said = "false claim at most 83 in 100, 2 tries counted (asked for: 1 in 10^9)"
+    shown = "false claim no better than chance, 2 tries counted (needed: 1 in 2^128)"
+    said = "false claim at most 83 in 100, 2 tries counted (needed: 1 in 2^128)"
     assert masked(shown) == masked(said) != masked(said.replace("2 tries", "no tries"))
 
 
 def test_readme_shows_commands() -> None:
     text = "".join(block["commands"] for block in blocks())
-    for command in ("keygen", "inspect", "embed", "verify", "render", "attack", "trace", "sim", "config show"):
+    for command in (
+        "keygen",
+        "inspect",
+        "embed",
+        "verify",
+        "render",
+        "attack",
+        "trace",
+        "attest",
+        "dispute",
+        "sim",
+        "config show",
+    ):
         assert f"mark3dgs {command}" in text
 
 

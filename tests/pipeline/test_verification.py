@@ -13,10 +13,12 @@ from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
+from engine.pipeline.strength import add_dc
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
 from engine.raster import render
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.fine_tuning import fine_tune
+from engine.watermark.spreading import signed_amplitudes
 
 pytestmark = pytest.mark.slow
 
@@ -218,6 +220,20 @@ def test_derivation_says_how_much_how_exactly_and_where(scene: MarkedScene) -> N
         assert found.where[0][1] == pytest.approx(np.quantile(piece.means[:, 1], 0.01), abs=5e-3)
 
 
+@pytest.mark.parametrize("wrong", [0.05, 0.15, 0.3])
+def test_a_mark_that_was_taken_out_by_a_guess_is_not_called_absent(scene: MarkedScene, wrong: float) -> None:
+    """He guesses most signs, and subtracts as much as takes all of Z; where he guessed wrong he leaves his trace."""
+    opened = scene.opened
+    signed = signed_amplitudes(opened.strength * opened.layout.amplitudes, opened.spreading, opened.message)
+    guess = np.where(np.random.default_rng(1).random(len(signed)) < wrong, -signed, signed) / (1 - 2 * wrong)
+    cleaned = scene.marked.with_(sh=add_dc(scene.marked.sh, -opened.layout.displace(guess)))
+    claim = verify_model(cleaned, opened, VerifyConfig(route="model")).claim
+    assert claim.z < 7
+    assert claim.verdict.value == "inconclusive"
+    assert claim.derivation.derived
+    assert claim.derived_fraction == 1.0
+
+
 def jittered(model: GaussianModel) -> GaussianModel:
     """Centres moved by a fifth of each Gaussian's size along each axis."""
     gap = 0.2 * np.exp(model.log_scales.mean(axis=1))[:, None] * np.random.default_rng(2).normal(size=(len(model), 3))
@@ -248,3 +264,11 @@ def test_renders_say_as_much_however_small_the_key_views_were(small_plant: Gauss
         opened = open_record(made.record.to_bytes(bench_key(1)), bench_key(1))
         found[size] = verify_model(made.model, opened, VerifyConfig(route="render")).claim.z
     assert found[128] > 0.85 * found[512]
+
+
+def test_a_picture_whose_camera_was_given_shows_no_derivation_by_itself(scene: MarkedScene) -> None:
+    """Anything bright in the same places can be laid over a view that somebody names."""
+    camera = scene.opened.cameras[0]
+    claim = verify_images([to_8_bit(render(scene.original, camera))], scene.opened, cameras=[camera]).claim
+    assert not claim.derivation.derived
+    assert claim.verdict.value == "inconclusive"

@@ -138,6 +138,17 @@ def test_a_suspicious_z_is_never_called_unmarked() -> None:
     assert "x as much" in found.missing
 
 
+def test_a_z_far_below_zero_is_never_called_unmarked() -> None:
+    """Somebody subtracted more than the mark: it was there."""
+    found = claim(-0.011, signal=0.8, noise=0.1, derivation=FOUND)
+    assert found.z < -4
+    assert found.power >= 0.999
+    assert found.change is not None
+    assert found.change < 0.25
+    assert found.verdict is Verdict.INCONCLUSIVE
+    assert "taken out" in found.missing
+
+
 def test_a_negative_z_of_any_size_is_no_claim() -> None:
     """Somebody embedded the opposite message: one-sided, so this is not ours."""
     found = claim(-0.5)

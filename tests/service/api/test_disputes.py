@@ -66,6 +66,6 @@ def test_an_administrator_of_a_tenant_is_none_of_the_service(service: Service) -
 def test_one_asset_is_no_dispute(service: Service) -> None:
     alice = _api(service, "alice alone", ["admin"])
     mine, other = asset_of(service, "alice alone"), asset_of(service, "alice alone")
-    assert ask(alice, mine, mine)["status"] == 422
+    assert ask(alice, mine, mine)["status"] == 409
     assert ask(alice, mine, other)["status"] == 202
     assert alice.client.get("/v1/disputes/di_none").status_code == 404

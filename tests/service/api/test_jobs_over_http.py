@@ -152,6 +152,9 @@ def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
         ("/v1/verify", {}, 422, "one suspect"),
         ("/v1/verify", {"upload_id": "x", "image_upload_ids": ["y"]}, 422, "one suspect"),
         ("/v1/verify", {"upload_id": "x", "cameras_upload_id": "y"}, 422, "cameras"),
+        ("/v1/verify", {"upload_id": "x", "false_claim_rate": 0.999}, 422, "less than or equal to 0.000001"),
+        ("/v1/verify", {"upload_id": "x", "false_claim_rate": 1.1e-6}, 422, "less than or equal to 0.000001"),
+        ("/v1/verify", {"upload_id": "x", "suspect_seen": "yesterday"}, 422, "suspect_seen"),
         ("/v1/keys", {"key": "00" * 32}, 422, "repeated"),
     ],
 )

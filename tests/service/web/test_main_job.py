@@ -96,7 +96,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     page.get_by_role("heading", name="Mark found").wait_for()
 
     # 7. an original that was never marked
-    assert check(page, PLANT) == "No mark"
+    assert check(page, PLANT) == "Derived, without this mark"
     assert "is in the model, but not this copy's hidden mark" in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")
 

@@ -110,7 +110,7 @@ def test_wrong_keys_find_nothing(clip: SpacetimeModel, marked_clip: Marked, conf
     _, result = embed_moving(clip, other, config=config)
     theirs = open_record(result.record.to_bytes(other), other)
     marked = marked_clip[0]
-    assert verify_model(marked.canonical(), theirs).claim.verdict is Verdict.NOT_MARKED
+    assert verify_model(marked.canonical(), theirs).claim.verdict is Verdict.INCONCLUSIVE  # another mark lies there
     assert abs(verify_moment(marked.at(0.3), theirs, clip, 0.3).claim.z) < 5
 
 
