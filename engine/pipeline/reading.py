@@ -44,9 +44,7 @@ class Seen:
 
 def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """Displacements of the suspect's own colours from those of the Gaussians they are matched to (Eq 10)."""
-    evidence = gather_model_evidence(
-        opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.matches, registration.match_quality
-    )
+    evidence = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.mixtures)
     return Evidence(evidence.y, evidence.weights, opened.strength * evidence.signal)
 
 

@@ -7,7 +7,8 @@ The steps, cheapest first; each hands its proposal to the same judge (`judge`):
 3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
    without colours, for a recoloured model;
-4. deformation: where no similarity is the whole story, small patches and what grows from them
+4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`merged`);
+5. deformation: where no similarity is the whole story, small patches and what grows from them
    (`deformed`).
 
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter. So one
@@ -29,6 +30,8 @@ from engine.registration.deformed import GAIN, register_deformed, unexplained
 from engine.registration.hypotheses import Agreement, propose
 from engine.registration.index import ReferenceIndex
 from engine.registration.judge import Verdict, fit_suspect, judge, same_order
+from engine.registration.merged import TRUSTED, register_merged
+from engine.registration.mixtures import Mixtures
 
 EXACT = Agreement(size=0.08, edge=0.08, angle=0.12)
 """Lossy trade formats: log scales in steps of 1/16, quaternions of 8 bits."""
@@ -47,6 +50,8 @@ MIN_EVIDENCE = 12.0
 """Nats of evidence a hypothesis needs before it is judged against the whole models."""
 SAMPLE, GLANCE = 4000, 400
 """Suspect Gaussians on which a hypothesis is judged and refined, and on which the turns of the axes are compared."""
+LEFT_OVER = 0.02
+"""Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones."""
 MIN_MATCHES = 5
 """Distinct reference Gaussians matched in that sample below which nothing is found."""
 
@@ -56,6 +61,7 @@ class RegistrationConfig:
     """What the registration looks for."""
 
     colorless: bool = True  # search once more without colours, which costs time where nothing is found
+    merged: bool = True  # look for mixtures where single Gaussians are left over
     deformed: bool = True  # look for a deformation where no similarity is the whole story
 
 
@@ -73,11 +79,17 @@ class Registration:
     found: bool  # whether the suspect holds a piece of the reference
     hypotheses_tried: int  # alignments weighed, at least 1; they were chosen without the chips
     deformed: bool = False  # the matches come from a field of local maps; the similarity is the nearest single one
+    mixed: Mixtures | None = None  # where suspect Gaussians are merged ones: all that was found, the matches among it
 
     @property
     def similarity(self) -> Similarity:
         """Scale, R and t as one value."""
         return Similarity(self.scale, self.R, self.t)
+
+    @property
+    def mixtures(self) -> Mixtures:
+        """Which reference Gaussians each suspect Gaussian is made of; a plain match is a mixture of one."""
+        return self.mixed or Mixtures.of_matches(self.matches, self.match_quality)
 
 
 def register(
@@ -108,8 +120,10 @@ def register(
     if verdict is None:
         verdict, count = _search(index, suspect, rng, config)
         tried += count
-    rigid = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried)
-    return _bend(index, suspect, rigid, verdict, rng) if config.deformed else rigid
+    answer = _nothing(m, tried) if verdict is None else _answer(index, suspect, verdict, tried)
+    if config.merged and (answer.matches < 0).mean() > LEFT_OVER:
+        answer = _unmerge(index, suspect, answer, rng)
+    return _bend(index, suspect, answer, verdict, rng) if config.deformed else answer
 
 
 def _nothing(m: int, tried: int) -> Registration:
@@ -142,6 +156,24 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
     return float(seen.mean())
 
 
+def _unmerge(
+    index: ReferenceIndex, suspect: GaussianModel, plain: Registration, rng: np.random.Generator
+) -> Registration:
+    """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
+    start = plain.similarity if plain.found else None
+    merged = register_merged(index, suspect, start, _axis_rotations(), rng)
+    if merged is None:
+        return plain
+    mixtures, fit = merged.mixtures, merged.fit
+    if mixtures.quality.sum() < plain.match_quality.sum() + GAIN * len(suspect):
+        return plain
+    sure = mixtures.explained(TRUSTED)[mixtures.suspect_rows]
+    share = _found(index.model, mixtures.reference_rows[sure])
+    tried = plain.hypotheses_tried + merged.tried
+    pairs = merged.matches, merged.quality
+    return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, mixed=mixtures)
+
+
 def _bend(
     index: ReferenceIndex,
     suspect: GaussianModel,
@@ -149,14 +181,17 @@ def _bend(
     verdict: Verdict | None,
     rng: np.random.Generator,
 ) -> Registration:
-    """Step 4: the registration by a field of local maps, where that explains clearly more."""
+    """Step 5: the registration by a field of local maps, where that explains clearly more."""
     reference = index.model
     deviations = None if verdict is None else verdict.deviations
-    todo = unexplained(reference, suspect, rigid.matches, rigid.similarity, deviations, index.floor, rng)
+    explained = rigid.matches
+    if rigid.mixed is not None:  # what the errors of single matches say holds for these alone
+        explained, deviations = np.where(rigid.mixed.explained(), 0, -1).astype(np.int32), index.floor
+    todo = unexplained(reference, suspect, explained, rigid.similarity, deviations, index.floor, rng)
     if not len(todo):
         return rigid
     bent = register_deformed(index, suspect, todo, rng)
-    if bent is None or bent.quality.sum() < rigid.match_quality.sum() + GAIN * len(suspect):
+    if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + GAIN * len(suspect):
         return rigid
     rows = np.flatnonzero(bent.matches >= 0)
     part = rows[:: max(1, len(rows) // FIT_SAMPLE)]
