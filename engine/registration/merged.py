@@ -96,10 +96,9 @@ def _judged(
     if better is not None:
         again = _mixed(index, parts, suspect, better, tried)
         mixed = again if again.mixtures.quality.sum() > mixed.mixtures.quality.sum() else mixed
-    nobody = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
-    chance = float(
-        mix(parts, suspect, _decoy(mixed.fit, suspect.means.astype(np.float64), rng), *nobody).quality.mean()
-    )
+    decoy = _decoy(mixed.fit, suspect.means.astype(np.float64), rng)
+    by_chance = mix(parts, suspect, decoy, mixed.matches, mixed.quality).quality
+    chance = float(by_chance[mixed.matches < 0].mean())
     return mixed if mixed.explained > BETTER * chance + LEAST else None
 
 

@@ -50,8 +50,9 @@ MIN_EVIDENCE = 12.0
 """Nats of evidence a hypothesis needs before it is judged against the whole models."""
 SAMPLE, GLANCE = 4000, 400
 """Suspect Gaussians on which a hypothesis is judged and refined, and on which the turns of the axes are compared."""
-LEFT_OVER = 0.02
-"""Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones."""
+LEFT_OVER = 0.002
+"""Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones: a voxel
+tree makes many into few."""
 MIN_MATCHES = 5
 """Distinct reference Gaussians matched in that sample below which nothing is found."""
 
@@ -165,10 +166,11 @@ def _unmerge(
     if merged is None:
         return plain
     mixtures, fit = merged.mixtures, merged.fit
-    if mixtures.quality.sum() < plain.match_quality.sum() + GAIN * len(suspect):
-        return plain
     sure = mixtures.explained(TRUSTED)[mixtures.suspect_rows]
     share = _found(index.model, mixtures.reference_rows[sure])
+    gained = float(mixtures.quality.sum() - plain.match_quality.sum()) / len(suspect)
+    if gained < GAIN and share < plain.derived_fraction + GAIN:
+        return plain
     tried = plain.hypotheses_tried + merged.tried
     pairs = merged.matches, merged.quality
     return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, mixed=mixtures)

@@ -58,9 +58,9 @@ def test_pairs_are_found_nearly_all(index: ReferenceIndex) -> None:
     assert np.median(residual(index, suspect, register(index, suspect))) < 2e-3
 
 
-@pytest.mark.parametrize("share", [0.5, 0.1, 0.05])
-def test_a_merged_model_is_found_wherever_it_was_moved(index: ReferenceIndex, share: float) -> None:
-    scale, R, t = MOVES["small"]
+@pytest.mark.parametrize(("share", "move"), [(0.5, "small"), (0.1, "large"), (0.05, "tiny"), (0.1, "z-up")])
+def test_a_merged_model_is_found_wherever_it_was_moved(index: ReferenceIndex, share: float, move: str) -> None:
+    scale, R, t = MOVES[move]
     got = register(index, transform_model(merged(index, share, reading="as_code"), scale, R, t))
     assert got.found
     assert got.mixed is not None

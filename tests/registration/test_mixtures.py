@@ -36,7 +36,8 @@ def nobody(count: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("compiled", [True, False])
 def test_likeliest_wholes_are_the_twins(compiled: bool) -> None:
     model, group = apart(12, members=6)
-    model = model.with_(means=0.1 * model.means)  # clusters overlap
+    # clusters overlap, every second one a wide one
+    model = model.with_(means=0.1 * model.means, log_scales=model.log_scales + (group % 2)[:, None].astype(np.float32))
     suspect = merge_groups(model, group, surface=True)
     parts, wholes = Parts.of(model), Wholes(suspect)
     near = np.tile(np.arange(len(suspect)), (len(model), 1))
@@ -80,14 +81,15 @@ def test_parts_and_shares_of_merged_gaussians(moved: bool) -> None:
 
 
 def test_what_was_not_merged_keeps_its_match() -> None:
+    """One of each three was not merged, and lies amid the others."""
     model, group = apart(200)
-    alone = np.flatnonzero(group == 0)
-    group = np.where(group == 0, 199 + np.arange(600), group - 1).astype(np.int64)  # three Gaussians stay alone
+    alone = np.arange(2, 600, 3)
+    group[alone] = 200 + np.arange(200)
     suspect = merge_groups(model, group, surface=True)
-    matches, quality = nobody(202)
-    matches[199:], quality[199:] = alone, 0.7
+    matches, quality = nobody(400)
+    matches[200:], quality[200:] = alone, 0.7
     mixtures = mix(Parts.of(model), suspect, Similarity.identity(), matches, quality)
-    for row, partner in zip(range(199, 202), alone, strict=True):
+    for row, partner in zip(range(200, 400), alone, strict=True):
         assert mixtures.reference_rows[mixtures.suspect_rows == row].tolist() == [partner]
         assert mixtures.quality[row] == np.float32(0.7)
     assert (np.bincount(mixtures.reference_rows, minlength=600) == 1).all()
