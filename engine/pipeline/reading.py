@@ -54,8 +54,7 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
 
 def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's colours say, in the cells of this record's copy."""
-    pairs = registration.matches, registration.match_quality
-    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], *pairs)
+    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.mixtures)
     return Evidence(tint.y, tint.weights, opened.strength * tint.signal)
 
 

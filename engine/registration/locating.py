@@ -96,7 +96,7 @@ def _nearer_hand(reference: GaussianModel, hands: Hands, asked: Sequence[bool], 
     return asked[int(np.argmin(errors))]
 
 
-def _axis_rotations() -> list[Float64]:
+def axis_rotations() -> list[Float64]:
     """The 24 proper rotations that map axes to axes, the identity first: what tools do to 'up'."""
     turns = [np.round(r) for r in Rotation.create_group("O").as_matrix()]
     return sorted(turns, key=lambda r: (-float(np.trace(r)), r.tolist()))
@@ -108,7 +108,7 @@ def _same_frame(
     """Step 2: no scale, no translation, at most a turn of the axes, and a mirror."""
     rows = sample_rows(len(hands.suspect), GLANCE, rng)
     part = hands.suspect.take(rows)
-    quarter = _axis_rotations()
+    quarter = axis_rotations()
     hits: list[int] = []
     for mirrored in asked:
         seen = mirror_model(part) if mirrored else part

@@ -7,7 +7,8 @@ The steps, cheapest first; each hands its proposal to the same judge (`judge`):
 3. search: candidates that look alike, agreement among them, triples (`hypotheses`);
    with colours, exact then loose; then with more queries, for a small piece in a large foreign scene; then
    without colours, for a recoloured model;
-4. deformation: where no similarity is the whole story, small patches and what grows from them
+4. merging: where Gaussians are left over, or none was found, mixtures of the reference's (`merged`);
+5. deformation: where no similarity is the whole story, small patches and what grows from them
    (`deformed`).
 
 Steps 1 to 3 (`locating`) ask for the suspect as it came and for its mirror image; step 4 sees a mirror in its maps.
@@ -27,7 +28,9 @@ from engine.numerics.umeyama import Similarity
 from engine.registration.deformed import GAIN, register_deformed, unexplained
 from engine.registration.index import ReferenceIndex
 from engine.registration.judge import Verdict, fit_suspect
-from engine.registration.locating import MAX_SCALE, MIN_SCALE, Hands, locate
+from engine.registration.locating import MAX_SCALE, MIN_SCALE, Hands, axis_rotations, locate
+from engine.registration.merged import TRUSTED, register_merged
+from engine.registration.mixtures import Mixtures
 
 FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
@@ -35,6 +38,9 @@ MOSTLY = 0.5
 """Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
 LEAST_REST = 64
 """Gaussians below which nothing is looked for in what is left over: as few as a mark needs."""
+LEFT_OVER = 0.002
+"""Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones: a voxel
+tree makes many into few."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,7 @@ class RegistrationConfig:
     """What the registration looks for."""
 
     colorless: bool = True  # search once more without colours, which costs time where nothing is found
+    merged: bool = True  # look for mixtures where single Gaussians are left over
     deformed: bool = True  # look for a deformation where no similarity is the whole story
 
 
@@ -62,6 +69,7 @@ class Registration:
     # The suspect is a mirror image: `similarity` takes its own, `mirror_model` of it, to the reference. Matches tell
     # rows, which are the same in both.
     mirrored: bool = False
+    mixed: Mixtures | None = None  # where suspect Gaussians are merged ones: all that was found, the matches among it
 
     @property
     def similarity(self) -> Similarity:
@@ -72,6 +80,11 @@ class Registration:
         """The suspect, or a part of it, where the reference lies: mirrored first if it is a mirror image."""
         seen = mirror_model(suspect) if self.mirrored else suspect
         return transform_model(seen, self.scale, self.R, self.t)
+
+    @property
+    def mixtures(self) -> Mixtures:
+        """Which reference Gaussians each suspect Gaussian is made of; a plain match is a mixture of one."""
+        return self.mixed or Mixtures.of_matches(self.matches, self.match_quality)
 
 
 def register(
@@ -96,6 +109,8 @@ def register(
     rigid = _nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried)
     if verdict is not None:
         rigid, verdict = _other_hand(index, hands, rigid, verdict, rng)
+    if config.merged and (rigid.matches < 0).mean() > LEFT_OVER:
+        rigid = _unmerge(index, hands, rigid, rng)
     return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
 
 
@@ -141,17 +156,40 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
     return float(seen.mean())
 
 
+def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator) -> Registration:
+    """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
+    start = plain.similarity if plain.found else None
+    for mirrored in (plain.mirrored,) if plain.found else (False, True):
+        merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng)
+        if merged is not None:
+            break
+    else:
+        return plain
+    mixtures, fit = merged.mixtures, merged.fit
+    sure = mixtures.explained(TRUSTED)[mixtures.suspect_rows]
+    share = _found(index.model, mixtures.reference_rows[sure])
+    gained = float(mixtures.quality.sum() - plain.match_quality.sum()) / len(plain.matches)
+    if gained < GAIN and share < plain.derived_fraction + GAIN:
+        return plain
+    tried = plain.hypotheses_tried + merged.tried
+    pairs = merged.matches, merged.quality
+    return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, mirrored=mirrored, mixed=mixtures)
+
+
 def _bend(
     index: ReferenceIndex, hands: Hands, rigid: Registration, verdict: Verdict | None, rng: np.random.Generator
 ) -> Registration:
-    """Step 4: the registration by a field of local maps, where that explains clearly more."""
+    """Step 5: the registration by a field of local maps, where that explains clearly more."""
     reference, suspect = index.model, hands.of(rigid.mirrored)
     deviations = None if verdict is None else verdict.deviations
-    todo = unexplained(reference, suspect, rigid.matches, rigid.similarity, deviations, index.floor, rng)
+    explained = rigid.matches
+    if rigid.mixed is not None:  # what the errors of single matches say holds for these alone
+        explained, deviations = np.where(rigid.mixed.explained(), 0, -1).astype(np.int32), index.floor
+    todo = unexplained(reference, suspect, explained, rigid.similarity, deviations, index.floor, rng)
     if not len(todo):
         return rigid
     bent = register_deformed(index, suspect, todo, rng)
-    if bent is None or bent.quality.sum() < rigid.match_quality.sum() + GAIN * len(suspect):
+    if bent is None or bent.quality.sum() < rigid.mixtures.quality.sum() + GAIN * len(suspect):
         return rigid
     mirrored = rigid.mirrored != bent.mirrored
     rows = np.flatnonzero(bent.matches >= 0)
@@ -161,5 +199,5 @@ def _bend(
         return rigid
     tried = rigid.hypotheses_tried + bent.tried
     share = _found(reference, bent.matches)
-    how = {"deformed": True, "mirrored": mirrored}
-    return Registration(fit.scale, fit.R, fit.t, bent.matches, bent.quality, share, True, tried, **how)
+    pairs = bent.matches, bent.quality
+    return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, deformed=True, mirrored=mirrored)

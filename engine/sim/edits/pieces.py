@@ -22,7 +22,7 @@ __all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "veri
 
 LEAST_PIECE = 64  # Gaussians below which no further piece is looked for, or believed: embedding asks for as many
 
-RIGID = RegistrationConfig(deformed=False)
+RIGID = RegistrationConfig(merged=False, deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
 
 MOST_PIECES = 8  # pieces looked for where the caller does not say
