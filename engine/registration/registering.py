@@ -173,6 +173,8 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
         return plain
     tried = plain.hypotheses_tried + merged.tried
     pairs = merged.matches, merged.quality
+    if plain.match_quality.sum() > merged.quality.sum():  # noise makes mixtures of what are single ones
+        pairs, fit = (plain.matches, plain.match_quality), plain.similarity
     return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, mirrored=mirrored, mixed=mixtures)
 
 

@@ -174,6 +174,9 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("moved", f"{first}turned by {turn:.1f} degrees and scaled by {scale:.4g}"))
     if claim["route"]:
         found.append(Fact("evidence", ROUTES.get(claim["route"], claim["route"])))
+    if layers := claim.get("layers"):
+        grain = f", in centres and sizes z {layers['grain']:.1f}" if "grain" in layers else ""
+        found.append(Fact("layers", f"in colours z {layers['tint']:.1f}{grain}, together {layers['both']:.1f}"))
     if claim["copy"]:
         found.append(Fact("copy", f"the one made for {form.name(claim['copy'])}"))
     if claim["record_id"]:

