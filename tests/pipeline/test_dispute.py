@@ -123,8 +123,11 @@ def test_two_who_have_nothing_in_common(owner: Party, small_plant: GaussianModel
 def test_both_marks_in_both_originals_decide_nothing(owner: Party, small_plant: GaussianModel) -> None:
     other = mark(small_plant, 2)
     swapped = (
-        Party(replace(mine.opened, reference=theirs.model), mine.model)
-        for mine, theirs in ((owner, other), (other, owner))
+        Party(replace(mine.opened, reference=theirs.model, header=named), mine.model)
+        for mine, theirs, named in (
+            (owner, other, replace(owner.opened.header, reference_digest="a" * 64)),
+            (other, owner, replace(other.opened.header, reference_digest="b" * 64)),
+        )
     )
     found = settle(*swapped)
     assert (found.first, found.seen) == ("both", ())
