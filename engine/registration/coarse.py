@@ -42,6 +42,8 @@ LEAST_VOXELS = 8
 """Voxels within reach of a place, below which it tells nothing."""
 LADDER = 1.25
 """Step between the sizes of neighbourhood that a suspect is described at."""
+MOST_GAUSSIANS = 300_000
+"""Of a larger model so many are looked at: averages over hundreds do not need all."""
 MOST_CELLS = float(1 << 20)
 """Voxels along an axis on either side of the middle; what lies further out counts as there."""
 SIZE, EDGE = 0.25, 0.25
@@ -104,6 +106,8 @@ def _moments(mass, where, color, places, window, reach):
 def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
     """At most `most` places all over a model for each of `steps` sizes of neighbourhood, the smallest first; none where
     the model has no extent."""
+    if len(model) > MOST_GAUSSIANS:
+        model = model.take(np.arange(0, len(model), -(-len(model) // MOST_GAUSSIANS)))
     mass = _mass(model)
     extent = _extent(model.means, mass)
     found = []

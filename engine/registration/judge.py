@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.candidates import sample_rows
+from engine.registration.classes import SizedMatcher
 from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
 
 ROUNDS = 8
@@ -37,7 +38,7 @@ class Verdict:
     """
 
     fit: Similarity
-    matcher: Matcher | None
+    matcher: Matcher | SizedMatcher | None
     deviations: Deviations
     order_quality: Float32 | None = None
     mirrored: bool = False
@@ -51,9 +52,7 @@ class Verdict:
             matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
         if self.matcher is not None:
             left = np.flatnonzero(matches < 0)
-            neighbours = self.matcher.match(suspect.take(left), self.fit, self.deviations)
-            quality[left] = self.matcher.quality(neighbours)
-            matches[left] = np.where(quality[left] > 0, neighbours.index, -1)
+            matches[left], quality[left] = self.matcher.pair(suspect.take(left), self.fit, self.deviations)
         return matches, quality
 
 

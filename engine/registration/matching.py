@@ -194,6 +194,12 @@ class Matcher:
         trust: Float32 = (neighbours.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
         return trust
 
+    def pair(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> tuple[Int32, Float32]:
+        """(M,) reference Gaussian of each suspect Gaussian, -1 where there is none, and the trust in it, 0 to 1."""
+        neighbours = self.match(suspect, fit, deviations)
+        quality = self.quality(neighbours)
+        return np.where(quality > 0, neighbours.index, -1).astype(np.int32), quality
+
 
 def estimate_deviations(
     reference: GaussianModel,

@@ -25,6 +25,7 @@ import numpy as np
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity
+from engine.registration.classes import by_size
 from engine.registration.deformed import GAIN, register_deformed, unexplained
 from engine.registration.index import ReferenceIndex
 from engine.registration.judge import Verdict, fit_suspect
@@ -34,6 +35,8 @@ from engine.registration.mixtures import Mixtures
 
 FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
+EXPLAINED = 0.97
+"""Mean trust in the matches below which errors are sought that grow with the Gaussians."""
 MOSTLY = 0.5
 """Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
 LEAST_REST = 64
@@ -106,7 +109,7 @@ def register(
     rng = np.random.default_rng(seed)
     hands = Hands(suspect)
     verdict, tried = locate(index, hands, rng, colorless=config.colorless)
-    rigid = _nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried)
+    rigid = _nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng)
     if verdict is not None:
         rigid, verdict = _other_hand(index, hands, rigid, verdict, rng)
     if config.merged and (rigid.matches < 0).mean() > LEFT_OVER:
@@ -119,10 +122,17 @@ def _nothing(m: int, tried: int) -> Registration:
     return Registration(1.0, np.eye(3), np.zeros(3), *unmatched, 0.0, False, max(1, tried))
 
 
-def _answer(index: ReferenceIndex, hands: Hands, verdict: Verdict, tried: int) -> Registration:
+def _answer(
+    index: ReferenceIndex, hands: Hands, verdict: Verdict, tried: int, rng: np.random.Generator
+) -> Registration:
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
     suspect = hands.of(verdict.mirrored)
     matches, quality = verdict.match(suspect)
+    if quality.mean() < EXPLAINED:
+        sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng)
+        again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
+        if again[1].sum() > quality.sum():
+            matches, quality = again
     rows = np.flatnonzero(matches >= 0)
     fit = verdict.fit
     if verdict.order_quality is None and len(rows) > 3:
@@ -143,7 +153,7 @@ def _other_hand(
     other, count = locate(index, rest, rng, asked=(not rigid.mirrored,), colorless=False)
     tried = rigid.hypotheses_tried + count
     if other is not None and other.order_quality is None:
-        answer = _answer(index, hands, other, tried)
+        answer = _answer(index, hands, other, tried, rng)
         if answer.match_quality.sum() > rigid.match_quality.sum():
             return answer, other
     return replace(rigid, hypotheses_tried=tried), verdict

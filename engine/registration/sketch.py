@@ -48,8 +48,8 @@ REGIONS = 8
 PLACES = 256
 """Places described in a sketch: 14 kB."""
 SUSPECT_PLACES, LADDER_STEPS = 2000, 5
-"""Places described in a suspect at each size of neighbourhood, and the sizes: a piece may have 2.4 times the extent's
-inverse."""
+"""Places described in a suspect at each size of neighbourhood, and the sizes: those of a piece of 0.4 of the whole's
+extent reach the whole's."""
 NATS = 12.0
 """Evidence of the places that counts as one agreeing partner. On seven real scenes foreign pairs, pieces of them and
 noisy ones reach at most 50, models merged to a twentieth at least 280."""
