@@ -157,7 +157,7 @@ def test_tries_of_the_whole_question_count_in_every_bound(scene: MarkedScene) ->
     alone = verify_model(scene.marked, scene.opened).claim
     among = verify_model(scene.marked, scene.opened, VerifyConfig(tries=200)).claim
     assert (alone.tries, among.tries) == (6, 200)
-    assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200 / 2))
+    assert among.log10_false_claim == pytest.approx(alone.log10_false_claim + np.log10(200 / 6))
     assert among.z_threshold > alone.z_threshold
     with pytest.raises(InputError, match="at least one"):
         VerifyConfig(tries=0)
