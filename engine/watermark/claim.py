@@ -50,8 +50,8 @@ class ClaimConfig:
     # worn down to this share would have been seen
     surviving: float = 0.5
     # Largest change measured along the mark's directions, in sizes of the mark, of the answer `not_marked`: what moved
-    # the colours by more may as well have covered a mark. Copies as they are, re-exported or noised by a tenth of each
-    # attribute's deviation stay below 0.1; other marks and cleaned ones leave 0.3 and more
+    # them by more may as well have covered a mark. Unmarked models measure 0.04 to 0.2 as they are, cut or in another
+    # format (.spz 0.3), copies with another mark and cleaned ones 0.9 and more; colours alone of such 0.3 and more
     room: float = 0.25
     # A bound below this, though above the false-claim rate, forbids the answer `not_marked`, as does a Z so far below
     # 0; in (0, 1)
@@ -242,7 +242,7 @@ def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], 
 
 
 _COVERED = (
-    "the colours differ from the original's by more than a small part of what a mark moves: another mark lies there, or"
+    "the suspect differs from the original by more than a small part of what a mark moves: another mark lies there, or"
     " this one was covered or taken out"
 )
 
