@@ -6,19 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from engine.model import Float64, GaussianModel, Int32
 from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import covariances
 
 COLOR_GAP = 0.15
 """Largest DC difference (SH units, about 0.04 in colour) of a pair that may be merged."""
 
 SHAPE_GAP = 0.35
 """Largest relative difference of the two covariances (Frobenius) of a pair that may be merged."""
-
-
-def covariances(model: GaussianModel) -> Float64:
-    """(N, 3, 3) covariance matrices R S S^T R^T (Eq 2)."""
-    rotation = Rotation.from_quat(model.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
-    half = rotation * np.exp(model.log_scales.astype(np.float64))[:, None, :]
-    return np.asarray(half @ half.transpose(0, 2, 1))
 
 
 def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianModel, Int32, Int32]:

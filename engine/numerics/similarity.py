@@ -8,6 +8,13 @@ from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_rotation
 
+MIRROR = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
+"""The mirror that `mirror_model` holds up: x is negated. Any other mirror is this one and a proper rotation."""
+MIRROR_QUATS = np.array([1.0, 1.0, -1.0, -1.0], dtype=np.float32)
+"""What it does to a quaternion w, x, y, z: the axis of a turn keeps x and loses its sense."""
+ODD_IN_X = (3, 4, 7, 10, 13, 15)
+"""Spherical harmonics, of the 16 up to degree 3, that change their sign with x."""
+
 
 def quaternion_product(p: npt.ArrayLike, q: npt.ArrayLike) -> Float64:
     """Hamilton product p * q of quaternions (..., 4) in the order w, x, y, z; float64, broadcasting."""
@@ -76,3 +83,10 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
     return model.with_(
         means=means.astype(np.float32), log_scales=model.log_scales + np.float32(np.log(scale)), quats=quats, sh=sh
     )
+
+
+def mirror_model(model: GaussianModel) -> GaussianModel:
+    """The model's image in the plane x = 0, its own inverse: the same scene, seen from a mirrored camera."""
+    sh = model.sh.copy()
+    sh[:, [k for k in ODD_IN_X if k < sh.shape[1]]] *= -1
+    return model.with_(means=model.means * MIRROR, quats=model.quats * MIRROR_QUATS, sh=sh)

@@ -10,7 +10,7 @@ Nothing here sees a key or a chip.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from engine.pictures.brightness_fit import Fit, fit_warp
 from engine.pictures.features import detect_keypoints, luma, match_within
 from engine.pictures.light import predict_brightness
 
-__all__ = ["Alignment", "align_image"]
+__all__ = ["Alignment", "align_either_hand", "align_image"]
 
 KEYPOINTS = 2000
 """SIFT keypoints an image."""
@@ -34,6 +34,8 @@ LEAST_MATCHES = 8
 LEAST_CORRELATION, SURE_CORRELATION = 0.4, 0.98
 """Correlation of the brightness of both images below which there is no alignment, and above which no further hypothesis
 is tried."""
+WELL_CORRELATION = 0.95
+"""Correlation below which a picture may be a mirror image: rivals that look alike came to 0.92."""
 PERSPECTIVE_GAIN = 0.97
 """A homography must lower the residual to this fraction of the similarity's."""
 SNAP_PIXELS = 0.06
@@ -54,6 +56,7 @@ class Alignment:
     inliers: int  # brightness samples that agree with the fit
     rms: float  # robust residual of brightness after gain and offset, image units
     correlation: float  # of both images' brightness on the pixels fitted, -1..1
+    mirrored: bool  # the suspect is a mirror image: the matrix turns it over, or that was done before
 
 
 def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
@@ -82,7 +85,21 @@ def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment |
         matrix = np.eye(3)
     warped, inside = _resample(suspect, matrix, *grey.shape)
     mask = _evidence_mask(grey, luma(warped), inside, fit)
-    return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation)
+    mirrored = bool(np.linalg.det(matrix[:2, :2]) < 0)
+    return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation, mirrored)
+
+
+def align_either_hand(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
+    """As `align_image`; where that does not fit well, the picture turned over left to right and upside down is tried,
+    too, and the better fit answers."""
+    best = align_image(reference_image, suspect_image)
+    if best is not None and best.correlation > WELL_CORRELATION:
+        return best
+    for axis in (1, 0):
+        other = align_image(reference_image, np.flip(suspect_image, axis))
+        if other is not None and (best is None or other.correlation > best.correlation):
+            best = replace(other, mirrored=not other.mirrored)
+    return best
 
 
 def _checked(image: Float32) -> Float32:

@@ -3,13 +3,17 @@
 1. Keypoints of the picture, matched to the landmarks of the record.
 2. PnP-RANSAC over a ladder of focal lengths; refined on the matches that agree.
 3. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
+4. Where that is not sure, the same for the picture turned over left to right, if more of it matches. Turned over upside
+   down is that and half a turn.
 
 The picture of another scene fails at the number of agreeing matches, or at the correlation with the render.
 Nothing here sees a key or a chip.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +76,11 @@ class FoundCamera:
     rms: float  # robust standard deviation of the brightness residual, 0..1
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
+    mirrored: bool = False  # it is the camera of the picture turned over left to right
+
+    def face(self, image: Float32) -> Float32:
+        """The picture (h, w, 3) as this camera sees it: turned over left to right if it was mirrored."""
+        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
 
 def find_camera(
@@ -87,21 +96,56 @@ def find_camera(
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite")
     grey = luma(np.asarray(image, dtype=np.float32))
+    own = _Look.of(_keypoints(grey), landmarks)
+    best = _search(landmarks, reference_model, grey, own, config)
+    if best is not None and _is_sure(best, config):
+        return best
+    mirrored = _Look.of(own.keypoints.turned_over(grey.shape[1]), landmarks)
+    if mirrored.support <= own.support:
+        return best
+    other = _search(landmarks, reference_model, np.ascontiguousarray(grey[:, ::-1]), mirrored, config)
+    return _better(best, None if other is None else replace(other, mirrored=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """Keypoints of a picture, and the landmarks (indices) they may show: few, mostly right, then many, mostly wrong."""
+
+    keypoints: Keypoints
+    matches: Sequence[tuple[Int64, Int64]]
+
+    @property
+    def support(self) -> int:
+        return len(self.matches[0][0])
+
+    @classmethod
+    def of(cls, keypoints: Keypoints, landmarks: Landmarks) -> _Look:
+        """What these keypoints match."""
+        return cls(keypoints, match_landmarks(keypoints, landmarks, RATIOS, SAME_PLACE * _radius(landmarks), VIEWS))
+
+
+def _keypoints(grey: Float32) -> Keypoints:
     height, width = grey.shape
     shrink = min(1.0, DETECTION_SIZE / max(height, width))
     small = _resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
     found = detect_keypoints(small, KEYPOINTS)
     enlarged = found.points * (width / small.shape[1], height / small.shape[0])
-    keypoints = Keypoints(enlarged, found.descriptors)
-    matches = match_landmarks(keypoints, landmarks, RATIOS, SAME_PLACE * _radius(landmarks), VIEWS)
-    starts = _hypotheses(keypoints, landmarks, matches, (width, height), config.focals)
+    return Keypoints(enlarged, found.descriptors)
+
+
+def _search(
+    landmarks: Landmarks, reference_model: GaussianModel, grey: Float32, look: _Look, config: CameraConfig
+) -> FoundCamera | None:
+    """The camera of a picture (h, w) as it is, or turned over."""
+    height, width = grey.shape
+    starts = _hypotheses(look.keypoints, landmarks, look.matches, (width, height), config.focals)
     best: FoundCamera | None = None
     for start in starts:
         best = _better(best, _refine(reference_model, grey, start))
         if best is not None and _is_sure(best, config):
             break
     if best is not None and not _is_sure(best, config):
-        for start in _at_other_focals(keypoints, landmarks, max(starts, key=lambda h: h.support), config):
+        for start in _at_other_focals(look.keypoints, landmarks, max(starts, key=lambda h: h.support), config):
             best = _better(best, _refine(reference_model, grey, start))
             if best is not None and _is_sure(best, config):
                 break

@@ -5,6 +5,8 @@ SIFT histogram, scaled to length 512. Products of such integers are exact in flo
 product and gives the same answer on every machine.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +37,15 @@ class Keypoints:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def turned_over(self, width: float) -> Keypoints:
+        """Those of the image turned over left to right, `width` pixels wide, to within what rounding makes of it.
+
+        A descriptor is four rows and four columns along the keypoint's own direction, of eight directions relative to
+        it, counted from that one on: what lay on its left lies on its right.
+        """
+        cells = self.descriptors.reshape(-1, 4, 4, 8)[:, ::-1][..., -np.arange(8) % 8]
+        return Keypoints(self.points * (-1.0, 1.0) + (width, 0.0), np.ascontiguousarray(cells.reshape(-1, 128)))
 
 
 def luma(image: Float32) -> Float32:

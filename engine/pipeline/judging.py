@@ -7,6 +7,7 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration
 from engine.watermark.claim import Claim, ClaimConfig, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import decode_paper
@@ -68,16 +69,22 @@ def judge(
                 "scale": registration.scale,
                 "rotation": registration.R.tolist(),
                 "translation": registration.t.tolist(),
+                "mirrored": registration.mirrored,  # x of the suspect is negated first
             }
+            if registration.mirrored:
+                notes = (*notes, "the suspect model is a mirror image of the asset, and was read as such")
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
         elif route == "model":
             weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
             notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")
+    tint = opened.layout.chips
+    layered = layered_z(evidence, spreading.signs(opened.message), tint)
+    asked = only(evidence, layered.strongest, tint)
     claim = decide(
-        evidence.y,
-        evidence.weights,
-        evidence.signal,
+        asked.y,
+        asked.weights,
+        asked.signal,
         spreading.bit_of,
         spreading.chips,
         opened.message,
@@ -88,12 +95,12 @@ def judge(
         derivation=derivation,
         transform=transform,
         notes=notes,
+        layers=layered.z if len(evidence.y) > tint else None,
     )
     if config.decoder == "paper":
-        tint = slice(opened.layout.chips)  # the paper knows of no other layer
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
-        chips, bit_of = spreading.chips[tint], spreading.bit_of[tint]
-        bits, lead = decode_paper(evidence.y[tint], steps, chips, bit_of, len(opened.message))
+        chips, bit_of = spreading.chips[:tint], spreading.bit_of[:tint]  # the paper knows of no other layer
+        bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message))
         matching = int((bits == opened.message).sum())
         claim = replace(
             claim,

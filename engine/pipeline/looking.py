@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.numerics.similarity import transform_model
+from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.pictures.camera_finding import CameraConfig, find_camera
 from engine.pictures.landmarks import Landmarks
@@ -48,12 +48,13 @@ SAME_TURN, SAME_PLACE = np.radians(3.0), 0.05
 class Sighting:
     """A view of the suspect that was recognised."""
 
-    picture: Float32  # (H, W, 3) render of the suspect, 0..1
-    own: Camera  # where it was rendered from, in the suspect's frame
+    picture: Float32  # (H, W, 3) render of the suspect or of its mirror image, 0..1
+    own: Camera  # where it was rendered from, in that one's frame
     found: Camera  # the same camera in the reference's frame
     # Median depth of what both models show in this view, each in its own scene units
     own_depth: float
     found_depth: float
+    mirrored: bool = False  # it is the mirror image, `mirror_model` of the suspect, that is seen
 
     @property
     def similarity(self) -> Similarity:
@@ -67,9 +68,19 @@ class Sighting:
 class Place:
     """Where the suspect is."""
 
-    similarity: Similarity  # x_reference = scale * R @ x_suspect + t
+    similarity: Similarity  # x_reference = scale * R @ x_suspect + t, of the suspect or its mirror image
     sightings: tuple[Sighting, ...]  # those that agree with it
     views: int  # views rendered
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it is the suspect's mirror image that lies there."""
+        return self.sightings[0].mirrored
+
+    def place(self, suspect: GaussianModel) -> GaussianModel:
+        """The suspect where the reference lies, mirrored first if it is a mirror image."""
+        seen = mirror_model(suspect) if self.mirrored else suspect
+        return transform_model(seen, self.similarity.scale, self.similarity.R, self.similarity.t)
 
 
 def place_by_looking(
@@ -136,11 +147,24 @@ def _look(suspect: GaussianModel, camera: Camera, reference: GaussianModel, land
     found = find_camera(landmarks, reference, picture, recognition)
     if found is None or abs(np.log(found.camera.K[0, 0] / camera.K[0, 0])) > MOST_ZOOMED:
         return None
+    if found.mirrored:
+        camera, picture = mirrored_camera(camera), found.face(picture)
+        alpha, depth = alpha[:, ::-1], depth[:, ::-1]
     _, known_alpha, known_depth = render_depth(reference, found.camera)
     both = (alpha > 0.7) & (known_alpha > 0.7) & (depth > 0) & (known_depth > 0)
     if both.sum() < 100:
         return None
-    return Sighting(picture, camera, found.camera, float(np.median(depth[both])), float(np.median(known_depth[both])))
+    depths = float(np.median(depth[both])), float(np.median(known_depth[both]))
+    return Sighting(picture, camera, found.camera, *depths, found.mirrored)
+
+
+def mirrored_camera(camera: Camera) -> Camera:
+    """The camera that sees of `mirror_model(model)` what this one sees of the model, turned over left to right."""
+    viewmat, K = camera.viewmat.copy(), camera.K.copy()
+    viewmat[0, 1:] *= -1  # x of the scene and x of the camera change their signs; the corner has both
+    viewmat[1:3, 0] *= -1
+    K[0, 2] = camera.width - K[0, 2]
+    return Camera(viewmat, K, camera.width, camera.height)
 
 
 def _most_agreeing(seen: list[Sighting]) -> list[Sighting]:
@@ -148,7 +172,7 @@ def _most_agreeing(seen: list[Sighting]) -> list[Sighting]:
     best: list[Sighting] = []
     for first in seen:
         fit = first.similarity
-        group = [s for s in seen if _agrees(fit, s)]
+        group = [s for s in seen if s.mirrored == first.mirrored and _agrees(fit, s)]
         if len(group) > len(best):
             best = group
     return best

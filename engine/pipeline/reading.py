@@ -7,9 +7,9 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.numerics.similarity import transform_model
-from engine.pictures.alignment import align_image
-from engine.pictures.camera_finding import find_camera
+from engine.numerics.similarity import mirror_model
+from engine.pictures.alignment import align_either_hand
+from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
 from engine.pipeline.looking import place_by_looking
@@ -54,8 +54,7 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
 
 def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's colours say, in the cells of this record's copy."""
-    pairs = registration.matches, registration.match_quality
-    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], *pairs)
+    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.mixtures)
     return Evidence(tint.y, tint.weights, opened.strength * tint.signal)
 
 
@@ -73,8 +72,9 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     camera is refined on its picture, and the views by which the model was recognised are read, too.
     """
     if registration.found and not registration.deformed:
-        moved = transform_model(suspect, registration.scale, registration.R, registration.t)
-        return Seen(_read_placed(moved, opened, clock), (), True)
+        return Seen(_read_placed(registration.place(suspect), opened, clock), (), True)
+    if registration.mirrored:
+        suspect = mirror_model(suspect)
     cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
     parts, notes = [], []
     moved = suspect
@@ -83,17 +83,17 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
         if place is None:
             return Seen(_nothing(opened), ("no view of the suspect model was recognised as this asset",), False)
-        fit = place.similarity
-        moved = transform_model(suspect, fit.scale, fit.R, fit.t)
+        moved = place.place(suspect)
         count = f"{len(place.sightings)} of {place.views} views"
-        notes.append(f"the suspect was placed by what it looks like: {count} of it were recognised")
+        it = "its mirror image" if place.mirrored else "it"
+        notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
-            parts.append(_read_picture(sighting.picture, sighting.found, opened))
+            parts.append(_read_picture(sighting.picture, sighting.found, opened)[0])
     for number, camera in enumerate(cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.correlation > LEAST_CORRELATION:
-            parts.append(_read_picture(picture, refined.camera, opened))
+            parts.append(_read_picture(picture, refined.camera, opened)[0])
         clock.advance((number + 1) / len(cameras))
     read = [part for part in parts if part is not None]
     return Seen(add_evidence(read) if read else _nothing(opened), tuple(notes), bool(read), place is not None)
@@ -133,28 +133,34 @@ def read_pictures(
     parts, notes = [], []
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
+        mirrored = False
         if camera is None:
             with clock.stage("find camera"):
-                camera = _find(image, opened)
-            if camera is None:
+                found = _find(image, opened)
+            if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
+            camera, image, mirrored = found.camera, found.face(image), found.mirrored
         with clock.stage("read picture"):
-            evidence = _read_picture(image, camera, opened)
+            evidence, turned = _read_picture(image, camera, opened)
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
-        else:
-            parts.append(evidence)
+            continue
+        parts.append(evidence)
+        if mirrored != turned:
+            notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
     return add_evidence(parts) if parts else _nothing(opened), tuple(notes)
 
 
-def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidence | None:
-    """Evidence of one picture from a known camera, or None where it does not fit that camera's view."""
+def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> tuple[Evidence | None, bool]:
+    """Evidence of one picture from a known camera, None where it does not fit that camera's view; and whether it was
+    turned over to fit."""
     view, reference, mark, signs = _reference_view(opened, camera)
-    alignment = align_image(reference, image)
+    alignment = align_either_hand(reference, image)
     if alignment is None:
-        return None
-    return gather_image_evidence(opened.layout, view, reference, alignment.warped, alignment.mask, mark, signs)
+        return None, False
+    seen = (alignment.warped, alignment.mask)
+    return gather_image_evidence(opened.layout, view, reference, *seen, mark, signs), alignment.mirrored
 
 
 def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float64]:
@@ -170,11 +176,10 @@ def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32
     return view, plain, marked - plain, np.sign(signed)
 
 
-def _find(image: Float32, opened: OpenedRecord) -> Camera | None:
+def _find(image: Float32, opened: OpenedRecord) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")
-    found = find_camera(opened.landmarks, opened.reference, image)
-    return found.camera if found is not None else None
+    return find_camera(opened.landmarks, opened.reference, image)
 
 
 def _nothing(opened: OpenedRecord) -> Evidence:

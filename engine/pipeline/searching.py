@@ -1,6 +1,7 @@
 """The search: which record's mark is in this suspect? Hypotheses, tries, routes and ranking, once (DESIGN 4.9).
 
-1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not.
+1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not; of a
+   model it is three, both layers of the mark together and each alone.
 2. Of many records only those are asked whose geometry the suspect resembles; sketches are blind to chips.
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
@@ -28,6 +29,7 @@ from engine.registration.registering import Registration, register
 from engine.registration.sketch import ALIKE, Sketch, SuspectIndex
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.derivation import Derivation
+from engine.watermark.layers import LAYERS
 from engine.watermark.model_evidence import Evidence
 
 __all__ = [
@@ -107,7 +109,8 @@ def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, place
     A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
     one asked for. A registration's own hypotheses were weighed without the chips and are none.
     """
-    return max(records * len(routes) * places, config.tries or 1)
+    asked = sum(1 if route == "image" else len(LAYERS) for route in routes)
+    return max(records * asked * places, config.tries or 1)
 
 
 def readings(
@@ -119,7 +122,8 @@ def readings(
     """
     if suspect.model is None:
         evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
-        seen = len(suspect.pictures) - len(notes)  # each picture in which the asset was not found left one note
+        # Each picture in which the asset was not found left one note that begins so.
+        seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
         yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
         return

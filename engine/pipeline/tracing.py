@@ -3,8 +3,8 @@
 1. Records are opened one at a time; of each asset one is kept.
 2. Each asset is placed in the suspect once, and read along a route, blind to all chips.
 3. Every copy's cells are read from that, which gives its Z.
-4. Hypotheses are records times routes times two signs. Every copy whose Z passes that bar, one way or the other, is
-   named. An asset of which none is named goes on to the next route.
+4. Hypotheses are records times routes and layers times two signs. Every copy whose Z passes that bar, one way or the
+   other, is named. An asset of which none is named goes on to the next route.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,9 +19,9 @@ from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_grain, read_tint
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.searching import Reading, Suspect, count_tries, readings
-from engine.watermark.copies import copies_z
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
+from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
@@ -159,7 +159,7 @@ def trace(
             if record_id == asset.records[0]:
                 asset.read_next()  # 2
             found[record_id] = _judge(asset, opened)  # 3
-        tries = SIGNS * count_tries(len(found), routes, config)
+        tries = max(SIGNS * count_tries(len(found), routes, replace(config, tries=None)), config.tries or 1)
         found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
         for asset in assets.values():
             asset.settled = any(found[name].named for name in asset.records)
@@ -187,7 +187,7 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
 def _judge(asset: _Asset, opened: OpenedRecord) -> CopyFinding:
     evidence = asset.evidence(opened)
     signs = opened.spreading_of(len(evidence.y)).signs(opened.message)
-    z = float(copies_z(evidence.y, evidence.weights, [signs])[0])
+    z = layered_z(evidence, signs, opened.layout.chips, either_way=True).best
     assert asset.reading is not None
     route, share = asset.reading.route, asset.reading.derived_fraction
     return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from engine.model import Float64, GaussianModel, Int64
+from engine.numerics.similarity import MIRROR
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
 
 TREE_POINTS = 150_000
@@ -57,6 +58,10 @@ class Candidates:
     def take(self, keep: npt.NDArray[np.bool_]) -> Candidates:
         """The pairs under a mask."""
         return Candidates(self.reference[keep], self.suspect[keep], self.x[keep], self.y[keep], self.size[keep])
+
+    def mirrored(self) -> Candidates:
+        """The pairs of the suspect's mirror image: no look knows left from right."""
+        return replace(self, x=self.x * MIRROR)
 
 
 def log_sizes(model: GaussianModel, index: npt.NDArray[np.int64]) -> Float64:

@@ -30,6 +30,8 @@ CYCLES = 3
 """Rounds of patches and growth: parts that do not hang together are found one after the other."""
 PATCHES = 8
 """Patches tried in a round."""
+CLEARLY = 1.1
+"""Times as many pairs of mirrored patches as of others make the suspect a mirror image; flat ones may be either."""
 GAIN = 0.02
 """A field of maps must explain so much more of the suspect than the similarity does, as a share."""
 
@@ -37,11 +39,12 @@ GAIN = 0.02
 @dataclass(frozen=True, eq=False)
 class Deformed:
     """Matches of a deformed suspect: reference Gaussian of each of its M, -1 where there is none; trust in each match,
-    0..1; and how many alignments were weighed."""
+    0..1; how many alignments were weighed; and whether the maps mirror."""
 
     matches: Int32
     quality: Float32
     tried: int
+    mirrored: bool
 
 
 def unexplained(
@@ -104,8 +107,9 @@ def register_deformed(
         if not found:
             break
         patches += found
-        pairs = (np.concatenate([p.reference for p in patches]), np.concatenate([p.suspect for p in patches]))
-        middle = sorted(patches, key=lambda p: float(p.deviations.position.max()))[len(patches) // 2]
+        same_hand = _same_hand(patches)
+        pairs = (np.concatenate([p.reference for p in same_hand]), np.concatenate([p.suspect for p in same_hand]))
+        middle = sorted(same_hand, key=lambda p: float(p.deviations.position.max()))[len(same_hand) // 2]
         field = grow(reference, suspect, pairs, middle.deviations, index.floor, rng)
         if field is None:
             break
@@ -114,13 +118,20 @@ def register_deformed(
         quality = field.matcher.quality(neighbours)
         matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
         tried += field.rounds
-        best = Deformed(matches, quality, tried)
+        best = Deformed(matches, quality, tried, same_hand[0].mirrored)
         rows = sample_rows(len(suspect), GLANCE, rng)
         bare = _bare(suspect, matches, rows)
         if bare.mean() < REGION:
             break
         todo = rows[bare]
     return best
+
+
+def _same_hand(patches: list[Patch]) -> list[Patch]:
+    """The patches of one hand, the one that most pairs speak for."""
+    pairs = {hand: sum(len(p.suspect) for p in patches if p.mirrored == hand) for hand in (False, True)}
+    mirrored = pairs[True] > CLEARLY * pairs[False]
+    return [p for p in patches if p.mirrored == mirrored]
 
 
 def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:

@@ -44,9 +44,9 @@ class Hypothesis:
     inliers: Int64
 
 
-def chance_table(means: Float64, extent: float, rng: np.random.Generator) -> Float64:
-    """(BINS,) chance that two random reference Gaussians lie within each tolerance."""
-    a, b = means[rng.integers(len(means), size=(2, 200_000))]
+def chance_table(means: Float64, extent: float, rng: np.random.Generator, samples: int = 200_000) -> Float64:
+    """(BINS,) chance that two random reference Gaussians lie within each tolerance, from so many samples."""
+    a, b = means[rng.integers(len(means), size=(2, samples))]
     e2 = np.square(a - b).sum(1) / extent**2
     bins = np.clip(np.floor(-np.log2(np.maximum(e2, 2.0**-BINS))), -1, BINS - 1).astype(int)
     counts = np.bincount(bins + 1, minlength=BINS + 1)[1:]

@@ -1,6 +1,6 @@
 """Is a proposed similarity right? It is refined, its errors are learnt, and it must beat decoys of itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from engine.model import Float32, GaussianModel
+from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.candidates import sample_rows
 from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
@@ -19,6 +19,10 @@ ORDER_SAMPLE = 4000
 """Pairs looked at to tell whether the order was kept."""
 GLANCE = 250
 """Suspect Gaussians on which a proposal is dismissed without further work."""
+CLIPPED = 0.001
+"""Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
+ORDER_ROUNDS = 4
+"""Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
 DECOYS = 3
 """The right similarity must explain more than wrong ones of the same scale at the same place."""
 
@@ -27,14 +31,41 @@ DECOYS = 3
 class Verdict:
     """A similarity that was found right, its measured errors and the global change of colour.
 
-    `matcher` lays the reference out for these errors; it is None where the order tells the pairs: suspect Gaussian i is
-    reference Gaussian i, and `order_quality` (M,) is the trust in each pair.
+    `matcher` lays the reference out for these errors. Where the order was kept, suspect Gaussian i is reference
+    Gaussian i, `order_quality` (M,) is the trust in each pair, and the matcher is for those with none; it is None where
+    all have some. `mirrored`: all this is of the suspect's mirror image.
     """
 
     fit: Similarity
     matcher: Matcher | None
     deviations: Deviations
     order_quality: Float32 | None = None
+    mirrored: bool = False
+
+    def match(self, suspect: GaussianModel) -> tuple[Int32, Float32]:
+        """(M,) reference Gaussian of each Gaussian of the suspect, or of its mirror image, -1 where there is none, and
+        the trust in it, 0 to 1."""
+        matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+        if self.order_quality is not None:
+            quality = self.order_quality.copy()
+            matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
+        if self.matcher is not None:
+            left = np.flatnonzero(matches < 0)
+            neighbours = self.matcher.match(suspect.take(left), self.fit, self.deviations)
+            quality[left] = self.matcher.quality(neighbours)
+            matches[left] = np.where(quality[left] > 0, neighbours.index, -1)
+        return matches, quality
+
+
+def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
+    """Log scale in the reference's frame below which sizes are not told apart, minus infinity where nothing is lost.
+
+    SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
+    what is left of all that were smaller.
+    """
+    smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
+    below = float((reference.log_scales.min(axis=1) < smallest).mean())
+    return smallest if below > CLIPPED else -np.inf
 
 
 def judge(
@@ -54,14 +85,15 @@ def judge(
     (s,): suspect Gaussians to look at, which must be matched to at least `min_matches` distinct reference Gaussians.
     `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
     """
-    floor = floor_matcher.deviations
-    matcher, deviations = floor_matcher, floor
+    floor = replace(floor_matcher.deviations, smallest=clipped_at(reference, suspect, fit))
+    deviations = floor
     if inliers is not None:
         measured = estimate_deviations(reference, suspect, inliers, fit, floor)
         if measured.much_above(floor, 1.5):
             # Candidates are pairs that look alike: their errors are too small by selection.
             deviations = measured
-            matcher = Matcher(reference, deviations)
+    as_laid_out = deviations is floor and floor.smallest == floor_matcher.deviations.smallest
+    matcher = floor_matcher if as_laid_out else Matcher(reference, deviations)
     spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
     if not _tells(deviations, spread):
         return None
@@ -152,6 +184,7 @@ def same_order(
     fit = fit_suspect(sus.means, ref.means)
     if fit is None:
         return None
+    floor = replace(floor, smallest=clipped_at(reference, suspect, fit))
     deviations = estimate_deviations(reference, suspect, (rows, rows), fit, floor)
     origin = np.zeros(3)
     a = joint_vectors(ref, Similarity.identity(), deviations, origin, suspect=False)
@@ -165,10 +198,26 @@ def same_order(
     looks = [yes for yes, told in zip(agrees[1:], tells[1:], strict=True) if told]
     if not (tells[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
         return None
+    for _ in range(ORDER_ROUNDS):
+        agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
+        if len(agreeing) == len(rows):
+            break
+        fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
+        deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
+    quality = _order_quality(reference, suspect, fit, deviations)
+    # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
+    matcher = None if quality.all() else Matcher(reference, deviations)
+    return Verdict(fit, matcher, deviations, quality)
+
+
+def _order_quality(
+    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations
+) -> Float32:
+    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i."""
+    origin = np.zeros(3)
     a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
     b = joint_vectors(suspect, fit, deviations, origin)
     error2 = np.square(a - b)
     usual, limit = float(chdtri(10, 0.5)), 4.0 * float(chdtri(10, 1e-3))
     distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
-    quality = np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32)
-    return Verdict(fit, None, deviations, quality)
+    return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))

@@ -23,7 +23,7 @@ from engine.numerics.nearest import Neighbours, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 LOGIT_CLIP = 5.0
 """Beyond this an 8-bit opacity (steps of 1/255) no longer tells logits apart."""
@@ -53,6 +53,9 @@ class Deviations:
         About one axis, radians; infinity if rotations tell nothing.
     gain, offset : (3,) float64
         Reference DC = gain * suspect DC + offset: a global change of tint or exposure.
+    smallest : float
+        Log scale, in the reference's frame, below which sizes are not told apart: a format clips there. Minus infinity
+        where none does.
     """
 
     position: Float64
@@ -62,6 +65,7 @@ class Deviations:
     rotation: float
     gain: Float64
     offset: Float64
+    smallest: float = -np.inf
 
     @property
     def sigmas(self) -> Float32:
@@ -93,7 +97,7 @@ def floor_deviations(extent: float) -> Deviations:
 
 
 @parallel_kernel
-def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, inverse):
+def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, smallest, inverse):
     out = np.empty((len(means), 10), np.float32)
     for i in numba.prange(len(means)):
         for a in range(3):
@@ -107,9 +111,10 @@ def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, 
         top = max(s0, max(s1, s2))
         bottom = min(s0, min(s1, s2))
         middle = s0 + s1 + s2 - top - bottom
-        out[i, 3] = (max(bottom, top - FLATNESS_CLIP) + log_scale) * inverse[3]
-        out[i, 4] = (max(middle, top - FLATNESS_CLIP) + log_scale) * inverse[4]
-        out[i, 5] = (top + log_scale) * inverse[5]
+        least = max(top - FLATNESS_CLIP + log_scale, smallest)
+        out[i, 3] = max(bottom + log_scale, least) * inverse[3]
+        out[i, 4] = max(middle + log_scale, least) * inverse[4]
+        out[i, 5] = max(top + log_scale, least) * inverse[5]
         out[i, 6] = min(max(logits[i], -LOGIT_CLIP), LOGIT_CLIP) * inverse[6]
     return out
 
@@ -132,6 +137,7 @@ def joint_vectors(
             np.log(fit.scale),
             gain,
             offset,
+            deviations.smallest,
             1.0 / deviations.sigmas.astype(np.float64),
         )
     return vectors
@@ -197,7 +203,7 @@ def estimate_deviations(
     floor: Deviations,
 ) -> Deviations:
     """Robust errors of matched pairs (reference and suspect index, most of them right), nothing below `floor`."""
-    unit = Deviations(np.ones(3), np.ones(3), 1.0, np.ones(3), 1.0, np.ones(3), np.zeros(3))
+    unit = Deviations(np.ones(3), np.ones(3), 1.0, np.ones(3), 1.0, np.ones(3), np.zeros(3), floor.smallest)
     ref, sus = reference.take(pairs[0]), suspect.take(pairs[1])
     origin = np.zeros(3)
     a = joint_vectors(ref, Similarity.identity(), unit, origin, suspect=False).astype(np.float64)
@@ -216,6 +222,7 @@ def estimate_deviations(
         rotation=rotation if rotation < 0.5 else np.inf,  # random rotations have a median angle of 2.3
         gain=gain,
         offset=offset,
+        smallest=floor.smallest,
     )
 
 

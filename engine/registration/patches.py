@@ -79,12 +79,17 @@ def _looks(model: GaussianModel, degree: int) -> Float64:
 @dataclass(frozen=True, eq=False)
 class Patch:
     """A piece of the suspect and where it belongs: pairs (n,), (n,) that an affine map (3, 4) of suspect into reference
-    explains, and their errors."""
+    explains, and their errors. The map of a mirror image mirrors."""
 
     suspect: Int64
     reference: Int64
     map: Affine
     deviations: Deviations
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the map turns left into right."""
+        return bool(np.linalg.det(self.map[:, :3]) < 0)
 
 
 def find_patches(
@@ -96,7 +101,7 @@ def find_patches(
     rng: np.random.Generator,
 ) -> list[Patch]:
     """Patches about Gaussians `centers` (c,) that have a place in the reference; none where the suspect is another
-    scene.
+    scene. A flat one may have a place both as it is and mirrored, and is listed for each.
 
     `places` is the tree of the suspect's centres, `floor` the errors below which nothing is measured.
     """
@@ -104,15 +109,13 @@ def find_patches(
     found = []
     for center in centers:
         rows = np.asarray(places.query(suspect.means[center], k=count)[1], dtype=np.int64).reshape(-1)
-        patch = _find_patch(looks, suspect, np.sort(rows), floor, rng)
-        if patch is not None:
-            found.append(patch)
+        found += _find_patch(looks, suspect, np.sort(rows), floor, rng)
     return found
 
 
 def _find_patch(
     looks: Looks, suspect: GaussianModel, rows: Int64, floor: Deviations, rng: np.random.Generator
-) -> Patch | None:
+) -> list[Patch]:
     part = suspect.take(rows)
     reference = looks.reference
     k = min(LOOK_ALIKES, len(reference))
@@ -122,15 +125,17 @@ def _find_patch(
     x, y = part.means[who].astype(np.float64), reference.means[target].astype(np.float64)
     # As many reference Gaussians as the patch has, were the models equally dense: no scale needs to be known.
     crowd = min(int(1.5 * len(rows) * max(1.0, len(reference) / len(suspect))), len(reference))
-    best: tuple[int, Affine, float, npt.NDArray[np.bool_]] | None = None
+    best: dict[int, tuple[int, Affine, float, npt.NDArray[np.bool_]]] = {}
     for friends, radius in _crowds(looks, y, who, crowd):
-        candidate = _draw(x, y, who, friends, TOLERANCE * radius, rng)
-        if candidate is not None and (best is None or candidate[0] > best[0]):
-            best = (*candidate[:2], radius, candidate[2])
-    if best is None or best[0] < LEAST_PAIRS + 4:
-        return None
-    _, map_, radius, inlying = best
-    return _verify(reference, suspect, rows, map_, (target[inlying], who[inlying]), radius, floor, rng)
+        for hand, (count, map_, inlying) in _draw(x, y, who, friends, TOLERANCE * radius, rng).items():
+            if hand not in best or count > best[hand][0]:
+                best[hand] = (count, map_, radius, inlying)
+    patches = []
+    for count, map_, radius, inlying in best.values():
+        if count >= LEAST_PAIRS + 4:
+            pairs = (target[inlying], who[inlying])
+            patches.append(_verify(reference, suspect, rows, map_, pairs, radius, floor, rng))
+    return [patch for patch in patches if patch is not None]
 
 
 def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int64, float]]:
@@ -155,8 +160,9 @@ def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int6
 
 def _draw(
     x: Float64, y: Float64, who: Int64, friends: Int64, tolerance: float, rng: np.random.Generator
-) -> tuple[int, Affine, npt.NDArray[np.bool_]] | None:
-    """The affine map of four pairs of a crowd that explains most of it, after a refinement on those."""
+) -> dict[int, tuple[int, Affine, npt.NDArray[np.bool_]]]:
+    """The affine map of four pairs of a crowd that explains most of it, after a refinement on those: the best that
+    keeps left and right (1), and the best that mirrors (-1)."""
     a, b, names = x[friends], y[friends], who[friends]
     picks = rng.integers(len(friends), size=(DRAWS, 4))
     edges = a[picks[:, 1:]] - a[picks[:, :1]]  # (D, 3, 3)
@@ -165,26 +171,40 @@ def _draw(
     fit = np.abs(np.linalg.det(edges)) > 1e-3 * spread**3
     edges, base = edges[fit], picks[fit]
     if not len(edges):
-        return None
+        return {}
     A = np.swapaxes(np.linalg.solve(edges, b[base[:, 1:]] - b[base[:, :1]]), 1, 2)  # (D, 3, 3)
     stretch = np.linalg.svd(A, compute_uv=False)
-    believable = (np.linalg.det(A) > 0) & (stretch[:, 0] < MOST_SKEWED * stretch[:, 2])
+    believable = stretch[:, 0] < MOST_SKEWED * stretch[:, 2]
     A, base = A[believable], base[believable]
-    if not len(A):
-        return None
+    hands = np.sign(np.linalg.det(A))
     t = b[base[:, 0]] - np.einsum("dij,dj->di", A, a[base[:, 0]])  # (D, 3)
     error2 = np.square(np.einsum("dij,nj->dni", A, a) + t[:, None] - b).sum(axis=2)  # (D, n)
-    best = int(np.argmax((error2 < tolerance**2).sum(axis=1)))
-    map_: Affine = np.concatenate([A[best], t[best][:, None]], axis=1)  # (3, 4)
+    support = (error2 < tolerance**2).sum(axis=1)
+    found = {}
+    for hand in (1, -1):
+        if not (hands == hand).any():
+            continue
+        best = int(np.argmax(np.where(hands == hand, support, -1)))
+        map_: Affine = np.concatenate([A[best], t[best][:, None]], axis=1)  # (3, 4)
+        refined = _refined(a, b, names, map_, tolerance)
+        if refined is not None:
+            map_, inlying = refined
+            everyone = np.zeros(len(x), dtype=bool)
+            everyone[friends[inlying]] = True
+            found[hand] = len(np.unique(names[inlying])), map_, everyone
+    return found
+
+
+def _refined(
+    a: Float64, b: Float64, names: Int64, map_: Affine, tolerance: float
+) -> tuple[Affine, npt.NDArray[np.bool_]] | None:
+    """A map fitted to the pairs (n, 3), (n, 3) that it explains, and which those are; None where they are too few."""
     for _ in range(3):
         inlying = np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
         if len(np.unique(names[inlying])) < 8:
             return None
         map_ = fit_affine(a[inlying][None], b[inlying][None], map_[None])[0]
-    inlying = np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
-    everyone = np.zeros(len(x), dtype=bool)
-    everyone[friends[inlying]] = True
-    return len(np.unique(names[inlying])), map_, everyone
+    return map_, np.square(a @ map_[:, :3].T + map_[:, 3] - b).sum(axis=1) < tolerance**2
 
 
 def _verify(

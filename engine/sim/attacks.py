@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
-from engine.sim import image_attacks, model_placement, model_population, model_travels, model_values
+from engine.sim import image_attacks, model_merging, model_placement, model_population, model_travels, model_values
 from engine.sim.adversaries import (
     appearance,
     collusion,
@@ -30,6 +30,7 @@ A = TypeVar("A")
 MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {
     **model_placement.ATTACKS,
     **model_population.ATTACKS,
+    **model_merging.ATTACKS,
     **model_values.ATTACKS,
     **model_travels.ATTACKS,
     **published.ATTACKS,

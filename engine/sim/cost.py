@@ -44,14 +44,13 @@ def model_cost(
     where it lies if nothing of it is recognised. `seed` is that of the views and of the registration. InputError if
     there is no view or a model is empty.
     """
-    from engine.numerics.similarity import transform_model
     from engine.registration.registering import register
 
     if views < 1 or not len(marked) or not len(attacked):
         raise InputError(f"a cost needs views and Gaussians: {views} views, {len(marked)}, {len(attacked)} Gaussians")
     registration = register(marked, attacked, seed=seed)
     if registration.found:
-        attacked = transform_model(attacked, registration.scale, registration.R, registration.t)
+        attacked = registration.place(attacked)
     jitter = np.random.default_rng((seed, 0xC057)).random((views, 4))
     rig = make_rig(marked, views, size, size, jitter=jitter)
     return _measure([(_picture(marked, camera), _picture(attacked, camera)) for camera in rig])

@@ -113,6 +113,8 @@ class Claim:
     copy: str  # name of the copy whose mark was looked for
     missing: str  # what an inconclusive answer lacks; otherwise empty
     notes: tuple[str, ...]  # for the reader
+    # z of both layers of the mark together and of each alone; the claim rests on the strongest. None where there is one
+    layers: dict[str, float] | None = None
 
     @property
     def derived_fraction(self) -> float | None:
@@ -141,6 +143,7 @@ def decide(
     derivation: Derivation = NOT_FOUND,
     transform: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
+    layers: Mapping[str, float] | None = None,
 ) -> Claim:
     """From evidence to claim.
 
@@ -230,6 +233,7 @@ def decide(
         copy=copy,
         missing=missing,
         notes=tuple(notes),
+        layers=None if layers is None else dict(layers),
     )
 
 

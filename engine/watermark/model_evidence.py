@@ -3,8 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from engine.model import Bool, Float32, Float64, Int32
+from engine.model import Bool, Float32, Float64
+from engine.registration.mixtures import Mixtures
+from engine.watermark.code_shares import CodeShares
 from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
@@ -67,9 +70,7 @@ def remove_affine_color(reference: Float64, residual: Float64, weights: Float64)
     return np.asarray(residual - design @ fit)
 
 
-def gather_model_evidence(
-    layout: Layout, reference_dc: Float32, suspect_dc: Float32, matches: Int32, quality: Float32
-) -> Evidence:
+def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Evidence:
     """Displacement of every code vector along every carrier, "inverse SVD" of Eq 10 with Eq 11's compensation.
 
     Parameters
@@ -78,58 +79,53 @@ def gather_model_evidence(
         DC colours of the unmarked reference.
     suspect_dc : (n, 3) float32
         DC colours of the suspect.
-    matches : (n,) int32
-        Reference row of each suspect Gaussian, or -1.
-    quality : (n,) float32
-        Trust in each match, 0 to 1.
+    mixtures : Mixtures
+        Which reference Gaussians each suspect Gaussian is made of; of plain matches, of one.
     """
-    rows = np.flatnonzero((matches >= 0) & (quality > 0))
-    target = matches[rows]
-    reference = reference_dc[target].astype(np.float64)
+    trusted = mixtures.explained()
+    parts = np.flatnonzero(trusted[mixtures.suspect_rows])
+    target, shares = mixtures.reference_rows[parts], mixtures.shares[parts]
+    trusted[:] = False
+    trusted[mixtures.suspect_rows[parts]] = True
+    rows = np.flatnonzero(trusted)
+    of = (np.cumsum(trusted) - 1)[mixtures.suspect_rows[parts]]  # row among those read
+    made = csr_matrix((shares, (of, target)), shape=(len(rows), len(reference_dc)))
+    reference = np.asarray(made @ reference_dc.astype(np.float64))  # what it would be, unmarked
     residual = suspect_dc[rows].astype(np.float64) - reference
-    trust = quality[rows].astype(np.float64)
+    trust = mixtures.quality[rows].astype(np.float64)
     residual = remove_affine_color(reference, residual, trust)
     size = np.linalg.norm(residual, axis=1)
     scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * MARK_SCALE)
     trust = trust / (1.0 + (size / scale) ** 2)
-    labels = [stage[target] for stage in layout.labels]
+    stages = [
+        CodeShares(of, stage[target], shares, (len(rows), count))
+        for stage, count in zip(layout.labels, layout.codes, strict=True)
+    ]
     means = [np.zeros((count, 3)) for count in layout.codes]
+    explained = [np.zeros_like(residual) for _ in stages]
     left = residual
-    for _ in range(PASSES if len(labels) > 1 else 1):  # Eq 11: each stage sees what the others leave over
-        for s, code in enumerate(labels):
-            left = left + means[s][code]
-            means[s] = _weighted_means(left, code, trust, layout.codes[s])
-            left = left - means[s][code]
+    for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
+        for s, stage in enumerate(stages):
+            left = left + explained[s]
+            means[s] = stage.means(left, trust)
+            explained[s] = stage.explained(means[s], left, trust)
+            left = left - explained[s]
+    # A plain match errs by itself. A mixture errs in what it is made of, too, and so do its neighbours that hold the
+    # rest of the same patch: what they have in common is no excuse for them.
+    plain = np.bincount(of, minlength=len(rows)) == 1
+    left = np.where(plain[:, None], left, residual)
     y, variance = [], []
-    for mean, code, direction in zip(means, labels, layout.directions, strict=True):
+    for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
         y.append((mean @ direction.T).reshape(-1))
-        variance.append(_variance_of_means(left @ direction.T, code, trust, len(mean)).reshape(-1))
+        variance.append(stage.variance(left @ direction.T, trust).reshape(-1))
     return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
-
-
-def _weighted_means(values: Float64, code: Int32, trust: Float64, count: int) -> Float64:
-    total = np.bincount(code, trust, count)
-    sums = np.stack([np.bincount(code, trust * values[:, c], count) for c in range(3)], axis=1)
-    return np.asarray(sums / np.maximum(total, 1e-12)[:, None])
-
-
-def _variance_of_means(left: Float64, code: Int32, trust: Float64, count: int) -> Float64:
-    """(count, R) variance of each weighted mean; codes nobody matched get infinity."""
-    total = np.bincount(code, trust, count)
-    squared = np.bincount(code, trust**2, count)
-    overall = (trust[:, None] * left**2).sum(axis=0) / max(trust.sum(), 1e-12)  # (R,)
-    spread = np.stack([np.bincount(code, trust * left[:, r] ** 2, count) for r in range(left.shape[1])], axis=1)
-    # A few members say little about their own spread: blend with the whole scene's, worth four members.
-    spread = (spread + 4.0 * overall) / (total[:, None] + 4.0)
-    effective = np.where(total > 1e-9, squared / np.maximum(total, 1e-12) ** 2, np.inf)
-    return np.where(np.isfinite(effective)[:, None], spread * np.minimum(effective, 1e300)[:, None], np.inf)
 
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
     # Registration, quantisation and whoever cleaned the model leave errors that the members share and that their own
-    # spread does not show. How large means are shows it; and no mean is trusted beyond the mark's own size, so that this
-    # layer drowns neither the other nor the other routes.
+    # spread does not show. How large means are shows it; and no mean is trusted beyond the mark's own size, so that
+    # this layer drowns neither the other nor the other routes.
     variance = np.where(seen, variance, 1.0) + amplitudes**2 + _shared(y, seen, carriers) + 1e-12
     weights = np.where(seen, amplitudes / variance, 0.0)
     y = np.where(seen, y, 0.0)

@@ -170,7 +170,8 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("missing", claim["missing"], leading=True))
     if claim["transform"] is not None and "scale" in claim["transform"]:
         turn, scale = _angle(claim["transform"]["rotation"]), 1.0 / claim["transform"]["scale"]
-        found.append(Fact("moved", f"turned by {turn:.1f} degrees and scaled by {scale:.4g}"))
+        first = "mirrored, then " if claim["transform"].get("mirrored") else ""
+        found.append(Fact("moved", f"{first}turned by {turn:.1f} degrees and scaled by {scale:.4g}"))
     if claim["route"]:
         found.append(Fact("evidence", ROUTES.get(claim["route"], claim["route"])))
     if claim["copy"]:

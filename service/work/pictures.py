@@ -7,6 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
+from engine.numerics.similarity import mirror_model
 from engine.pictures.features import LUMA
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
@@ -115,11 +116,13 @@ def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> 
     """From the reference's camera where the suspect was registered to it, else from one of its own.
 
     The camera moves, not the model: x_reference = s R x + t is seen by V as x is by the camera below, all lengths
-    divided by s.
+    divided by s. A mirror image is mirrored back first.
     """
     transform = found.claim.transform
     if transform is None:
         return render(model, choose_view(model, *EVIDENCE_SIZE))
+    if transform.get("mirrored"):
+        model = mirror_model(model)
     viewmat = camera.viewmat.copy()
     turn = viewmat[:3, :3]
     viewmat[:3, 3] = (turn @ transform["translation"] + viewmat[:3, 3]) / transform["scale"]

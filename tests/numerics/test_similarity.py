@@ -9,6 +9,9 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.model import GaussianModel
 from engine.numerics.similarity import (
+    MIRROR,
+    ODD_IN_X,
+    mirror_model,
     quaternion_product,
     quaternion_to_rotation,
     rotation_to_quaternion,
@@ -114,3 +117,25 @@ def test_identity_changes_no_bit():
 def test_what_is_no_similarity_is_refused(scale, R, t):
     with pytest.raises(InputError):
         transform_model(random_model(1), scale, R, t)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_mirror_image_has_mirrored_covariances_and_colours(degree):
+    model = random_model(degree)
+    image = mirror_model(model)
+    flip = np.diag(MIRROR).astype(float)
+    for i in range(len(model)):
+        np.testing.assert_allclose(image.means[i], flip @ model.means[i])
+        own, theirs = (covariance(m, i) for m in (model, image))
+        np.testing.assert_allclose(theirs, flip @ own @ flip, rtol=1e-4, atol=1e-8)
+        for d in random_directions(5):
+            np.testing.assert_allclose(sh_colour(image.sh[i], flip @ d), sh_colour(model.sh[i], d), atol=1e-5)
+    assert image.log_scales is model.log_scales
+    assert image.opacity_logits is model.opacity_logits
+    assert not np.shares_memory(image.sh, model.sh)
+
+
+def test_harmonics_that_are_odd_in_x():
+    directions = random_directions(20)
+    ratio = sh_basis(directions * MIRROR, 3) / sh_basis(directions, 3)
+    np.testing.assert_allclose(ratio, np.broadcast_to(np.where(np.isin(np.arange(16), ODD_IN_X), -1, 1), (20, 16)))

@@ -11,7 +11,7 @@ import pytest
 from engine.errors import InputError
 from engine.numerics.resampling import map_points
 from engine.pictures import alignment as image_alignment
-from engine.pictures.alignment import align_image
+from engine.pictures.alignment import align_either_hand, align_image
 from engine.pictures.brightness_fit import Fit, fit_warp
 from tests.pictures.image_cases import SIDE, attack, marked, picture, turn
 
@@ -127,3 +127,31 @@ def test_bad_input_is_refused() -> None:
     broken[0, 0, 0] = np.nan
     with pytest.raises(InputError, match="finite"):
         align_image(picture(0), broken)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("name", ["jpeg10", "rotation 30"])
+def test_a_picture_turned_over_is_read_as_it_was(name: str, axis: int) -> None:
+    case = marked()
+    suspect, _ = attack(name, case.image)
+    own, other = align_image(case.plain, suspect), align_either_hand(case.plain, np.flip(suspect, axis))
+    assert own is not None
+    assert other is not None
+    assert not own.mirrored
+    assert other.mirrored
+    assert other.correlation == pytest.approx(own.correlation, abs=0.01)
+    both = own.mask & other.mask
+    assert both.mean() > 0.5
+    assert np.abs(own.warped - other.warped)[both].mean() < 0.01
+
+
+def test_only_a_picture_that_fits_badly_is_turned_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = marked()
+    suspect, _ = attack("noise 0.1", case.image)
+    asked: list[np.ndarray] = []
+    monkeypatch.setattr(image_alignment, "align_image", lambda r, s: asked.append(s) or align_image(r, s))
+    found = align_either_hand(case.plain, suspect)
+    assert found is not None
+    assert not found.mirrored
+    assert len(asked) == 1
+    assert align_either_hand(case.plain, picture(seed=9)) is None or len(asked) == 4

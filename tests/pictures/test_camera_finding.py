@@ -121,6 +121,36 @@ def test_camera_of_a_jpeg_is_found_to_hundredths_of_a_pixel(
     assert found.correlation > 0.99
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("quality", [80, 20])
+def test_a_picture_turned_over_is_found_by_its_mirror_image(
+    plant: GaussianModel, bank: Landmarks, axis: int, quality: int
+) -> None:
+    true = around(plant, 100.0, 25.0, 1.5, 1.4)
+    picture = np.ascontiguousarray(np.flip(jpeg(render(plant, true), quality), axis))
+    found = find_camera(bank, plant, picture)
+    assert found is not None
+    assert found.mirrored
+    seen = found.face(picture)
+    assert np.abs(render(plant, found.camera) - seen).mean() < 0.02
+    plain = find_camera(bank, plant, seen)
+    assert plain is not None
+    assert not plain.mirrored
+    assert plain.face(seen) is seen
+    np.testing.assert_allclose(plain.camera.viewmat, found.camera.viewmat, atol=1e-4)
+
+
+def test_a_picture_that_is_recognised_is_not_turned_over(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[int] = []
+    match = camera_finding.match_landmarks
+    monkeypatch.setattr(camera_finding, "match_landmarks", lambda *a: looks.append(1) or match(*a))
+    picture = jpeg(render(plant, around(plant, 17.0, 30.0, 1.2, 0.75)), 80)
+    assert find_camera(bank, plant, picture) is not None
+    assert len(looks) == 1
+
+
 def test_exposure_and_another_background_do_not_mislead(plant: GaussianModel, bank: Landmarks) -> None:
     true = around(plant, 60.0, 30.0, 1.3, 1.0)
     picture = jpeg(0.7 * render(plant, true, background=1.0) + 0.1, 80)

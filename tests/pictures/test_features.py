@@ -67,3 +67,16 @@ def test_noise_level() -> None:
 
 def test_a_flat_picture_has_no_keypoints() -> None:
     assert len(detect_keypoints(np.full((64, 64), 0.5, dtype=np.float32), 100)) == 0
+
+
+def test_keypoints_turned_over_are_those_of_the_picture_turned_over() -> None:
+    grey = luma(picture(0))[:, :280]
+    there = detect_keypoints(grey, 400).turned_over(280)
+    here = detect_keypoints(np.ascontiguousarray(grey[:, ::-1]), 400)
+    first, second = match_within(there.descriptors, here.descriptors, 0.8)
+    assert len(first) > 150
+    assert np.mean(np.abs(there.points[first] - here.points[second]).max(axis=1) < 0.5) > 0.95
+    gap = there.descriptors[first].astype(np.float64) - here.descriptors[second]
+    assert np.median(np.linalg.norm(gap, axis=1)) < 40  # of 512
+    again = there.turned_over(280)
+    assert again.descriptors.tobytes() == detect_keypoints(grey, 400).descriptors.tobytes()

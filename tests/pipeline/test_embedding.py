@@ -46,7 +46,7 @@ def test_fidelity_is_kept_in_the_key_views(scene: MarkedScene) -> None:
         plain, marked = render(scene.original, camera), render(scene.marked, camera)
         worst_psnr, worst_ssim = min(worst_psnr, psnr(plain, marked)), min(worst_ssim, ssim(plain, marked))
     assert worst_psnr == pytest.approx(scene.report["psnr_worst_view"], abs=0.02)
-    assert 47.0 <= worst_psnr < 47.3 or worst_ssim < 0.99805
+    assert 47.0 <= worst_psnr < 47.3 or worst_ssim < 0.9984  # both layers' losses were measured apart
     assert worst_ssim >= 0.998
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.model import Camera, GaussianModel, look_at
-from engine.numerics.similarity import transform_model
+from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pipeline import looking
 from engine.pipeline.looking import Sighting, place_by_looking
 from engine.pipeline.rigs import make_rig
+from engine.raster import render
 from tests.registration.registration_cases import MOVES
 from tests.registration.registration_cases import scene as made_up
 
@@ -39,6 +42,34 @@ def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: La
     assert np.trace(place.similarity.R @ R) == pytest.approx(3.0, abs=1e-4)
     back = place.similarity.apply(scale * model.means @ R.T + t)
     assert np.median(np.linalg.norm(back - model.means, axis=1)) < 2e-3 * np.ptp(model.means)
+
+
+@pytest.mark.slow
+def test_a_mirrored_model_is_placed_by_its_mirror_image(model: GaussianModel, landmarks: Landmarks) -> None:
+    scale, R, t = MOVES["small"]
+    suspect = transform_model(mirror_model(model), scale, R, t)
+    place = place_by_looking(suspect, model, landmarks)
+    assert place is not None
+    assert place.mirrored
+    gap = np.linalg.norm(place.place(suspect).means - model.means, axis=1)
+    assert np.median(gap) < 2e-3 * np.ptp(model.means)
+    sighting = place.sightings[0]
+    assert np.abs(render(mirror_model(suspect), sighting.own) - sighting.picture).mean() < 1e-3
+
+
+def test_a_mirrored_camera_sees_the_mirror_image_turned_over() -> None:
+    model = made_up(2, 300, 3)
+    camera = look_at((7.0, -3.0, -9.0), (0.5, 0.2, 0), (0.1, -1, 0), 60.0, 64, 48)
+    camera = Camera(camera.viewmat, camera.K + np.float64([[0, 0, 5], [0, 0, -3], [0, 0, 0]]), 64, 48)
+    there = render(mirror_model(model), looking.mirrored_camera(camera))
+    np.testing.assert_allclose(there[:, ::-1], render(model, camera), atol=1e-3)
+    assert there.std() > 0.02
+
+
+def test_sightings_of_both_hands_are_never_of_one_place() -> None:
+    mixed = sightings(0)
+    mixed[0] = replace(mixed[0], mirrored=True)
+    assert [id(s) for s in looking._most_agreeing(mixed)] == [id(s) for s in mixed[1:]]
 
 
 @pytest.mark.slow

@@ -38,10 +38,10 @@ def silent(stage: str, fraction: float) -> None:
 
 
 def test_every_record_along_every_route_at_every_place_is_a_try() -> None:
-    assert count_tries(3, ("model", "render"), VerifyConfig()) == 6
-    assert count_tries(3, ("model",), VerifyConfig(), places=4) == 12
+    assert count_tries(3, ("model", "render"), VerifyConfig()) == 18
+    assert count_tries(3, ("model",), VerifyConfig(), places=4) == 36
     assert count_tries(3, ("model",), VerifyConfig(tries=1000)) == 1000
-    assert count_tries(3, ("model",), VerifyConfig(tries=2)) == 3, "a caller cannot count less than there is"
+    assert count_tries(3, ("model",), VerifyConfig(tries=2)) == 9, "a caller cannot count less than there is"
 
 
 def test_routes_are_those_of_the_suspects_kind(scene: MarkedScene) -> None:
@@ -63,9 +63,9 @@ def test_the_best_answer_is_kept_and_a_damaged_record_hides_nobody(scene: Marked
     assert [outcome.candidate.name for outcome in found.outcomes] == ["damaged", "other", "right"]
     assert isinstance(found.outcomes[0].error, MalformedRecordError)
     assert found.best is not None
-    assert (found.best.candidate.name, found.tries) == ("right", 3)
+    assert (found.best.candidate.name, found.tries) == ("right", 9)
     assert found.best.claim is not None
-    assert (found.best.claim.verdict, found.best.claim.tries) == (Verdict.MARKED, 3)
+    assert (found.best.claim.verdict, found.best.claim.tries) == (Verdict.MARKED, 9)
     # The same evidence as asked alone; only the tries differ.
     alone = verify_model(scene.marked, scene.opened, MODEL).claim
     assert found.best.claim.z == alone.z
@@ -79,7 +79,7 @@ def test_it_may_stop_at_the_first_mark_but_counts_all(scene: MarkedScene, other:
     asked = [Kept("right", scene.opened), Kept("other", other.opened)]
     found = search(Suspect(scene.marked), asked, MODEL, silent, stop_at_first=True)
     assert [outcome.candidate.name for outcome in found.outcomes] == ["right"]
-    assert found.tries == 2
+    assert found.tries == 6
     assert search(Suspect(scene.marked), [], MODEL, silent).best is None
 
 

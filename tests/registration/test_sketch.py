@@ -8,9 +8,13 @@ import pytest
 from engine.errors import FormatError
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.registration.sketch import ALIKE, CROWD, POINTS, Sketch, SuspectIndex, make_sketch
+from engine.numerics.similarity import mirror_model
+from engine.registration.sketch import ALIKE, CROWD, PLACES, POINTS, Sketch, SuspectIndex, make_sketch
 from engine.sim.attacks import model_attack
 from engine.sim.model_travels import foreign_scene
+from tests.registration.outside_tools import merged_to
+from tests.registration.registration_cases import marked, moved, near
+from tests.registration.registration_cases import scene as clusters
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -51,6 +55,46 @@ def test_derivatives_resemble_their_source(
     assert least > 2 * ALIKE  # far from the threshold
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("share", [0.5, 0.25, 0.1])
+def test_merged_models_resemble_their_source(share: float, mirrored: bool) -> None:
+    """Pair after pair of neighbours merged: at a tenth hardly a Gaussian is left as it was."""
+    for model in (clusters(0), clusters(3)):
+        suspect = moved(merged_to(marked(model), share))
+        index = SuspectIndex(mirror_model(suspect) if mirrored else suspect)
+        assert index.resemblance(make_sketch(model)) > 2 * ALIKE
+        assert index.resemblance(make_sketch(clusters(5))) < ALIKE
+
+
+def test_what_lies_about_tells_where_no_gaussian_is_left(plant: GaussianModel) -> None:
+    """As trained anew: every Gaussian replaced by two others, elsewhere within it, of other sizes and opacities."""
+    rng = np.random.default_rng(0)
+    rows = np.tile(np.arange(0, len(plant), 4), 2)
+    part = plant.take(rows)
+    anew = part.with_(
+        means=part.means + np.exp(part.log_scales) * rng.normal(size=part.means.shape),
+        log_scales=part.log_scales + rng.normal(-0.2, 0.4, part.log_scales.shape),
+        quats=rng.permutation(part.quats),
+        opacity_logits=part.opacity_logits + rng.normal(0, 1, len(part)),
+    )
+    index = SuspectIndex(moved(anew))
+    whole = make_sketch(plant)
+    assert index._votes(whole) < ALIKE
+    assert index.resemblance(whole) > 2 * ALIKE
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_a_mirrored_model_resembles_its_source(plant: GaussianModel, sketch: Sketch, share: float) -> None:
+    suspect = moved(mirror_model(plant).take(near(plant, share)))
+    assert SuspectIndex(suspect)._votes(sketch) > 10 * ALIKE
+
+
+def test_a_piece_of_a_merged_model_resembles_its_source(plant: GaussianModel, sketch: Sketch) -> None:
+    merged = merged_to(plant.take(np.arange(0, len(plant), 3)), 0.25)
+    piece = moved(merged.take(near(merged, 0.4)))
+    assert SuspectIndex(piece).resemblance(sketch) >= ALIKE
+
+
 def test_a_retouched_and_moved_model_resembles_its_source(plant: GaussianModel, sketch: Sketch) -> None:
     moved = model_attack("similarity").apply(plant, 3.0, rng=1)
     tinted = moved.with_dc(0.9 * moved.sh[:, 0] + np.float32([0.1, 0.0, -0.1]))
@@ -76,11 +120,23 @@ def test_agreement_counts_and_not_looks_alone(plant: GaussianModel, sketch: Sket
 def test_a_sketch_is_small_and_reads_back(sketch: Sketch) -> None:
     data = sketch.to_bytes()
     assert len(sketch) == POINTS
-    assert len(data) <= 64_000
-    np.testing.assert_array_equal(Sketch.from_bytes(data).means, sketch.means)
-    for bad in (b"", data[:-1], data + b"\0", b"X" + data[1:]):
+    assert 0 < len(sketch.coarse) <= PLACES
+    assert len(data) <= 76_000
+    assert Sketch.from_bytes(data).to_bytes() == data
+    for bad in (b"", data[:-1], data + b"\0", b"X" + data[1:], data + data[-56:] * PLACES):
         with pytest.raises(FormatError, match="no sketch"):
             Sketch.from_bytes(bad)
+
+
+def test_a_sketch_of_the_first_version_opens(plant: GaussianModel, sketch: Sketch) -> None:
+    data = sketch.to_bytes()
+    first = b"M3DGSSK1" + data[8 : 12 + 30 * len(sketch)]
+    opened = Sketch.from_bytes(first)
+    np.testing.assert_array_equal(opened.looks, sketch.looks)
+    assert len(opened.coarse) == 0
+    assert SuspectIndex(plant).resemblance(opened) > 10 * ALIKE
+    with pytest.raises(FormatError, match="no sketch"):  # places came with the second
+        Sketch.from_bytes(b"M3DGSSK1" + data[8:])
 
 
 @pytest.mark.parametrize("count", [1, 2, 70])

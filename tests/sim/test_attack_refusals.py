@@ -22,6 +22,8 @@ OUT_OF_RANGE = {
     "prune_opacity": -0.1,
     "prune_low_impact": 1.0,
     "clone": 1.5,
+    "merge": 0.0,
+    "lod": 1.5,
     "noise_means": -1.0,
     "noise_colors": float("nan"),
     "noise_all": float("inf"),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.registration.mixtures import Mixtures
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import SATURATION, gather_model_evidence, remove_affine_color
 from engine.watermark.paper_decoder import decode_paper, paper_steps
@@ -26,22 +27,23 @@ def marked(n: int = 20_000, codes: int = 1024, seed: int = 0) -> tuple[Layout, n
     return layout, reference, reference + layout.displace(signed), signed
 
 
-def identity(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.arange(n, dtype=np.int32), np.ones(n, dtype=np.float32)
+def identity(n: int, quality: float = 1.0) -> Mixtures:
+    return Mixtures.of_matches(np.arange(n, dtype=np.int32), np.full(n, quality, dtype=np.float32))
 
 
 def test_displacements_come_back_exactly() -> None:
     layout, reference, suspect, signed = marked()
-    evidence = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, suspect, identity(len(reference)))
     np.testing.assert_allclose(evidence.y, signed, atol=3e-3)
     assert (evidence.weights > 0).all()
 
 
 def test_unmatched_code_vectors_weigh_nothing() -> None:
     layout, reference, suspect, _ = marked()
-    matches, quality = identity(len(reference))
+    matches = np.arange(len(reference), dtype=np.int32)
     matches[layout.labels[0] < 5] = -1
-    evidence = gather_model_evidence(layout, reference, suspect, matches, quality)
+    plain = Mixtures.of_matches(matches, np.ones(len(reference), np.float32))
+    evidence = gather_model_evidence(layout, reference, suspect, plain)
     assert not evidence.weights[:15].any()
     assert not evidence.y[:15].any()
     assert (evidence.weights[15:] > 0).all()
@@ -55,7 +57,7 @@ def test_outliers_and_noisy_code_vectors_weigh_less() -> None:
     suspect[wild] += 3.0
     noisy = layout.labels[0] < 512
     suspect[noisy] += 0.5 * rng.standard_normal((int(noisy.sum()), 3)).astype(np.float32)
-    evidence = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, suspect, identity(len(reference)))
     assert np.sign(evidence.y[1536:]) @ np.sign(signed[1536:]) > 0.97 * 1536
     assert evidence.weights[1536:].mean() > 2 * evidence.weights[:1536].mean()
 
@@ -63,7 +65,7 @@ def test_outliers_and_noisy_code_vectors_weigh_less() -> None:
 def test_gain_tint_and_exposure_are_removed() -> None:
     layout, reference, suspect, signed = marked()
     tinted = suspect @ np.diag([1.1, 0.95, 1.0]).astype(np.float32) + np.array([0.3, -0.1, 0.05], np.float32)
-    evidence = gather_model_evidence(layout, reference, tinted, *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, tinted, identity(len(reference)))
     assert np.mean(np.sign(evidence.y) == np.sign(signed)) > 0.99
 
 
@@ -86,13 +88,13 @@ def test_later_stages_see_what_earlier_ones_leave() -> None:
     )
     reference = rng.standard_normal((n, 3)).astype(np.float32)
     signed = layout.amplitudes * rng.choice([-1.0, 1.0], layout.chips)
-    evidence = gather_model_evidence(layout, reference, reference + layout.displace(signed), *identity(n))
+    evidence = gather_model_evidence(layout, reference, reference + layout.displace(signed), identity(n))
     assert np.mean(np.sign(evidence.y) == np.sign(signed)) == 1.0
 
 
 def test_unmarked_model_shows_no_displacement() -> None:
     layout, reference, _, _ = marked()
-    evidence = gather_model_evidence(layout, reference, reference.copy(), *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, reference.copy(), identity(len(reference)))
     assert np.abs(evidence.y).max() < 1e-6
 
 
@@ -118,16 +120,15 @@ def test_what_was_moved_far_weighs_more() -> None:
     """The matched filter: of two chips in the same noise the one of four times the amplitude counts for more."""
     amplitudes = np.where(np.arange(3 * 1024) % 2 == 0, 0.004, 0.001)
     layout, reference, suspect = noisy_unmarked(amplitudes)
-    weights = gather_model_evidence(layout, reference, suspect, *identity(len(reference))).weights
+    weights = gather_model_evidence(layout, reference, suspect, identity(len(reference))).weights
     assert np.median(weights[::2]) > 2.5 * np.median(weights[1::2])
 
 
 def test_trust_is_relative() -> None:
     """A suspect matched throughout at a quarter of the quality says the same about each chip."""
     layout, reference, suspect = noisy_unmarked()
-    matches, quality = identity(len(reference))
-    sure = gather_model_evidence(layout, reference, suspect, matches, quality)
-    unsure = gather_model_evidence(layout, reference, suspect, matches, 0.25 * quality)
+    sure = gather_model_evidence(layout, reference, suspect, identity(len(reference)))
+    unsure = gather_model_evidence(layout, reference, suspect, identity(len(reference), 0.25))
     np.testing.assert_allclose(unsure.y, sure.y, atol=1e-6)
     assert np.median(unsure.weights / sure.weights) == pytest.approx(1.0, abs=0.1)
 
@@ -137,7 +138,7 @@ def test_no_mean_is_trusted_beyond_the_mark_itself() -> None:
     layout, reference, suspect, _ = marked()
     exact = layout.labels[0] < 512
     noise = np.where(exact[:, None], 1e-7, 1e-3) * np.random.default_rng(4).standard_normal(reference.shape)
-    evidence = gather_model_evidence(layout, reference, (suspect + noise).astype(np.float32), *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, (suspect + noise).astype(np.float32), identity(len(reference)))
     assert evidence.weights[:1536].mean() < 1.5 * evidence.weights[1536:].mean()
     assert evidence.weights.max() <= 0.02 / 0.02**2
 
@@ -145,9 +146,9 @@ def test_no_mean_is_trusted_beyond_the_mark_itself() -> None:
 def test_what_members_share_is_noise_though_they_agree() -> None:
     """A cleaned model: all members of a cell moved alike, by ten times the mark. No chip may pretend to be sure."""
     layout, reference, suspect, _ = marked()
-    plain = gather_model_evidence(layout, reference, suspect, *identity(len(reference)))
+    plain = gather_model_evidence(layout, reference, suspect, identity(len(reference)))
     moved = 0.2 * np.random.default_rng(5).standard_normal((layout.codes[0], 3))[layout.labels[0]]
-    cleaned = gather_model_evidence(layout, reference, (suspect + moved).astype(np.float32), *identity(len(reference)))
+    cleaned = gather_model_evidence(layout, reference, (suspect + moved).astype(np.float32), identity(len(reference)))
     assert np.median(np.abs(cleaned.evidence)) < 0.3 * np.median(np.abs(plain.evidence))
 
 
@@ -155,7 +156,7 @@ def test_no_chip_outweighs_the_others() -> None:
     """A second mark, ten times as strong, on a few code vectors: each saturates at SATURATION medians."""
     layout, reference, suspect, _ = marked()
     louder = suspect + np.where(layout.labels[0] < 20, 0.1, 0.0)[:, None].astype(np.float32)
-    evidence = gather_model_evidence(layout, reference, louder, *identity(len(reference)))
+    evidence = gather_model_evidence(layout, reference, louder, identity(len(reference)))
     shown = np.abs(evidence.weights * evidence.y).reshape(-1, 3)
     for carrier in shown.T:
         assert carrier.max() <= 1.1 * SATURATION * np.median(carrier)

@@ -23,6 +23,7 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import open_record
 from engine.pipeline.strength import add_dc
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
+from engine.registration.mixtures import Mixtures
 from engine.sim.attacks import image_attack, model_attack
 from engine.watermark.copies import copies_z
 from engine.watermark.image_evidence import add_evidence
@@ -169,14 +170,14 @@ def rebuild_reference(path: str, keys: int, quick: bool, seed: int) -> list[Row]
     scene = fast_mark(path, quick, seed)
     opened, layout = scene.opened, scene.opened.layout
     suspect = scene.marked.sh[:, 0]
-    matches, quality = np.arange(len(suspect), dtype=np.int32), np.ones(len(suspect), dtype=np.float32)
+    itself = Mixtures.of_matches(np.arange(len(suspect), dtype=np.int32), np.ones(len(suspect), dtype=np.float32))
     bit_of, message = np.zeros(layout.chips, dtype=np.int32), np.ones(1, dtype=np.int8)
     z = []
     for number in range(keys):
         chips = signs(bench_key(10_000 + seed + number).derive(CHIPS, b"wrong detector"), layout.chips)
         own = layout.displace(opened.strength * layout.amplitudes * chips)
         rebuilt = add_dc(scene.marked.sh, -own)[:, 0]
-        evidence = gather_model_evidence(layout, rebuilt, suspect, matches, quality)
+        evidence = gather_model_evidence(layout, rebuilt, suspect, itself)
         z.append(claim_z(evidence.y, evidence.weights, bit_of, chips, message))
     row = {"what": "wrong detector", "scene": scene.name, "keys": keys, "hits": above(z)}
     claims = int(np.sum(np.array(z) >= z_threshold(1e-9)))

@@ -2,8 +2,8 @@
 
 Copies of one asset differ in their marks alone, so the colluders need no registration: Gaussian i of one copy is
 Gaussian i of another. The rules are the linear and order-statistic ones of H. V. Zhao et al., "Forensic analysis of
-nonlinear collusion attacks for multimedia fingerprinting" (IEEE TIP 14(5), 2005), applied to every colour
-coefficient, and two that mix whole Gaussians.
+nonlinear collusion attacks for multimedia fingerprinting" (IEEE TIP 14(5), 2005), applied to every value,
+and two that mix whole Gaussians.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,9 @@ ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
 
-_VALUE_RULES: dict[str, Callable[[Float32, np.random.Generator], npt.NDArray[Any]]] = {
+_Rule = Callable[[Float32, np.random.Generator], npt.NDArray[Any]]
+
+_VALUE_RULES: dict[str, _Rule] = {
     "mean": lambda values, rng: values.mean(axis=0, dtype=np.float64),
     "median": lambda values, rng: np.median(values, axis=0),
     "min": lambda values, rng: values.min(axis=0),
@@ -31,7 +33,7 @@ _VALUE_RULES: dict[str, Callable[[Float32, np.random.Generator], npt.NDArray[Any
     "modneg": lambda values, rng: values.min(axis=0) + values.max(axis=0) - np.median(values, axis=0),
     "randneg": lambda values, rng: np.where(rng.random(values.shape[1:]) < 0.5, values.min(axis=0), values.max(axis=0)),
 }
-"""By name: values (copies, n, K, 3) and a source of coins to (n, K, 3)."""
+"""By name: values (copies, n, ...) and a source of coins to (n, ...)."""
 
 PATCHES = 256
 """Connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene."""
@@ -54,7 +56,10 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
-RULES = (*_VALUE_RULES, *_MIXERS)
+FIRST = "first"
+"""The rule that averages colours and keeps one copy's geometry, whose owner the marks then name loudest."""
+
+RULES = (*_VALUE_RULES, *_MIXERS, FIRST)
 """Names of the rules."""
 
 
@@ -64,12 +69,13 @@ def collude(
 ) -> GaussianModel:
     """One model out of several copies; InputError where the rule is unknown, no other is given or they differ in shape.
 
-    `strength` says what is done with the copies' values of each coefficient: "mean", "median", "min", "max", "minmax"
-    (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a coin); or "interleave" (each
-    Gaussian from a random copy) and "patches" (each of some hundred connected pieces from a random copy).
+    `strength` says what is done with the copies' values of each coefficient, centre, size and opacity: "mean",
+    "median", "min", "max", "minmax" (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a
+    coin); or "interleave" (each Gaussian from a random copy), "patches" (each of some hundred connected pieces from a
+    random copy) and "first" (colours averaged, all else from the first copy).
 
-    The `others` have the same Gaussians in the same order. A rule can only see what differs: geometry and opacities of
-    the copies are the same but for rounding, and are taken from the first, `model`.
+    The `others` have the same Gaussians in the same order. Rotations are the same but for rounding, and are taken from
+    the first, `model`.
     """
     if strength not in RULES:
         raise InputError(f"copies are put together by one of {', '.join(RULES)}, got {strength!r}")
@@ -79,12 +85,20 @@ def collude(
         if other.sh.shape != model.sh.shape:
             raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
     copies = [model, *others]
+    names = ("sh",) if strength == FIRST else ("means", "log_scales", "opacity_logits", "sh")
     if strength in _MIXERS:
         source = _MIXERS[strength](model, len(copies), rng)
-        return model.with_(sh=np.stack([copy.sh for copy in copies])[source, np.arange(len(model))])
-    rule, sh = _VALUE_RULES[strength], np.empty_like(model.sh)
-    rows = max(1, _COEFFICIENTS_AT_A_TIME // (len(copies) * max(1, model.sh[0].size)))
-    for start in range(0, len(model), rows):
+        rows = np.arange(len(model))
+        return model.with_(**{name: np.stack([getattr(c, name) for c in copies])[source, rows] for name in names})
+    rule = _VALUE_RULES["mean" if strength == FIRST else strength]
+    return model.with_(**{name: _combined([getattr(copy, name) for copy in copies], rule, rng) for name in names})
+
+
+def _combined(copies: Sequence[Float32], rule: _Rule, rng: np.random.Generator) -> Float32:
+    """One attribute (N, ...) of all copies by a rule, some rows at a time."""
+    out = np.empty_like(copies[0])
+    rows = max(1, _COEFFICIENTS_AT_A_TIME // (len(copies) * max(1, copies[0][0].size)))
+    for start in range(0, len(out), rows):
         part = slice(start, start + rows)
-        sh[part] = rule(np.stack([copy.sh[part] for copy in copies]), rng)
-    return model.with_(sh=sh)
+        out[part] = rule(np.stack([copy[part] for copy in copies]), rng)
+    return out

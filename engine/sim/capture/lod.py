@@ -125,7 +125,7 @@ def _merged(model: GaussianModel, kept: Int32, others: npt.NDArray[np.int64]) ->
     """The survivors with the moments of themselves and of the others near them."""
     from scipy.spatial import cKDTree  # costs 0.2 s, and the command line only passes by
 
-    from engine.compress.merging import covariances
+    from engine.numerics.gaussians import covariances
     from engine.numerics.similarity import rotation_to_quaternion
 
     result = model.take(kept)  # arrays of its own

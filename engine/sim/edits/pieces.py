@@ -22,7 +22,7 @@ __all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "veri
 
 LEAST_PIECE = 64  # Gaussians below which no further piece is looked for, or believed: embedding asks for as many
 
-RIGID = RegistrationConfig(deformed=False)
+RIGID = RegistrationConfig(merged=False, deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
 
 MOST_PIECES = 8  # pieces looked for where the caller does not say
@@ -38,6 +38,7 @@ class Pieces:
     piece: Int32  # (M,) number of the piece a suspect Gaussian lies in, -1 where it was not matched
     # of each piece: x_reference = scale * R @ x_suspect + t. Empty if nothing was found
     placements: tuple[Similarity, ...]
+    mirrored: tuple[bool, ...]  # whether that holds of the piece's mirror image (`mirror_model`)
 
 
 def register_pieces(
@@ -55,6 +56,7 @@ def register_pieces(
     matches, quality = first.matches.copy(), first.match_quality.copy()
     piece = np.where(matches >= 0, 0, -1).astype(np.int32)
     placements = [first.similarity] if first.found else []
+    mirrored = [first.mirrored] if first.found else []
     while placements and len(placements) < most:
         left = np.flatnonzero(piece < 0)
         if len(left) < LEAST_PIECE:
@@ -67,7 +69,8 @@ def register_pieces(
         matches[rows], quality[rows] = found.matches[hit], found.match_quality[hit]
         piece[rows] = len(placements)
         placements.append(found.similarity)
-    return Pieces(first, matches, quality, piece, tuple(placements))
+        mirrored.append(found.mirrored)
+    return Pieces(first, matches, quality, piece, tuple(placements), tuple(mirrored))
 
 
 def verify_pieces(
@@ -99,6 +102,7 @@ class ObjectFinding:
     file_share: float  # n over the file's Gaussians
     asset_share: float  # share of the asset's Gaussians found
     placement: Similarity | None  # x_file = scale * R @ x_asset + t
+    mirrored: bool  # whether that holds of the file's mirror image (`mirror_model`)
     low: Float64 | None  # (3,) corners of the box of the 1 % to 99 % quantiles of the matched centres
     high: Float64 | None
     # with a known scene: its objects that hold those Gaussians, and their shares of them, largest first
@@ -148,7 +152,9 @@ def verify_objects(
                 placement = found.similarity.inverse()
                 low, high = np.quantile(model.means[rows].astype(np.float64), [0.01, 0.99], axis=0)
             shares = len(rows) / len(model), found.derived_fraction
-            findings.append(ObjectFinding(name, instance, claim, rows, *shares, placement, low, high, objects))
+            findings.append(
+                ObjectFinding(name, instance, claim, rows, *shares, placement, found.mirrored, low, high, objects)
+            )
             left = left[found.matches < 0]
             if not found.found or len(left) < LEAST_PIECE:
                 break

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from engine.model import Float32
-from engine.numerics.similarity import transform_model
+from engine.numerics.similarity import mirror_model, transform_model
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from engine.registration.registering import register
@@ -118,13 +118,14 @@ class FineTune:
         clean = world.unmarked[name]
         found = register(clean, model, seed=seed)
         if found.found:  # back to where the pictures show it
-            model = transform_model(model, found.scale, found.R, found.t)
+            model = found.place(model)
         cameras, images = pictures_of(SETTINGS[self.setting], clean, model, opened.cameras, size=self.size, seed=seed)
         tuned = fine_tune(model, cameras, images, self.epochs, trained=self.trained, seed=seed, advance=advance)
         cost = model_cost(model, tuned, views=COST_VIEWS, size=COST_SIZE)
         if found.found:
             back = found.R.T / found.scale
             tuned = transform_model(tuned, 1.0 / found.scale, found.R.T, -back @ found.t)
+            tuned = mirror_model(tuned) if found.mirrored else tuned
         return Outcome(world.put(name, tuned), cost=cost)
 
 

@@ -154,7 +154,7 @@ def find_time(
     tries `count` moments over the whole clip, then `rounds` times the neighbours of the best.
     """
     shown = visible(suspect)
-    rigid = RegistrationConfig(colorless=False, deformed=False)  # a wrong moment is to fit badly
+    rigid = RegistrationConfig(colorless=False, merged=False, deformed=False)  # a wrong moment is to fit badly
 
     def score(time: float) -> float:
         reference = move_record(opened, original, time).reference

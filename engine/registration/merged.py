@@ -1,0 +1,184 @@
+"""Registration of a suspect whose Gaussians are merged ones (`mixtures`): hardly any is one of the reference's.
+
+Where those that were never merged gave the similarity away, it is known. Else merging helps: it keeps mass, mean and
+covariance of whatever is merged, so those of the whole model, too, and their axes give the similarity but for signs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.numerics.umeyama import Similarity, umeyama
+from engine.registration.candidates import sample_rows
+from engine.registration.index import ReferenceIndex
+from engine.registration.mixtures import Mixtures, Parts, Wholes, mix
+
+GLANCE, SAMPLE = 1_000, 5_000
+"""Reference Gaussians by which placements are compared, and by which one is refined."""
+ROUNDS = 30
+"""Rounds of giving parts to wholes and fitting again; far-off starts need the most."""
+SETTLED = 1e-6
+"""Change of the placement, in extents of the reference, that ends them."""
+DECOYS, FACTOR = 3, 1.5
+"""Placements turned wrongly, and how much more evidence than they a placement needs before all is looked at."""
+BETTER = 3.0
+"""The mixtures must agree so many times better than those of a placement turned wrongly."""
+LEAST = 0.1
+"""And their mean trust must exceed this: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
+under the looks of others 0.03."""
+TRUSTED = 0.1
+"""Trust from which a mixture counts as found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """A placement under which the suspect's Gaussians are mixtures, the plain matches among them (M,), and how many
+    placements were weighed."""
+
+    fit: Similarity
+    matches: Int32
+    quality: Float32
+    mixtures: Mixtures
+    tried: int
+
+    @property
+    def explained(self) -> float:
+        """Mean trust in the mixtures of what has no plain match; 0 where all have one."""
+        wanting = self.matches < 0
+        return float(self.mixtures.quality[wanting].mean()) if wanting.any() else 0.0
+
+
+def register_merged(
+    index: ReferenceIndex,
+    suspect: GaussianModel,
+    start: Similarity | None,
+    turns: list[Float64],
+    rng: np.random.Generator,
+) -> Merged | None:
+    """The suspect as mixtures of the reference; None where they explain no more than a wrong placement does.
+
+    `start` is the similarity where it is known already; else the reference's own frame is tried, turned by each of
+    `turns`, and the axes of both models.
+    """
+    parts = Parts.of(index.model)
+    if start is not None:
+        return _judged(index, parts, suspect, start, 1, rng)
+    wholes = Wholes(suspect)
+    glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (GLANCE, SAMPLE))
+    in_frame = [Similarity(1.0, turn, np.zeros(3)) for turn in turns]
+    tried = 0
+    for fits, moved in ((in_frame, False), (_by_axes(parts, Parts.of(suspect)), True)):
+        if not fits:
+            continue
+        tried += len(fits)
+        best = max(fits, key=lambda fit: _evidence(wholes, glance, fit, index.extent))
+        if moved:
+            best = _refined(wholes, sample, best, index.extent)
+        decoys = [_decoy(best, wholes.centres, rng) for _ in range(DECOYS)]
+        chance = max(_evidence(wholes, glance, decoy, index.extent) for decoy in decoys)
+        if _evidence(wholes, glance, best, index.extent) > FACTOR * chance:
+            merged = _judged(index, parts, suspect, best, tried, rng)
+            if merged is not None:
+                return merged
+    return None
+
+
+def _judged(
+    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int, rng: np.random.Generator
+) -> Merged | None:
+    """The mixtures under a placement, or a better one that follows from them; None where a wrong one does as well."""
+    mixed = _mixed(index, parts, suspect, start, tried)
+    if mixed.explained <= LEAST:
+        return None
+    better = _polished(parts, suspect, mixed)
+    if better is not None:
+        again = _mixed(index, parts, suspect, better, tried)
+        mixed = again if again.mixtures.quality.sum() > mixed.mixtures.quality.sum() else mixed
+    decoy = _decoy(mixed.fit, suspect.means.astype(np.float64), rng)
+    by_chance = mix(parts, suspect, decoy, mixed.matches, mixed.quality).quality
+    chance = float(by_chance[mixed.matches < 0].mean())
+    return mixed if mixed.explained > BETTER * chance + LEAST else None
+
+
+def _mixed(index: ReferenceIndex, parts: Parts, suspect: GaussianModel, fit: Similarity, tried: int) -> Merged:
+    neighbours = index.matcher.match(suspect, fit)
+    quality = index.matcher.quality(neighbours)
+    matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+    return Merged(fit, matches, quality, mix(parts, suspect, fit, matches, quality), tried)
+
+
+def _by_axes(parts: Parts, wholes: Parts) -> list[Similarity]:
+    """The similarities that take mean and covariance of the whole suspect to the reference's: four, for an axis has no
+    direction."""
+    (centre_a, values_a, axes_a), (centre_b, values_b, axes_b) = _axes(wholes), _axes(parts)
+    if not (values_a[0] > 0 and values_b[0] > 0):
+        return []
+    scale = float(np.sqrt(values_b.sum() / values_a.sum()))
+    fits = []
+    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        R = (axes_b * np.array(signs)) @ axes_a.T
+        fits.append(Similarity(scale, R, centre_b - scale * R @ centre_a))
+    return fits
+
+
+def _axes(parts: Parts) -> tuple[Float64, Float64, Float64]:
+    """Mean (3,), variances (3,) and axes (3, 3), right-handed columns, of a model as one distribution."""
+    share = parts.mass / max(parts.mass.sum(), 1e-300)
+    centre = share @ parts.means
+    gap = parts.means - centre
+    sigma = np.einsum("n,nij->ij", share, parts.sigma) + (gap * share[:, None]).T @ gap
+    values, vectors = np.linalg.eigh(sigma)
+    vectors[:, 0] *= np.sign(np.linalg.det(vectors))
+    return centre, values, vectors
+
+
+def _evidence(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> float:
+    """Mean log likelihood ratio of parts, nats: as the wholes they went into, against anywhere in the reference.
+
+    Closeness alone would reward large scales, under which a piece covers everything.
+    """
+    owner, distance2 = wholes.find(parts, fit)
+    inside = owner >= 0
+    log_det = wholes.log_det[owner[inside]] + 6.0 * np.log(fit.scale)
+    ratio = 0.5 * (6.0 * np.log(extent) - log_det - distance2[inside])
+    return float(np.maximum(ratio, 0.0).sum()) / max(1, len(owner))
+
+
+def _refined(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> Similarity:
+    """The placement at which parts surround the wholes they are likeliest in: each pulls its whole to itself, and what
+    lies on one side cancels what lies on the other."""
+    weight = 1.0 / wholes.variance
+    corners = wholes.centres[:: max(1, len(wholes.centres) // 100)]
+    for _ in range(ROUNDS):
+        owner, _ = wholes.find(parts, fit)
+        rows = np.flatnonzero(owner >= 0)
+        better = umeyama(wholes.centres[owner[rows]], parts.means[rows], weight[owner[rows]])
+        if better is None:
+            break
+        moved = float(np.abs(better.apply(corners) - fit.apply(corners)).max())
+        fit = better
+        if moved < SETTLED * extent:
+            break
+    return fit
+
+
+def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity | None:
+    """The similarity under which the wholes' centres are the means of their parts, by those that agree."""
+    mixtures, m = mixed.mixtures, len(suspect)
+    rows = mixtures.reference_rows
+    mean = np.stack(
+        [np.bincount(mixtures.suspect_rows, mixtures.shares * parts.means[rows, c], m) for c in range(3)], axis=1
+    )
+    trust = np.where(mixtures.quality > 3 * TRUSTED, mixtures.quality.astype(np.float64), 0.0)
+    size = np.exp(suspect.log_scales.astype(np.float64).mean(axis=1))
+    return umeyama(suspect.means, mean, trust / np.maximum(size, 1e-12) ** 2)
+
+
+def _decoy(fit: Similarity, points: Float64, rng: np.random.Generator) -> Similarity:
+    """The placement turned wrongly about the middle of the suspect's points (n, 3)."""
+    middle = fit.apply(np.median(points, axis=0))
+    axis = rng.normal(size=3)
+    turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.5, 2.5)).as_matrix()
+    return Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)

@@ -1,0 +1,217 @@
+"""Attacks that merge Gaussians, as publishing tools do to make levels of detail: fewer, larger ones, in one look.
+
+Each survivor is the sum of those it replaces: their mass, mean and covariance (moment matching), their mean colour.
+"""
+
+# mypy: allow-untyped-defs
+
+import math
+
+import numba
+import numpy as np
+from scipy.spatial import cKDTree
+
+from engine.model import Float64, GaussianModel, Int64
+from engine.numerics.flattening import flatten
+from engine.numerics.gaussians import covariances, ellipsoid_surface, surface_mass
+from engine.numerics.jit import kernel, parallel_kernel, parallel_section
+from engine.numerics.similarity import rotation_to_quaternion
+from engine.sim.attack import Attacks
+
+__all__ = ["ATTACKS", "merge_groups", "volume_mass"]
+
+_KERNEL_VERSION = 1
+
+ATTACKS: Attacks[GaussianModel] = Attacks("model")
+
+_KEPT = (0.9, 0.7, 0.5, 0.25, 0.1, 0.05, 0.02)
+
+NEIGHBOURS = 12
+"""Among so many nearest Gaussians each one looks for its partner."""
+
+COLOR_STD = 0.2
+"""Difference of spherical-harmonic coefficients that costs a pair as much as half a nat of shape."""
+
+LEVEL_STEP = 1.5
+"""Factor between the voxel sizes of two levels."""
+
+_THIN = 1e-8
+"""Share of its trace added to a covariance, so that discs have a determinant."""
+
+
+@ATTACKS.add("merge neighbours, pair after pair", "kept share", 0.25, _KEPT, "(0, 1]")
+def merge(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """NanoGS (Xiong et al. 2026, arXiv 2603.16103): mass is opacity times volume, and light adds up as in blending."""
+    return _merge(model, strength, surface=False)
+
+
+@ATTACKS.as_code("merge", "kept share", 0.25, _KEPT, "(0, 1]")
+def merge_published(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """SuperSplat's publishing and splat-transform's `--decimate`: mass is opacity times surface, and is kept."""
+    return _merge(model, strength, surface=True)
+
+
+@ATTACKS.add("merge the Gaussians of a voxel, level after level", "kept share", 0.25, _KEPT, "(0, 1]")
+def lod(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
+    """The level of a voxel tree (Spark's) that has the share `strength` left: what is finer than a voxel becomes one.
+
+    Voxels grow by half a level, from the finest Gaussians on. In the last level only as many voxels are merged as the
+    share asks for, those of the fewest Gaussians first.
+    """
+    target = max(1, round(strength * len(model)))
+    size = float(np.quantile(2.0 * np.exp(model.log_scales.max(axis=1)), 0.05))
+    size = max(size, 1e-6 * float(np.ptp(model.means, axis=0).max()), 1e-30)
+    while len(model) > target:
+        fine = np.flatnonzero(2.0 * np.exp(model.log_scales.max(axis=1)) <= size)
+        voxels = np.floor(model.means[fine] / size).astype(np.int64)
+        _, of, count = np.unique(voxels, axis=0, return_inverse=True, return_counts=True)
+        of = of.reshape(-1)
+        order = np.argsort(count, kind="stable")
+        spared = np.cumsum(count[order] - 1)  # Gaussians fewer after the first so many voxels
+        take = order[: int(np.searchsorted(spared, len(model) - target)) + 1]
+        merged = np.zeros(len(count), np.bool_)
+        merged[take] = True
+        first = np.empty(len(count), np.int64)
+        first[of[::-1]] = fine[::-1]
+        group = np.arange(len(model))
+        group[fine] = np.where(merged[of], first[of], fine)
+        model = merge_groups(model, _numbered(group), surface=True)
+        size *= LEVEL_STEP
+    return model
+
+
+def _merge(model: GaussianModel, share: float, *, surface: bool) -> GaussianModel:
+    target = max(1, round(share * len(model)))
+    while len(model) > target:
+        pairs = _pairs(model, len(model) - target, surface=surface)
+        group = np.arange(len(model))
+        group[pairs[:, 1]] = pairs[:, 0]
+        model = merge_groups(model, _numbered(group), surface=surface)
+    return model
+
+
+def _numbered(first: Int64) -> Int64:
+    """(N,) groups numbered from 0, from the first member of each Gaussian's group (N,)."""
+    return (np.cumsum(first == np.arange(len(first))) - 1)[first]
+
+
+def _pairs(model: GaussianModel, wanted: int, *, surface: bool) -> Int64:
+    """At most `wanted` disjoint pairs (p, 2) of neighbours, those that lose least by being merged."""
+    k = min(NEIGHBOURS + 1, len(model))
+    near = np.asarray(cKDTree(model.means).query(model.means, k=k, workers=2)[1]).reshape(len(model), k)
+    mass = surface_mass(model) if surface else volume_mass(model)
+    sigma = covariances(model)
+    sigma += (_THIN * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3)
+    with parallel_section():
+        means, looks = model.means.astype(np.float64), model.sh.reshape(len(model), -1)
+        cost = merging_costs(means, sigma, mass, looks, near, COLOR_STD)
+    edges = np.flatnonzero(np.isfinite(cost))
+    edges = edges[np.argsort(cost.reshape(-1)[edges], kind="stable")]
+    pairs: Int64 = disjoint_pairs(edges // k, near.reshape(-1)[edges], len(model), wanted)
+    return pairs
+
+
+@parallel_kernel
+def merging_costs(means, sigma, mass, looks, near, color_std):
+    """(n, k) what merging each of n Gaussians with each of its neighbours `near` (n, k) loses; infinity where the
+    neighbour does not come after it.
+
+    Runnalls' bound on the divergence of mixture and merged Gaussian, per mass (IEEE Trans. Aerosp. Electron. Syst. 43,
+    2007, equation 18), and the spread of the colours.
+    """
+    out = np.full(near.shape, np.inf)
+    for i in numba.prange(len(means)):
+        own = math.log(_determinant(sigma[i]))
+        joint = np.empty((3, 3))
+        for at in range(near.shape[1]):
+            j = near[i, at]
+            if j <= i:
+                continue
+            p = mass[i] / (mass[i] + mass[j])
+            q = 1.0 - p
+            for a in range(3):
+                for b in range(3):
+                    gap2 = (means[i, a] - means[j, a]) * (means[i, b] - means[j, b])
+                    joint[a, b] = p * sigma[i, a, b] + q * sigma[j, a, b] + p * q * gap2
+            apart = 0.0
+            for c in range(looks.shape[1]):
+                apart += (looks[i, c] - looks[j, c]) ** 2
+            shape = math.log(_determinant(joint)) - p * own - q * math.log(_determinant(sigma[j]))
+            out[i, at] = 0.5 * shape + 0.5 * apart / (color_std * color_std)
+    return out
+
+
+@kernel
+def _determinant(s):
+    minor0 = s[1, 1] * s[2, 2] - s[1, 2] * s[2, 1]
+    minor1 = s[1, 0] * s[2, 2] - s[1, 2] * s[2, 0]
+    minor2 = s[1, 0] * s[2, 1] - s[1, 1] * s[2, 0]
+    return max(s[0, 0] * minor0 - s[0, 1] * minor1 + s[0, 2] * minor2, 1e-300)
+
+
+@kernel
+def disjoint_pairs(first, second, n, wanted):
+    """(p, 2) of the pairs (first, second) in their order, those whose ends no earlier one has; at most `wanted`."""
+    taken = np.zeros(n, np.bool_)
+    out = np.empty((min(wanted, n // 2), 2), np.int64)
+    count = 0
+    for e in range(len(first)):
+        if count == len(out):
+            break
+        i, j = first[e], second[e]
+        if taken[i] or taken[j]:
+            continue
+        taken[i] = taken[j] = True
+        out[count, 0], out[count, 1] = i, j
+        count += 1
+    return out[:count]
+
+
+def volume_mass(model: GaussianModel) -> Float64:
+    """(N,) opacity times the product of the standard deviations."""
+    return np.asarray(model.opacities.astype(np.float64) * np.exp(model.log_scales.astype(np.float64).sum(axis=1)))
+
+
+def merge_groups(model: GaussianModel, group: Int64, *, surface: bool) -> GaussianModel:
+    """One Gaussian for each group: `group` (N,) numbers them from 0, every number in use.
+
+    Means, covariances and colours weigh by mass, which is opacity times `surface`, or else times volume. The opacity is
+    what keeps the mass, at most 1, or else what the group lets through where all of it overlaps. A Gaussian alone in
+    its group stays as it is.
+    """
+    sizes = np.bincount(group)
+    first = np.empty(len(sizes), np.int64)
+    first[group[::-1]] = np.arange(len(group))[::-1]
+    result = model.take(first)
+    touched = np.flatnonzero(sizes > 1)
+    if not len(touched):
+        return result
+    rows = np.flatnonzero(sizes[group] > 1)
+    part, of = model.take(rows), np.searchsorted(touched, group[rows])
+    count = len(touched)
+    mass = np.maximum(surface_mass(part) if surface else volume_mass(part), 1e-300)
+    total = np.bincount(of, mass, count)
+    share = mass / total[of]
+
+    def mean_of(values: Float64) -> Float64:
+        columns = values.reshape(len(values), -1)
+        sums = [np.bincount(of, share * column, count) for column in columns.T]
+        return np.asarray(np.stack(sums, axis=1).reshape(count, *values.shape[1:]), dtype=np.float64)
+
+    means = part.means.astype(np.float64)
+    centre = mean_of(means)
+    gap = means - centre[of]
+    values, vectors = np.linalg.eigh(mean_of(covariances(part) + gap[:, :, None] * gap[:, None, :]))
+    vectors[np.linalg.det(vectors) < 0, :, 0] *= -1.0
+    scales = np.sqrt(np.maximum(values, 1e-30))
+    if surface:
+        opacity = total / ellipsoid_surface(scales)
+    else:
+        opacity = -np.expm1(np.bincount(of, np.log1p(-np.minimum(part.opacities.astype(np.float64), 1 - 1e-7)), count))
+    opacity = np.clip(opacity, 1e-6, 1 - 1e-6)
+    result.means[touched] = centre
+    result.log_scales[touched] = np.log(scales)
+    result.quats[touched] = rotation_to_quaternion(vectors)
+    result.opacity_logits[touched] = np.log(opacity / (1 - opacity))
+    result.sh[touched] = mean_of(part.sh.astype(np.float64))
+    return flatten(result) if model.is_flat else result  # the gaps between discs of 2DGS do not make their sum thick

@@ -1,0 +1,61 @@
+"""Both layers of a mark in one evidence, and each by itself.
+
+Whoever takes one copy's geometry and another's colours drowns the second copy's tint in the first one's grain. So three
+questions are asked of a model, and counted as three tries: both layers together, the tint alone, the grain alone.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.watermark.messages import Signs
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.statistics import weighted_evidence
+
+LAYERS = ("both", "tint", "grain")
+"""What is asked of a model."""
+
+
+@dataclass(frozen=True)
+class Layered:
+    """Z of each question, and of which one |Z| is largest."""
+
+    z: Mapping[str, float]  # without the grain where there is none
+    strongest: str
+
+    @property
+    def best(self) -> float:
+        """Z of the strongest, with its sign."""
+        return self.z[self.strongest]
+
+
+def layered_z(evidence: Evidence, signs: Signs, tint: int, *, either_way: bool = False) -> Layered:
+    """Z of each question that an evidence answers.
+
+    Parameters
+    ----------
+    signs : (C,) +-1
+        Chip times bit of the registered message.
+    tint : int
+        How many of the chips are the tint's; the grain's follow.
+    either_way : bool
+        Whether a Z below zero speaks as loudly as one above.
+    """
+    c = weighted_evidence(evidence.y, evidence.weights)
+    terms = c * signs
+    parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(c) > tint else {})
+    sums = {name: (float(terms[part].sum()), float(c[part] @ c[part])) for name, part in parts.items()}
+    total = sum(t for t, _ in sums.values()), sum(n for _, n in sums.values())
+    z = {name: t / math.sqrt(n) if n > 0 else 0.0 for name, (t, n) in ({"both": total} | sums).items()}
+    return Layered(z, max(z, key=lambda name: abs(z[name]) if either_way else z[name]))
+
+
+def only(evidence: Evidence, layer: str, tint: int) -> Evidence:
+    """The evidence with the other layer's weights at zero."""
+    if layer == "both":
+        return evidence
+    keep = np.arange(len(evidence.y)) < tint
+    weights = np.where(keep if layer == "tint" else ~keep, evidence.weights, 0.0)
+    return Evidence(evidence.y, weights, np.where(weights > 0, evidence.signal, 0.0), evidence.pulled)

@@ -1,0 +1,88 @@
+"""Both layers share one budget, and strengths are settled before a chip is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.evaluate.marked_scene import bench_key
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
+from engine.pipeline.marking import DRAWS
+from engine.pipeline.profiles import EmbedConfig, profile
+from engine.pipeline.scenes import ViewSet
+from engine.pipeline.settling import GRAIN_ROOM_DB, GRAIN_SSIM_SHARE, Settled, measure, settle
+from engine.pipeline.strength import Fidelity, add_dc
+from engine.watermark.grain import Grain, roughen
+from engine.watermark.spreading import public_signs
+from tests.watermark.ball import marked_ball
+
+pytestmark = pytest.mark.slow
+
+WANTED = EmbedConfig(psnr_db=40.0, ssim=0.9)
+SMALL = profile("fast", views=2, view_size=128, landmark_views=0)
+
+
+@pytest.fixture(scope="module")
+def settled() -> tuple[ViewSet, Settled]:
+    ball = marked_ball(size=96)
+    return ball.original, settle(ball.original, ball.plan, WANTED, grainy=True)
+
+
+def grained(views: ViewSet, grain: Grain) -> GaussianModel:
+    return roughen(views.model, grain, public_signs(6 * len(views.model)).astype(np.float32).reshape(-1, 6))
+
+
+def test_grain_and_tint_together_keep_the_budget(settled: tuple[ViewSet, Settled]) -> None:
+    views, found = settled
+    layout = found.plan.layout
+    rough = grained(views, found.grain)
+    both = rough.with_(sh=add_dc(rough.sh, layout.displace(layout.amplitudes * public_signs(layout.chips))))
+    assert 39.7 < measure(views, both).psnr_db < 41.0
+
+
+def test_the_grain_takes_no_more_than_its_part() -> None:
+    ball = marked_ball(size=96)
+    coarse = replace(WANTED, plan=replace(WANTED.plan, grain_center=0.9, grain_scale=0.4))
+    found = settle(ball.original, ball.plan, coarse, grainy=True)
+    assert 0.01 < found.grain.center < 0.9
+    assert found.grain.scale == pytest.approx(found.grain.center * 0.4 / 0.9, rel=1e-3)
+    alone = measure(ball.original, grained(ball.original, found.grain))
+    by_psnr = alone.psnr_db - WANTED.psnr_db - GRAIN_ROOM_DB
+    by_ssim = (1 - alone.ssim) / (GRAIN_SSIM_SHARE * (1 - WANTED.ssim))
+    assert by_psnr == pytest.approx(0.0, abs=1.0) or by_ssim == pytest.approx(1.0, abs=0.3)
+
+
+def test_without_grain_the_tint_has_all() -> None:
+    ball = marked_ball(size=96)
+    found = settle(ball.original, ball.plan, WANTED, grainy=False)
+    assert not found.grain.there
+    assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + 0.1)
+
+
+def test_strengths_do_not_know_the_chips(small_plant: GaussianModel) -> None:
+    """Two copies: other messages, chips and cells, the same grain; and no strength beside the plan."""
+    one, other = (embed(small_plant, bench_key(1), original_sha256="11" * 32, config=SMALL, copy=c) for c in "ab")
+    assert one.report["grain"] == other.report["grain"]
+    assert "strength" not in one.record.extra
+
+
+def test_a_miss_lowers_both_layers_by_what_was_missed() -> None:
+    ball = marked_ball(size=64)
+    before = Settled(ball.plan, Grain(0.05, 0.02), Fidelity(40.0, 0.9))
+    after = before.lowered(Fidelity(39.0, 0.99), Fidelity(40.0, 0.9))
+    factor = 0.997 * 10 ** (-1 / 20)
+    np.testing.assert_allclose(after.plan.layout.amplitudes, factor * ball.plan.layout.amplitudes, rtol=1e-5)
+    assert after.grain.center == pytest.approx(0.05 * factor, rel=1e-5)
+    by_ssim = before.lowered(Fidelity(41.0, 0.8), Fidelity(40.0, 0.9))
+    assert by_ssim.grain.scale == pytest.approx(0.02 * 0.997 * 0.5**0.5, rel=1e-5)
+
+
+def test_key_views_keep_the_asked_fidelity_whatever_the_chips(small_plant: GaussianModel) -> None:
+    for copy in "abc":
+        made = embed(small_plant, bench_key(3), original_sha256="11" * 32, config=SMALL, copy=copy)
+        assert made.report["psnr_worst_view"] >= 47.0
+        assert made.report["ssim_worst_view"] >= 0.998
+    assert DRAWS > 1

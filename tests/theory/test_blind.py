@@ -1,0 +1,97 @@
+"""The theorem's premise, on every route: what is read of a suspect does not change with chips, message or strength."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.model import Float32
+from engine.pipeline.profiles import profile
+from engine.pipeline.progress import Clock
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.searching import Reading, Suspect, readings
+from engine.raster import render
+from engine.sim.attacks import model_attack
+from engine.watermark.keys import CHIPS
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.spreading import spread
+
+pytestmark = pytest.mark.slow
+
+SCENE = "tests/data/plant.splat"
+
+
+@pytest.fixture(scope="module")
+def scene() -> MarkedScene:
+    return mark_scene(SCENE, profile("fast", landmark_views=0, views=3, view_size=256))
+
+
+def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
+    """The same plan with everything secret from another key, another message and another strength."""
+    key = bench_key(1_000 + seed)
+    layout = opened.layout
+    return replace(
+        opened,
+        spreading=spread(key, bytes([seed]), layout.codes, len(layout.directions[0]), len(opened.message)),
+        grain_key=key.derive(CHIPS, b"another"),
+        message=(-opened.message).astype(np.int8),
+        strength=opened.strength * 3.0,
+    )
+
+
+def suspects(scene: MarkedScene) -> dict[str, Suspect]:
+    """Marked, unmarked, moved, noised, thinned; two pictures of known cameras, one of them a JPEG."""
+    moved = model_attack("similarity").apply(scene.marked, 4.0, rng=2)
+    noised = model_attack("noise_all").apply(scene.marked, 0.1, rng=2)
+    few = model_attack("prune_random").apply(scene.marked, 0.9, rng=2)
+    cameras = make_rig(scene.marked, 2, 320, 320)
+    pictures = [np.clip(render(scene.marked, camera), 0.0, 1.0) for camera in cameras]
+    pictures[1] = as_jpeg(pictures[1])
+    models = {"marked": scene.marked, "unmarked": scene.original, "moved": moved, "noised": noised, "thinned": few}
+    return {name: Suspect(model) for name, model in models.items()} | {"pictures": Suspect(None, pictures, cameras)}
+
+
+def as_jpeg(picture: Float32) -> Float32:
+    stored = np.round(picture[..., ::-1] * 255).astype(np.uint8)
+    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, 50])[1]
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)[..., ::-1] / np.float32(255)
+
+
+def walk(suspect: Suspect, opened: OpenedRecord) -> list[Reading]:
+    return list(readings(suspect, opened, suspect.routes("auto"), 0, Clock(None)))
+
+
+def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: MarkedScene) -> None:
+    routes = set()
+    for name, suspect in suspects(scene).items():
+        true = walk(suspect, scene.opened)
+        for seed in (1, 2):
+            for one, other in zip(true, walk(suspect, drawn_anew(scene.opened, seed)), strict=True):
+                a, b = one.evidence, other.evidence
+                assert one.route == other.route
+                assert a.y.tobytes() == b.y.tobytes(), (name, one.route)
+                assert a.weights.tobytes() == b.weights.tobytes(), (name, one.route)
+                assert a.weights.any()
+                routes.add(one.route)
+    assert routes == {"model", "both", "image"}
+
+
+def test_the_test_would_see_a_leak(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evidence that a strength enters is told apart."""
+    import engine.pipeline.searching as searching
+
+    read = searching.read_gaussians
+
+    def leaking(suspect, opened, registration):  # type: ignore[no-untyped-def]
+        evidence = read(suspect, opened, registration)
+        return Evidence(evidence.y * opened.strength, evidence.weights, evidence.signal)
+
+    monkeypatch.setattr(searching, "read_gaussians", leaking)
+    suspect = Suspect(scene.marked)
+    one, other = (walk(suspect, opened)[0].evidence for opened in (scene.opened, drawn_anew(scene.opened, 1)))
+    assert one.y.tobytes() != other.y.tobytes()
