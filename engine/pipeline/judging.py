@@ -11,6 +11,7 @@ from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import decode_paper
+from engine.watermark.power import measured_change
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail
 
@@ -96,6 +97,7 @@ def judge(
         transform=transform,
         notes=notes,
         layers=layered.z if len(evidence.y) > tint else None,
+        change=max(_change(only(evidence, layer, tint)) for layer in layered.z),
     )
     if config.decoder == "paper":
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
@@ -112,6 +114,10 @@ def judge(
             notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
         )
     return claim
+
+
+def _change(evidence: Evidence) -> float:
+    return measured_change(evidence.y, evidence.weights, evidence.signal)
 
 
 def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:

@@ -178,7 +178,7 @@ def verify(
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
         if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
             best = Verification(claim, reading.evidence, 0.0, {})
-        if claim.verdict is Verdict.MARKED and found:
+        if claim.verdict is not Verdict.INCONCLUSIVE and found:  # so near the original, renders show no more
             break
     assert best is not None
     if best.claim.verdict is Verdict.INCONCLUSIVE:  # then all that was tried is worth telling

@@ -149,6 +149,18 @@ def test_a_z_far_below_zero_is_never_called_unmarked() -> None:
     assert "taken out" in found.missing
 
 
+def test_no_layer_may_leave_room_for_the_mark() -> None:
+    """Colours as the original has them, centres roughened: the mark was in the layer that was covered."""
+    quiet = {"both": 0.4, "tint": 0.5, "grain": -0.3}
+    assert claim(0.0, 0.5, noise=0.1, derivation=FOUND, layers=quiet, change=0.2).verdict is Verdict.NOT_MARKED
+    covered = claim(0.0, 0.5, noise=0.1, derivation=FOUND, layers=quiet, change=1.1)
+    assert (covered.verdict, covered.change) == (Verdict.INCONCLUSIVE, 1.1)
+    assert "taken out" in covered.missing
+    turned = claim(0.0, 0.5, noise=0.1, derivation=FOUND, layers={**quiet, "grain": -9.0}, change=0.2)
+    assert turned.verdict is Verdict.INCONCLUSIVE
+    assert "taken out" in turned.missing
+
+
 def test_a_negative_z_of_any_size_is_no_claim() -> None:
     """Somebody embedded the opposite message: one-sided, so this is not ours."""
     found = claim(-0.5)

@@ -97,7 +97,8 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
 
     # 7. an original that was never marked
     assert check(page, PLANT) == "Derived, without this mark"
-    assert "is in the model, but not this copy's hidden mark" in page.locator("#check-result").inner_text()
+    said = "derived from your asset; this copy's mark is absent or was taken out"
+    assert said in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")
 
     # 8. a picture of it
