@@ -68,7 +68,9 @@ def by_size(
     begin, before = deviations, np.inf  # what the class of the next smaller ones came to, and their size
     for number in range(CLASSES):
         low, high = (np.concatenate([[-np.inf], edges, [np.inf]]))[number : number + 2]
-        rows.append(np.flatnonzero((own >= low - margin) & (own <= high + margin)))
+        alike = np.flatnonzero((own >= low - margin) & (own <= high + margin))
+        # strangers may be of sizes that the reference has not
+        rows.append(alike if len(alike) >= LEAST_PAIRS else np.arange(len(reference)))
         mine = np.flatnonzero(home == number)
         part = suspect.take(mine[sample_rows(len(mine), SAMPLE, rng)])
         typical = float(np.median(theirs[mine])) if len(mine) else before

@@ -79,3 +79,12 @@ def test_a_class_pairs_rows_of_the_whole_reference() -> None:
     sigmas = [m.deviations.position.mean() for m in sized.matchers]  # type: ignore[attr-defined]
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] > 5 * sigmas[0]
+
+
+def test_strangers_larger_than_all_of_the_reference_do_no_harm() -> None:
+    model = wide()
+    order = shuffled(model)
+    giants = scene(1).with_(log_scales=scene(1).log_scales + np.float32(12))
+    got = register(model, moved(merged(shaken(marked(model), 0.3).take(order), giants)), config=RIGID)
+    assert (got.matches[: len(order)] == order).mean() > 0.9
+    assert (got.matches[len(order) :] >= 0).mean() < 0.005

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.numerics.similarity import quaternion_product
-from engine.registration import locating
+from engine.registration import locating, registering
 from engine.registration.registering import ReferenceIndex, Registration, register
 from tests.registration.registration_cases import (
     MOVES,
@@ -221,7 +221,8 @@ def test_discs_with_a_third_scale_of_nothing():
 
 
 def test_scales_out_of_bounds_are_not_believed(monkeypatch):
-    monkeypatch.setattr(locating, "MAX_SCALE", 50.0)
+    for module in (locating, registering):
+        monkeypatch.setattr(module, "MAX_SCALE", 50.0)
     order = shuffled(scene(0))
     suspect = moved(marked(scene(0)).take(order), "tiny")
     assert not register(scene(0), suspect).found
