@@ -63,6 +63,8 @@ def judge(
             }
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
+            elif registration.mixed is not None:
+                notes = (*notes, "Gaussians of the suspect model were merged: each is read as a mixture of the asset's")
         elif route == "model":
             absence = ABSENCE_POWER if len(registration.matches) >= LEAST_PIECE else None
             notes = (*notes, "no piece of the asset was found in the suspect model")
