@@ -5,8 +5,10 @@ covariance of whatever is merged, so those of the whole model, too, and their ax
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from engine.model import Float32, Float64, GaussianModel, Int32
@@ -19,14 +21,12 @@ GLANCE, SAMPLE = 1_000, 5_000
 """Reference Gaussians by which placements are compared, and by which one is refined."""
 ROUNDS = 30
 """Rounds of giving parts to wholes and fitting again; far-off starts need the most."""
-SETTLED = 1e-6
-"""Change of the placement, in extents of the reference, that ends them."""
+SETTLED, CLOSE = 1e-6, 1e-3
+"""Changes of the placement, in extents of the reference, that end them, and that are worth mixing anew."""
 DECOYS, FACTOR = 3, 1.5
 """Placements turned wrongly, and how much more evidence than they a placement needs before all is looked at."""
-BETTER = 3.0
-"""The mixtures must agree so many times better than those of a placement turned wrongly."""
 LEAST = 0.1
-"""And their mean trust must exceed this: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
+"""Mean trust that mixtures must exceed: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
 under the looks of others 0.03."""
 TRUSTED = 0.1
 """Trust from which a mixture counts as found."""
@@ -64,7 +64,7 @@ def register_merged(
     """
     parts = Parts.of(index.model)
     if start is not None:
-        return _judged(index, parts, suspect, start, 1, rng)
+        return _judged(index, parts, suspect, start, 1)
     wholes = Wholes(suspect)
     glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (GLANCE, SAMPLE))
     in_frame = [Similarity(1.0, turn, np.zeros(3)) for turn in turns]
@@ -79,27 +79,24 @@ def register_merged(
         decoys = [_decoy(best, wholes.centres, rng) for _ in range(DECOYS)]
         chance = max(_evidence(wholes, glance, decoy, index.extent) for decoy in decoys)
         if _evidence(wholes, glance, best, index.extent) > FACTOR * chance:
-            merged = _judged(index, parts, suspect, best, tried, rng)
+            merged = _judged(index, parts, suspect, best, tried)
             if merged is not None:
                 return merged
     return None
 
 
 def _judged(
-    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int, rng: np.random.Generator
+    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int
 ) -> Merged | None:
-    """The mixtures under a placement, or a better one that follows from them; None where a wrong one does as well."""
+    """The mixtures under a placement, or a better one that follows from them; None where they explain too little."""
     mixed = _mixed(index, parts, suspect, start, tried)
     if mixed.explained <= LEAST:
         return None
     better = _polished(parts, suspect, mixed)
-    if better is not None:
+    if better is not None and _moved(mixed.fit, better, suspect.means) > CLOSE * index.extent:
         again = _mixed(index, parts, suspect, better, tried)
         mixed = again if again.mixtures.quality.sum() > mixed.mixtures.quality.sum() else mixed
-    decoy = _decoy(mixed.fit, suspect.means.astype(np.float64), rng)
-    by_chance = mix(parts, suspect, decoy, mixed.matches, mixed.quality).quality
-    chance = float(by_chance[mixed.matches < 0].mean())
-    return mixed if mixed.explained > BETTER * chance + LEAST else None
+    return mixed
 
 
 def _mixed(index: ReferenceIndex, parts: Parts, suspect: GaussianModel, fit: Similarity, tried: int) -> Merged:
@@ -150,18 +147,23 @@ def _refined(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> Si
     """The placement at which parts surround the wholes they are likeliest in: each pulls its whole to itself, and what
     lies on one side cancels what lies on the other."""
     weight = 1.0 / wholes.variance
-    corners = wholes.centres[:: max(1, len(wholes.centres) // 100)]
     for _ in range(ROUNDS):
         owner, _ = wholes.find(parts, fit)
         rows = np.flatnonzero(owner >= 0)
         better = umeyama(wholes.centres[owner[rows]], parts.means[rows], weight[owner[rows]])
         if better is None:
             break
-        moved = float(np.abs(better.apply(corners) - fit.apply(corners)).max())
+        settled = _moved(fit, better, wholes.centres) < SETTLED * extent
         fit = better
-        if moved < SETTLED * extent:
+        if settled:
             break
     return fit
+
+
+def _moved(fit: Similarity, better: Similarity, points: npt.NDArray[Any]) -> float:
+    """Largest distance along an axis between where two placements put some of the points (n, 3)."""
+    some = points[:: max(1, len(points) // 100)]
+    return float(np.abs(better.apply(some) - fit.apply(some)).max())
 
 
 def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity | None:
