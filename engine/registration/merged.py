@@ -9,22 +9,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.spatial import cKDTree
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, umeyama
 from engine.registration.candidates import sample_rows
 from engine.registration.index import ReferenceIndex
-from engine.registration.mixtures import Mixtures, Parts, Wholes, mix
+from engine.registration.mixtures import Mixtures, Parts, Wholes, agreement, mix
 
 GLANCE, SAMPLE = 1_000, 5_000
 """Reference Gaussians by which placements are compared, and by which one is refined."""
-ROUNDS = 30
+ROUNDS = 15
 """Rounds of giving parts to wholes and fitting again; far-off starts need the most."""
 SETTLED, CLOSE = 1e-6, 1e-3
 """Changes of the placement, in extents of the reference, that end them, and that are worth mixing anew."""
-DECOYS, FACTOR = 3, 1.5
-"""Placements turned wrongly, and how much more evidence than they a placement needs before all is looked at."""
+SPOTS, AROUND, PROMISING = 24, 16, 0.05
+"""Places at which a placement is looked at, suspect Gaussians at each, and their mean trust below which it is dismissed
+without further work: half of what all must have."""
 LEAST = 0.1
 """Mean trust that mixtures must exceed: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
 under the looks of others 0.03."""
@@ -57,7 +58,7 @@ def register_merged(
     turns: list[Float64],
     rng: np.random.Generator,
 ) -> Merged | None:
-    """The suspect as mixtures of the reference; None where they explain no more than a wrong placement does.
+    """The suspect as mixtures of the reference; None where they explain too little.
 
     `start` is the similarity where it is known already; else the reference's own frame is tried, turned by each of
     `turns`, and the axes of both models.
@@ -76,13 +77,23 @@ def register_merged(
         best = max(fits, key=lambda fit: _evidence(wholes, glance, fit, index.extent))
         if moved:
             best = _refined(wholes, sample, best, index.extent)
-        decoys = [_decoy(best, wholes.centres, rng) for _ in range(DECOYS)]
-        chance = max(_evidence(wholes, glance, decoy, index.extent) for decoy in decoys)
-        if _evidence(wholes, glance, best, index.extent) > FACTOR * chance:
+        if _promise(wholes, parts, best, rng) > PROMISING:
             merged = _judged(index, parts, suspect, best, tried)
             if merged is not None:
                 return merged
     return None
+
+
+def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Generator) -> float:
+    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are not asked."""
+    spots = wholes.centres[sample_rows(len(wholes.centres), SPOTS, rng)]
+    distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centres)))
+    reach, spot = cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
+    near = parts.take(np.flatnonzero(reach < 2.0 * distance.reshape(len(spots), -1)[spot, -1]))
+    owner, _ = wholes.find(near, fit)
+    inside = np.flatnonzero(owner >= 0)
+    trust = agreement(wholes, near.take(inside), fit, owner[inside])[1]
+    return float(trust[np.unique(beside)].mean())
 
 
 def _judged(
@@ -176,11 +187,3 @@ def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity
     trust = np.where(mixtures.quality > 3 * TRUSTED, mixtures.quality.astype(np.float64), 0.0)
     size = np.exp(suspect.log_scales.astype(np.float64).mean(axis=1))
     return umeyama(suspect.means, mean, trust / np.maximum(size, 1e-12) ** 2)
-
-
-def _decoy(fit: Similarity, points: Float64, rng: np.random.Generator) -> Similarity:
-    """The placement turned wrongly about the middle of the suspect's points (n, 3)."""
-    middle = fit.apply(np.median(points, axis=0))
-    axis = rng.normal(size=3)
-    turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.5, 2.5)).as_matrix()
-    return Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)
