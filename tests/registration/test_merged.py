@@ -13,7 +13,7 @@ from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 from engine.registration.index import ReferenceIndex
-from engine.registration.merged import _by_axes, _evidence
+from engine.registration.merged import _by_axes, _evidence, register_merged
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import Registration, RegistrationConfig, register
 from engine.sim import model_attack
@@ -82,6 +82,14 @@ def test_axes_propose_the_similarity_up_to_their_directions(index: ReferenceInde
         assert [np.linalg.det(fit.R) > 0 for fit in fits] == [True] * 4
         assert min(np.abs(fit.R @ R - np.eye(3)).max() for fit in fits) < 1e-3
         assert fits[0].scale == pytest.approx(1 / 3.0, rel=1e-4)
+
+
+def test_where_the_place_is_known_the_looks_must_agree(index: ReferenceIndex) -> None:
+    rng = np.random.default_rng(0)
+    swapped = index.model.take(rng.permutation(len(index.model))).with_(means=index.model.means)
+    assert register_merged(index, swapped, Similarity.identity(), [], rng) is None
+    thin = merged(index, 0.25)
+    assert register_merged(index, thin, Similarity.identity(), [], rng) is not None
 
 
 def test_evidence_of_a_placement_does_not_depend_on_units(index: ReferenceIndex) -> None:
