@@ -76,6 +76,8 @@ def judge(
                 notes = (*notes, "the suspect model is a mirror image of the asset, and was read as such")
             if registration.deformed:
                 notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
+            elif registration.mixed is not None:
+                notes = (*notes, "Gaussians of the suspect model were merged: each is read as a mixture of the asset's")
         elif route == "model":
             weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
             notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")

@@ -5,28 +5,29 @@ covariance of whatever is merged, so those of the whole model, too, and their ax
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, umeyama
 from engine.registration.candidates import sample_rows
 from engine.registration.index import ReferenceIndex
-from engine.registration.mixtures import Mixtures, Parts, Wholes, mix
+from engine.registration.mixtures import Mixtures, Parts, Wholes, agreement, mix
 
 GLANCE, SAMPLE = 1_000, 5_000
 """Reference Gaussians by which placements are compared, and by which one is refined."""
-ROUNDS = 30
+ROUNDS = 15
 """Rounds of giving parts to wholes and fitting again; far-off starts need the most."""
-SETTLED = 1e-6
-"""Change of the placement, in extents of the reference, that ends them."""
-DECOYS, FACTOR = 3, 1.5
-"""Placements turned wrongly, and how much more evidence than they a placement needs before all is looked at."""
-BETTER = 3.0
-"""The mixtures must agree so many times better than those of a placement turned wrongly."""
+SETTLED, CLOSE = 1e-6, 1e-3
+"""Changes of the placement, in extents of the reference, that end them, and that are worth mixing anew."""
+SPOTS, AROUND, PROMISING = 24, 16, 0.05
+"""Places at which a placement is looked at, suspect Gaussians at each, and their mean trust below which it is dismissed
+without further work: half of what all must have."""
 LEAST = 0.1
-"""And their mean trust must exceed this: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
+"""Mean trust that mixtures must exceed: right ones have 0.25 to 0.8, wrong placements 0.01, and centres that fit
 under the looks of others 0.03."""
 TRUSTED = 0.1
 """Trust from which a mixture counts as found."""
@@ -57,14 +58,14 @@ def register_merged(
     turns: list[Float64],
     rng: np.random.Generator,
 ) -> Merged | None:
-    """The suspect as mixtures of the reference; None where they explain no more than a wrong placement does.
+    """The suspect as mixtures of the reference; None where they explain too little.
 
     `start` is the similarity where it is known already; else the reference's own frame is tried, turned by each of
     `turns`, and the axes of both models.
     """
     parts = Parts.of(index.model)
     if start is not None:
-        return _judged(index, parts, suspect, start, 1, rng)
+        return _judged(index, parts, suspect, start, 1)
     wholes = Wholes(suspect)
     glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (GLANCE, SAMPLE))
     in_frame = [Similarity(1.0, turn, np.zeros(3)) for turn in turns]
@@ -76,30 +77,37 @@ def register_merged(
         best = max(fits, key=lambda fit: _evidence(wholes, glance, fit, index.extent))
         if moved:
             best = _refined(wholes, sample, best, index.extent)
-        decoys = [_decoy(best, wholes.centres, rng) for _ in range(DECOYS)]
-        chance = max(_evidence(wholes, glance, decoy, index.extent) for decoy in decoys)
-        if _evidence(wholes, glance, best, index.extent) > FACTOR * chance:
-            merged = _judged(index, parts, suspect, best, tried, rng)
+        if _promise(wholes, parts, best, rng) > PROMISING:
+            merged = _judged(index, parts, suspect, best, tried)
             if merged is not None:
                 return merged
     return None
 
 
+def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Generator) -> float:
+    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are not asked."""
+    spots = wholes.centres[sample_rows(len(wholes.centres), SPOTS, rng)]
+    distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centres)))
+    reach, spot = cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
+    near = parts.take(np.flatnonzero(reach < 2.0 * distance.reshape(len(spots), -1)[spot, -1]))
+    owner, _ = wholes.find(near, fit)
+    inside = np.flatnonzero(owner >= 0)
+    trust = agreement(wholes, near.take(inside), fit, owner[inside])[1]
+    return float(trust[np.unique(beside)].mean())
+
+
 def _judged(
-    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int, rng: np.random.Generator
+    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int
 ) -> Merged | None:
-    """The mixtures under a placement, or a better one that follows from them; None where a wrong one does as well."""
+    """The mixtures under a placement, or a better one that follows from them; None where they explain too little."""
     mixed = _mixed(index, parts, suspect, start, tried)
     if mixed.explained <= LEAST:
         return None
     better = _polished(parts, suspect, mixed)
-    if better is not None:
+    if better is not None and _moved(mixed.fit, better, suspect.means) > CLOSE * index.extent:
         again = _mixed(index, parts, suspect, better, tried)
         mixed = again if again.mixtures.quality.sum() > mixed.mixtures.quality.sum() else mixed
-    decoy = _decoy(mixed.fit, suspect.means.astype(np.float64), rng)
-    by_chance = mix(parts, suspect, decoy, mixed.matches, mixed.quality).quality
-    chance = float(by_chance[mixed.matches < 0].mean())
-    return mixed if mixed.explained > BETTER * chance + LEAST else None
+    return mixed
 
 
 def _mixed(index: ReferenceIndex, parts: Parts, suspect: GaussianModel, fit: Similarity, tried: int) -> Merged:
@@ -150,18 +158,23 @@ def _refined(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> Si
     """The placement at which parts surround the wholes they are likeliest in: each pulls its whole to itself, and what
     lies on one side cancels what lies on the other."""
     weight = 1.0 / wholes.variance
-    corners = wholes.centres[:: max(1, len(wholes.centres) // 100)]
     for _ in range(ROUNDS):
         owner, _ = wholes.find(parts, fit)
         rows = np.flatnonzero(owner >= 0)
         better = umeyama(wholes.centres[owner[rows]], parts.means[rows], weight[owner[rows]])
         if better is None:
             break
-        moved = float(np.abs(better.apply(corners) - fit.apply(corners)).max())
+        settled = _moved(fit, better, wholes.centres) < SETTLED * extent
         fit = better
-        if moved < SETTLED * extent:
+        if settled:
             break
     return fit
+
+
+def _moved(fit: Similarity, better: Similarity, points: npt.NDArray[Any]) -> float:
+    """Largest distance along an axis between where two placements put some of the points (n, 3)."""
+    some = points[:: max(1, len(points) // 100)]
+    return float(np.abs(better.apply(some) - fit.apply(some)).max())
 
 
 def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity | None:
@@ -174,11 +187,3 @@ def _polished(parts: Parts, suspect: GaussianModel, mixed: Merged) -> Similarity
     trust = np.where(mixtures.quality > 3 * TRUSTED, mixtures.quality.astype(np.float64), 0.0)
     size = np.exp(suspect.log_scales.astype(np.float64).mean(axis=1))
     return umeyama(suspect.means, mean, trust / np.maximum(size, 1e-12) ** 2)
-
-
-def _decoy(fit: Similarity, points: Float64, rng: np.random.Generator) -> Similarity:
-    """The placement turned wrongly about the middle of the suspect's points (n, 3)."""
-    middle = fit.apply(np.median(points, axis=0))
-    axis = rng.normal(size=3)
-    turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.5, 2.5)).as_matrix()
-    return Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)

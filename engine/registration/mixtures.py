@@ -128,9 +128,7 @@ def mix(parts: Parts, suspect: GaussianModel, fit: Similarity, matches: Int32, q
     owner, _ = wholes.find(rest, fit)
     owned = np.flatnonzero(owner >= 0)
     owner, rest, rows = owner[owned], rest.take(owned), rows[owned]
-    total = np.bincount(owner, rest.mass, len(wanting))
-    shares = rest.mass / np.maximum(total[owner], 1e-300)
-    trust[wanting] = _agreement(wholes, rest, fit, owner, shares)
+    shares, trust[wanting] = agreement(wholes, rest, fit, owner)
     return Mixtures(
         np.concatenate([alone, wanting[owner]]).astype(np.int32),
         np.concatenate([matches[alone], rows]).astype(np.int32),
@@ -139,9 +137,11 @@ def mix(parts: Parts, suspect: GaussianModel, fit: Similarity, matches: Int32, q
     )
 
 
-def _agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32, shares: Float64) -> Float32:
-    """(m,) trust, 0 to 1, that the parts given to each whole are all of it: their moments against its own."""
+def agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32) -> tuple[Float64, Float32]:
+    """Share of each part in its `owner` (n,), by mass, and the trust (m,), 0 to 1, that the parts of each whole are all
+    of it: their moments against its own."""
     m = len(wholes.centres)
+    shares = parts.mass / np.maximum(np.bincount(owner, parts.mass, m)[owner], 1e-300)
     back = fit.inverse()
     turn = back.scale * back.R
     off = back.apply(parts.means) - wholes.centres[owner]  # (n, 3)
@@ -153,7 +153,7 @@ def _agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32, shar
     size = np.bincount(owner, shares * variance, m) / 3.0
     moved = np.einsum("ni,nij,nj->n", mean, wholes.precision, mean)
     trust = 1.0 / (1.0 + moved / MEAN_OFF + np.abs(np.log(np.maximum(size, 1e-12))) / SIZE_OFF)
-    return np.where(size > 0, trust, 0.0).astype(np.float32)
+    return shares, np.where(size > 0, trust, 0.0).astype(np.float32)
 
 
 @parallel_kernel

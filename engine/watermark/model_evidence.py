@@ -101,7 +101,21 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
         CodeShares(of, stage[target], shares, (len(rows), count))
         for stage, count in zip(layout.labels, layout.codes, strict=True)
     ]
-    means = [np.zeros((count, 3)) for count in layout.codes]
+    means, left = _take_turns(stages, residual, trust)
+    if len(of) > len(rows):
+        # Plain matches err each by itself. Mixtures err in what they are made of, too, and those that share a patch err
+        # together: what they have in common is no excuse for them.
+        left = residual
+    y, variance = [], []
+    for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
+        y.append((mean @ direction.T).reshape(-1))
+        variance.append(stage.variance(left @ direction.T, trust).reshape(-1))
+    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
+
+
+def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> tuple[list[Float64], Float64]:
+    """Displacements (codes, 3) of each stage's code vectors, and what they leave of the residuals (n, 3)."""
+    means = [np.zeros((stage.matrix.shape[1], 3)) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
     for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over
@@ -110,15 +124,7 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
             means[s] = stage.means(left, trust)
             explained[s] = stage.explained(means[s], left, trust)
             left = left - explained[s]
-    # A plain match errs by itself. A mixture errs in what it is made of, too, and so do its neighbours that hold the
-    # rest of the same patch: what they have in common is no excuse for them.
-    plain = np.bincount(of, minlength=len(rows)) == 1
-    left = np.where(plain[:, None], left, residual)
-    y, variance = [], []
-    for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
-        y.append((mean @ direction.T).reshape(-1))
-        variance.append(stage.variance(left @ direction.T, trust).reshape(-1))
-    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
+    return means, left
 
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:

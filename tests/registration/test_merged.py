@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from engine.formats import read_model
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
+from engine.numerics.umeyama import Similarity
 from engine.registration.index import ReferenceIndex
+from engine.registration.merged import _by_axes, _evidence, register_merged
+from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import Registration, RegistrationConfig, register
 from engine.sim import model_attack
 from tests.registration.registration_cases import MOVES
@@ -67,6 +71,35 @@ def test_a_merged_model_is_found_wherever_it_was_moved(index: ReferenceIndex, sh
     np.testing.assert_allclose(got.scale * scale, 1.0, atol=5e-3)
     np.testing.assert_allclose(got.R @ R, np.eye(3), atol=1e-2)
     assert got.derived_fraction > 0.9
+
+
+def test_axes_propose_the_similarity_up_to_their_directions(index: ReferenceIndex) -> None:
+    """Four proper rotations, one of them right: with an uneven model, whatever eigenvectors come out."""
+    model = index.model.take(np.arange(0, len(index.model), 20))
+    for seed in range(6):
+        R = Rotation.random(random_state=seed).as_matrix()
+        fits = _by_axes(Parts.of(model), Parts.of(transform_model(model, 3.0, R, np.array([1.0, 2.0, 3.0]))))
+        assert [np.linalg.det(fit.R) > 0 for fit in fits] == [True] * 4
+        assert min(np.abs(fit.R @ R - np.eye(3)).max() for fit in fits) < 1e-3
+        assert fits[0].scale == pytest.approx(1 / 3.0, rel=1e-4)
+
+
+def test_where_the_place_is_known_the_looks_must_agree(index: ReferenceIndex) -> None:
+    rng = np.random.default_rng(0)
+    swapped = index.model.take(rng.permutation(len(index.model))).with_(means=index.model.means)
+    assert register_merged(index, swapped, Similarity.identity(), [], rng) is None
+    thin = merged(index, 0.25)
+    assert register_merged(index, thin, Similarity.identity(), [], rng) is not None
+
+
+def test_evidence_of_a_placement_does_not_depend_on_units(index: ReferenceIndex) -> None:
+    model = index.model.take(np.arange(0, len(index.model), 20))
+    parts = Parts.of(model)
+    here = _evidence(Wholes(model), parts, Similarity.identity(), index.extent)
+    small = transform_model(model, 0.01, np.eye(3), np.zeros(3))
+    there = _evidence(Wholes(small), parts, Similarity(100.0, np.eye(3), np.zeros(3)), index.extent)
+    assert here > 1.0
+    assert there == pytest.approx(here, rel=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.25, 0.1])

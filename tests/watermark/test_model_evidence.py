@@ -167,3 +167,56 @@ def test_a_tie_of_the_paper_rule_reads_as_a_set_bit() -> None:
     bits, lead = decode_paper(y, np.full(3, 0.02), chips, np.array([0, 0, 1], np.int32), 3)
     assert bits.tolist() == [1, -1, 1], "even, against, nothing to vote"
     assert lead.tolist() == [0.0, 1.0, 0.0]
+
+
+def merged(dc: np.ndarray, first: np.ndarray, second: np.ndarray, share: float = 0.6) -> tuple[np.ndarray, Mixtures]:
+    """DC of pairs (n,) as mixtures, `share` of the first in each, and what they are made of."""
+    m = len(first)
+    rows, parts = np.tile(np.arange(m, dtype=np.int32), 2), np.concatenate([first, second]).astype(np.int32)
+    shares = np.repeat([share, 1.0 - share], m)
+    mixed = share * dc[first] + (1.0 - share) * dc[second]
+    return mixed.astype(np.float32), Mixtures(rows, parts, shares, np.ones(m, np.float32))
+
+
+def test_pairs_of_one_code_vector_say_what_each_would() -> None:
+    layout, reference, suspect, signed = marked()
+    by_code = np.argsort(layout.labels[0], kind="stable")
+    first, second = by_code[: len(by_code) // 38 * 38].reshape(-1, 2).T  # 19 or 20 members each
+    same = layout.labels[0][first] == layout.labels[0][second]
+    mixed, mixtures = merged(suspect, first[same], second[same])
+    evidence = gather_model_evidence(layout, reference, mixed, mixtures)
+    np.testing.assert_allclose(evidence.y, signed, atol=3e-3)
+
+
+def test_pairs_of_two_code_vectors_speak_for_both() -> None:
+    layout, reference, suspect, signed = marked()
+    order = np.random.default_rng(5).permutation(len(reference))
+    evidence = gather_model_evidence(layout, reference, *merged(suspect, *order.reshape(2, -1)))
+    assert np.mean(np.sign(evidence.y) == np.sign(signed)) > 0.99
+
+
+def test_a_mixture_is_predicted_from_all_its_parts() -> None:
+    """Unmarked pairs show no displacement, however different the two are."""
+    layout, reference, _, _ = marked()
+    order = np.random.default_rng(6).permutation(len(reference))
+    evidence = gather_model_evidence(layout, reference, *merged(reference, *order.reshape(2, -1)))
+    assert np.abs(evidence.y).max() < 1e-5
+
+
+def test_errors_that_mixtures_share_weigh_on_them() -> None:
+    """What all pairs of a code vector err by alike counts against it; plain matches of the same colours may say so."""
+    layout, reference, suspect, _ = marked()
+    rng = np.random.default_rng(7)
+    erring = layout.labels[0] < 512
+    shared = 0.06 * rng.standard_normal((1024, 3))[layout.labels[0]] * erring[:, None]
+    wrong = (suspect + shared + 0.03 * rng.standard_normal(reference.shape)).astype(np.float32)
+    by_code = np.argsort(layout.labels[0], kind="stable")
+    first, second = by_code[: len(by_code) // 2 * 2].reshape(-1, 2).T
+    same = layout.labels[0][first] == layout.labels[0][second]
+    ratios = []
+    for evidence in (
+        gather_model_evidence(layout, reference, *merged(wrong, first[same], second[same])),
+        gather_model_evidence(layout, reference, wrong, identity(len(reference))),
+    ):
+        ratios.append(np.median(evidence.weights[:1536]) / np.median(evidence.weights[1536:]))
+    assert ratios[0] < 0.85 * ratios[1]
