@@ -18,7 +18,7 @@ from engine.pipeline.verification import VerifyConfig, verify_images, verify_mod
 from engine.raster import render
 from engine.sim.attacks import image_attack, model_attack
 from engine.sim.fine_tuning import fine_tune
-from engine.watermark.spreading import signed_amplitudes
+from engine.watermark.grain import roughen
 
 pytestmark = pytest.mark.slow
 
@@ -206,14 +206,14 @@ def test_derivation_says_how_much_how_exactly_and_where(scene: MarkedScene) -> N
     kept = np.flatnonzero(scene.marked.means[:, 1] > np.quantile(scene.marked.means[:, 1], 0.7))
     piece = scene.marked.take(kept)
     moved = model_attack("similarity").apply(piece, 4.0, rng=1)
-    cases = (piece, 1.0, 0.0, 0.01), (moved, 1.0, 0.0, 0.01), (jittered(piece), 0.8, 0.2, 0.6)
+    cases = (piece, 1.0, 0.0, 0.2), (moved, 1.0, 0.0, 0.2), (jittered(piece), 0.8, 0.2, 0.6)
     for suspect, share, least, most in cases:
         found = verify_model(suspect, scene.opened, VerifyConfig(route="model")).claim.derivation
         assert found.derived
         assert found.gaussians is not None
         assert found.gaussians > 0.99 * share * len(piece)
         assert found.share is not None
-        assert share * len(kept) - 1 < found.share * len(scene.marked) < len(kept) + 1
+        assert 0.995 * share * len(kept) < found.share * len(scene.marked) < len(kept) + 1
         assert found.exactness is not None
         assert least <= found.exactness <= most
         assert found.where is not None
@@ -223,10 +223,12 @@ def test_derivation_says_how_much_how_exactly_and_where(scene: MarkedScene) -> N
 @pytest.mark.parametrize("wrong", [0.05, 0.15, 0.3])
 def test_a_mark_that_was_taken_out_by_a_guess_is_not_called_absent(scene: MarkedScene, wrong: float) -> None:
     """He guesses most signs, and subtracts as much as takes all of Z; where he guessed wrong he leaves his trace."""
-    opened = scene.opened
-    signed = signed_amplitudes(opened.strength * opened.layout.amplitudes, opened.spreading, opened.message)
-    guess = np.where(np.random.default_rng(1).random(len(signed)) < wrong, -signed, signed) / (1 - 2 * wrong)
-    cleaned = scene.marked.with_(sh=add_dc(scene.marked.sh, -opened.layout.displace(guess)))
+    opened, tint = scene.opened, scene.opened.layout.chips
+    signs = opened.spreading_of(tint + opened.grain.chips(len(opened.reference))).signs(opened.message)
+    guess = np.where(np.random.default_rng(1).random(len(signs)) < wrong, -1.0, 1.0) * signs / (1 - 2 * wrong)
+    step = opened.layout.displace(opened.strength * opened.layout.amplitudes * guess[:tint])
+    colorless = scene.marked.with_(sh=add_dc(scene.marked.sh, -step))
+    cleaned = roughen(colorless, opened.grain, -guess[tint:].reshape(-1, 6).astype(np.float32))
     claim = verify_model(cleaned, opened, VerifyConfig(route="model")).claim
     assert claim.z < 7
     assert claim.verdict.value == "inconclusive"
