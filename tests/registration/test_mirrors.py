@@ -111,6 +111,17 @@ def test_of_two_hands_the_larger_piece_is_read(straight: float) -> None:
         assert (got.matches[mine] == order[mine]).mean() > 0.99
 
 
+def test_a_piece_left_in_place_hides_no_mirror_elsewhere() -> None:
+    """The piece is found at once, where the reference lies; the rest must be looked for all the same."""
+    model = scene(0)
+    order = shuffled(model)
+    cut = len(model) // 20
+    rest = moved(mirror_model(marked(model)).take(order[cut:]))
+    got = register(model, merged(marked(model).take(order[:cut]), rest), config=RIGID)
+    assert got.mirrored
+    assert (got.matches[cut:] == order[cut:]).mean() > 0.99
+
+
 @pytest.mark.slow
 def test_a_mirror_that_is_bent() -> None:
     model = scene(0, degree=0)

@@ -64,6 +64,18 @@ def test_half_an_order_is_not_half_a_copy() -> None:
     assert (got.matches == kept).mean() > 0.98
 
 
+def test_pairs_out_of_order_do_not_blur_those_in_order() -> None:
+    """Half of a slightly noisy copy thrown about: errors measured on all pairs would let wrong ones pass."""
+    model = plant()
+    rng = np.random.default_rng(0)
+    kept = np.arange(len(model))
+    rows = np.flatnonzero(rng.random(len(model)) < 0.49)
+    kept[rows] = rng.permutation(rows)
+    got = register(model, moved_elsewhere(noised(marked(model), 0.02).take(kept), *MOVES["turned"]), config=RIGID)
+    assert got.hypotheses_tried == 1
+    assert (got.matches == kept).mean() > 0.9997
+
+
 def test_strangers_in_an_order_are_not_matched() -> None:
     """A third replaced by another scene's Gaussians, at their places in the file."""
     model, other = scene(0), scene(1)
