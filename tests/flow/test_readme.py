@@ -66,6 +66,7 @@ def test_readme_shows_commands() -> None:
         assert f"mark3dgs {command}" in text
 
 
+@pytest.mark.timeout(600)
 def test_commands_run_as_written(folder: Path) -> None:
     """All blocks in order: they build on one another."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
