@@ -60,8 +60,9 @@ def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Regist
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's centres and sizes say: the same for all copies of an asset."""
+    seen = mirror_model(suspect) if registration.mirrored else suspect
     pairs = registration.matches, registration.match_quality
-    return gather_grain_evidence(opened.grain, opened.reference, suspect, registration.similarity, *pairs)
+    return gather_grain_evidence(opened.grain, opened.reference, seen, registration.similarity, *pairs)
 
 
 def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Registration, clock: Clock) -> Seen:
