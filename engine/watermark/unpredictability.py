@@ -7,7 +7,7 @@ subtracts what he did not expect. So amplitudes follow what the unmarked scene i
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.model import Float64
+from engine.model import Float64, Int64
 
 NEIGHBOURS = 24
 """Code vectors from which a colour is guessed, by a plane fitted to them."""
@@ -30,12 +30,21 @@ def unexplained(centers: Float64, colors: Float64) -> Float64:
     count = len(centers)
     if count <= 4:
         return np.zeros((count, 3, 3))
+    guessed, near = guess(centers, colors)
+    missed = colors - guessed
+    around = np.concatenate([np.arange(count)[:, None], near[:, : AROUND - 1]], axis=1)
+    return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
+
+
+def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:
+    """(M, 3) what a plane through the neighbours' colours says of each, and the neighbours, (M, k), nearest first.
+
+    Of at least two code vectors, else as in `unexplained`.
+    """
+    count = len(centers)
     near = cKDTree(centers).query(centers, k=min(NEIGHBOURS + 1, count), workers=2)[1][:, 1:]  # (M, k)
     offset = centers[near] - centers[:, None]
     offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
     design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)
     normal = np.einsum("mki,mkj->mij", design, design) + RIDGE * np.eye(4)
-    guessed = np.linalg.solve(normal, np.einsum("mki,mkc->mic", design, colors[near]))[:, 3]  # (M, 3)
-    missed = colors - guessed
-    around = np.concatenate([np.arange(count)[:, None], near[:, : AROUND - 1]], axis=1)
-    return np.asarray(np.einsum("mki,mkj->mij", missed[around], missed[around]) / around.shape[1])
+    return np.linalg.solve(normal, np.einsum("mki,mkc->mic", design, colors[near]))[:, 3], near

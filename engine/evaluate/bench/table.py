@@ -82,6 +82,7 @@ BENCHES = {
         "truth:measure_collusion",
         ("innocents",),
     ),
+    "removal": Bench("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
     "retrain": Bench("claims from fresh models trained on renders of the marked one", "training:measure_retraining"),
     "life": Bench("speed of physics and of training", "timing:measure_life", (), ("repeats",)),
 }
