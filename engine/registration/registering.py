@@ -168,8 +168,11 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
 
 def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator) -> Registration:
     """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
-    start = plain.similarity if plain.found else None
-    for mirrored in (plain.mirrored,) if plain.found else (False, True):
+    asked: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
+    if plain.found:
+        # Where few are matched well, the place may be wrong itself.
+        asked = [(plain.mirrored, plain.similarity), *(asked if plain.match_quality.mean() < MOSTLY else [])]
+    for mirrored, start in asked:
         merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng)
         if merged is not None:
             break
@@ -179,7 +182,8 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
     sure = mixtures.explained(TRUSTED)[mixtures.suspect_rows]
     share = _found(index.model, mixtures.reference_rows[sure])
     gained = float(mixtures.quality.sum() - plain.match_quality.sum()) / len(plain.matches)
-    if gained < GAIN and share < plain.derived_fraction + GAIN:
+    # Noise makes mixtures of what are single ones: they must explain no worse, and some more.
+    if gained < 0.0 or (gained < GAIN and share < plain.derived_fraction + GAIN):
         return plain
     tried = plain.hypotheses_tried + merged.tried
     pairs = merged.matches, merged.quality

@@ -233,7 +233,7 @@ def test_a_mark_that_was_taken_out_by_a_guess_is_not_called_absent(scene: Marked
     assert claim.z < 7
     assert claim.verdict.value == "inconclusive"
     assert claim.derivation.derived
-    assert claim.derived_fraction == 1.0
+    assert claim.derived_fraction == pytest.approx(1.0, abs=0.03)
 
 
 def jittered(model: GaussianModel) -> GaussianModel:

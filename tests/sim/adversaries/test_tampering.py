@@ -64,12 +64,20 @@ def test_a_second_mark_twenty_times_as_strong_does_not_drown_ours(scene: Marked)
 @pytest.mark.parametrize("rule", RULES)
 def test_rules_of_collusion_do_what_they_say(rule: str, model: GaussianModel) -> None:
     rng = np.random.default_rng(9)
-    others = [model.with_(sh=model.sh + 0.1 * rng.standard_normal(model.sh.shape)) for _ in range(3)]
+    others = [
+        model.with_(sh=model.sh + 0.1 * rng.standard_normal(model.sh.shape), means=model.means + np.float32(k))
+        for k in range(1, 4)
+    ]
     stack = np.stack([model.sh, *(m.sh for m in others)])
     low, high, middle = stack.min(axis=0), stack.max(axis=0), np.median(stack, axis=0)
-    out = collude(model, rule, np.random.default_rng(1), others=others).sh
+    put = collude(model, rule, np.random.default_rng(1), others=others)
+    out = put.sh
+    shift = {"mean": 1.5, "median": 1.5, "min": 0, "max": 3, "minmax": 1.5, "modneg": 1.5, "first": 0}
+    if rule in shift:
+        np.testing.assert_allclose(put.means - model.means, shift[rule], atol=1e-5)
     expected = {
         "mean": stack.mean(axis=0),
+        "first": stack.mean(axis=0),
         "median": middle,
         "min": low,
         "max": high,

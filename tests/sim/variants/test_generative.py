@@ -57,7 +57,7 @@ def test_a_decorated_generator_returns_marked_models(
     assert generate.__name__ == "generate"
     marked = generate(0, step=2)
     plain = plant.take(np.arange(0, len(plant), 2))
-    np.testing.assert_array_equal(marked.means, plain.means)
+    np.testing.assert_array_equal(marked.quats, plain.quats)
     assert not np.array_equal(marked.sh, plain.sh)
     (record,) = (tmp_path / "records").iterdir()
     opened = open_record(record.read_bytes(), key)
