@@ -33,6 +33,10 @@ TRUSTED = 0.1
 """Trust from which a mixture counts as found."""
 
 
+Singles = tuple[Int32, Float32]
+"""Reference row (or -1) of each suspect Gaussian, and the trust in it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Merged:
     """A placement under which the suspect's Gaussians are mixtures, the plain matches among them (M,), and how many
@@ -57,15 +61,16 @@ def register_merged(
     start: Similarity | None,
     turns: list[Float64],
     rng: np.random.Generator,
+    singles: Singles | None = None,
 ) -> Merged | None:
     """The suspect as mixtures of the reference; None where they explain too little.
 
-    `start` is the similarity where it is known already; else the reference's own frame is tried, turned by each of
-    `turns`, and the axes of both models.
+    `start` is the similarity where it is known already, and `singles` the plain matches under it; else the reference's
+    own frame is tried, turned by each of `turns`, and the axes of both models.
     """
     parts = Parts.of(index.model)
     if start is not None:
-        return _judged(index, parts, suspect, start, 1)
+        return _judged(index, parts, suspect, start, 1, singles)
     wholes = Wholes(suspect)
     glance, sample = (parts.take(sample_rows(len(parts.means), n, rng)) for n in (GLANCE, SAMPLE))
     in_frame = [Similarity(1.0, turn, np.zeros(3)) for turn in turns]
@@ -97,10 +102,15 @@ def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Gener
 
 
 def _judged(
-    index: ReferenceIndex, parts: Parts, suspect: GaussianModel, start: Similarity, tried: int
+    index: ReferenceIndex,
+    parts: Parts,
+    suspect: GaussianModel,
+    start: Similarity,
+    tried: int,
+    singles: Singles | None = None,
 ) -> Merged | None:
     """The mixtures under a placement, or a better one that follows from them; None where they explain too little."""
-    mixed = _mixed(index, parts, suspect, start, tried)
+    mixed = _mixed(index, parts, suspect, start, tried, singles)
     if mixed.explained <= LEAST:
         return None
     better = _polished(parts, suspect, mixed)
@@ -110,10 +120,20 @@ def _judged(
     return mixed
 
 
-def _mixed(index: ReferenceIndex, parts: Parts, suspect: GaussianModel, fit: Similarity, tried: int) -> Merged:
-    neighbours = index.matcher.match(suspect, fit)
-    quality = index.matcher.quality(neighbours)
-    matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+def _mixed(
+    index: ReferenceIndex,
+    parts: Parts,
+    suspect: GaussianModel,
+    fit: Similarity,
+    tried: int,
+    singles: Singles | None = None,
+) -> Merged:
+    if singles is None:
+        neighbours = index.matcher.match(suspect, fit)
+        quality = index.matcher.quality(neighbours)
+        matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+    else:
+        matches, quality = singles
     return Merged(fit, matches, quality, mix(parts, suspect, fit, matches, quality), tried)
 
 

@@ -41,7 +41,7 @@ MOSTLY = 0.5
 """Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
 LEAST_REST = 64
 """Gaussians below which nothing is looked for in what is left over: as few as a mark needs."""
-LEFT_OVER = 0.002
+LEFT_OVER = 0.02
 """Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones: a voxel
 tree makes many into few."""
 
@@ -173,7 +173,8 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
         # Where few are matched well, the place may be wrong itself.
         asked = [(plain.mirrored, plain.similarity), *(asked if plain.match_quality.mean() < MOSTLY else [])]
     for mirrored, start in asked:
-        merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng)
+        singles = None if start is None else (plain.matches, plain.match_quality)
+        merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng, singles)
         if merged is not None:
             break
     else:
@@ -187,8 +188,6 @@ def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.r
         return plain
     tried = plain.hypotheses_tried + merged.tried
     pairs = merged.matches, merged.quality
-    if plain.match_quality.sum() > merged.quality.sum():  # noise makes mixtures of what are single ones
-        pairs, fit = (plain.matches, plain.match_quality), plain.similarity
     return Registration(fit.scale, fit.R, fit.t, *pairs, share, True, tried, mirrored=mirrored, mixed=mixtures)
 
 
