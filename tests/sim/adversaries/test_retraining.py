@@ -22,6 +22,7 @@ from engine.pipeline.verification import verify_model
 from engine.registration.registering import register
 from engine.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain, retraining_steps
 from engine.sim.capture.training import TrainConfig
+from engine.watermark.rates import MADE_FIRST
 from tests.registration.registration_cases import MOVES
 
 PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
@@ -39,7 +40,7 @@ def scene() -> MarkedScene:
     model = model.with_(log_scales=model.log_scales + np.float32(0.25))  # closes the gaps
     config = profile("fast", landmark_views=16, views=4, view_size=256, psnr_db=42)
     result = embed(model, bench_key(0), original_sha256="33" * 32, config=config)
-    opened = open_record(result.record.to_bytes(bench_key(0)), bench_key(0))
+    opened = open_record(result.record.to_bytes(bench_key(0)), bench_key(0), MADE_FIRST)
     return MarkedScene("plant", model, result.model, opened, result.report)
 
 
