@@ -160,13 +160,14 @@ def _decibels(budget: str) -> float | None:
 def _say(console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path) -> None:
     say_repairs(console, repairs)
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report["seconds_by_stage"].items())
+    fit = f"{report['picture_bits']} fit a picture, {report['capacity_bits']} a model"
     lines = {
-        "message": f"{report['message']} ({report['bits']} bits of {report['capacity_bits']} that fit)",
+        "message": f"{report['message']} ({report['bits']} bits; {fit})",
         "fidelity": f"{report['psnr_worst_view']:.2f} dB, SSIM {report['ssim_worst_view']:.4f}"
         " (mark alone, worst key view)",
         "in total": f"{report['psnr_total_worst_view']:.2f} dB, with pruning and quantisation",
         "Gaussians": f"{report['gaussians_in']:,} -> {report['gaussians_out']:,}",
-        "strength": f"{report['predicted_z_per_bit']:.0f} standard deviations a bit, predicted, on the model",
+        "strength": f"{report['predicted_z_per_bit']:.0f} standard deviations a bit, predicted, from one bad picture",
         "files": f"model {size(report['bytes_out'])}, record {size(report['record_bytes'])}",
         "time": f"{report['seconds']:.1f} s: {stages}",
     }

@@ -210,6 +210,7 @@ def embed(
         "psnr_total_worst_view": total,
         "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
         "capacity_bits": mark.capacity,
+        "picture_bits": mark.pictured,
         "chips": plan.layout.chips,
         "grain": asdict(mark.settled.grain),
         "choice": None if choice is None else choice.report(),

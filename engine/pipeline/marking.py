@@ -53,7 +53,8 @@ class Mark:
     signed: Float64  # (C,) displacement of each chip of the tint
     settled: Settled
     fidelity: Fidelity  # worst view, against the unmarked model as delivered
-    capacity: int  # bits
+    capacity: int  # bits that a model carries
+    pictured: int  # and one picture of it
 
 
 def make_mark(
@@ -67,7 +68,7 @@ def make_mark(
 ) -> Mark:
     """Mark the model of these views.
 
-    CapacityError if the scene cannot carry the message.
+    CapacityError if the scene cannot carry the message. After DRAWS plans the last one stands, and its fidelity tells.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def make_mark(
         By how much more a picture of REFERENCE_PIXELS shows than each view does.
     """
     bits = len(copy.message)
-    for _ in range(DRAWS):
+    for left in reversed(range(DRAWS)):
         plan, grain = settled.plan, settled.grain
         pictured = capacity_bits(plan.energies * pixels, plan.layout.chips)
         capacity = max(pictured, grain_capacity(len(views.model)) if grain.there else 0)
@@ -94,7 +95,7 @@ def make_mark(
             signs = spread_grain(grain_key, len(model), bits).signs(copy.message)
             model = roughen(model, grain, signs.astype(np.float32).reshape(-1, ATTRIBUTES))
         fidelity = measure(views, model, at_view)
-        if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db):
+        if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
-    return Mark(model, promised, tint, signed, settled, fidelity, capacity)
+    return Mark(model, promised, tint, signed, settled, fidelity, capacity, pictured)

@@ -32,7 +32,13 @@ class Layered:
 
 
 def layered_z(evidence: Evidence, signs: Signs, tint: int, *, either_way: bool = False) -> Layered:
-    """Z of each question that an evidence answers.
+    """Z of each question that an evidence answers, as `statistics.claim_z` gives it.
+
+    ValueError unless there are C signs.
+
+    Copies of one asset have a reference in common, not signs, cells or amplitudes: each is read and asked by itself.
+    When n of them are averaged each keeps 1 / n of its displacement, and its sisters' are noise to it: Z falls as
+    1 / sqrt(n). Rules that pick what few copies have turn Z round.
 
     Parameters
     ----------
@@ -44,6 +50,8 @@ def layered_z(evidence: Evidence, signs: Signs, tint: int, *, either_way: bool =
         Whether a Z below zero speaks as loudly as one above.
     """
     c = weighted_evidence(evidence.y, evidence.weights)
+    if len(signs) != len(c):
+        raise ValueError(f"a mark has {len(signs)} signs, the evidence {len(c)} chips")
     terms = c * signs
     parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(c) > tint else {})
     sums = {name: (float(terms[part].sum()), float(c[part] @ c[part])) for name, part in parts.items()}

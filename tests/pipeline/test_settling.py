@@ -9,8 +9,9 @@ import pytest
 
 from engine.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
+from engine.pipeline import marking
 from engine.pipeline.embedding import embed
-from engine.pipeline.marking import DRAWS
+from engine.pipeline.marking import DRAWS, Committed, Copy, make_mark
 from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.scenes import ViewSet
 from engine.pipeline.settling import GRAIN_ROOM_DB, GRAIN_SSIM_SHARE, Settled, measure, settle
@@ -86,3 +87,18 @@ def test_key_views_keep_the_asked_fidelity_whatever_the_chips(small_plant: Gauss
         assert made.report["psnr_worst_view"] >= 47.0
         assert made.report["ssim_worst_view"] >= 0.998
     assert DRAWS > 1
+
+
+def test_where_no_strength_will_do_the_last_plan_is_the_one_embedded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fidelity out of reach: what comes back belongs together."""
+    monkeypatch.setattr(marking, "measure", lambda *_: Fidelity(39.9, 0.95))
+    ball = marked_ball(size=64)
+    start = Settled(ball.plan, Grain(0.05, 0.02), Fidelity(40.0, 0.9))
+    copy = Copy(bench_key(1), bytes(32), "", ball.message)
+    wanted = Fidelity(40.0, 0.9)
+    views = np.full((len(ball.cameras), 1), 100.0)
+    made = make_mark(ball.original, start, copy, Committed(ball.cameras, None), wanted, views, None)
+    amplitudes = made.settled.plan.layout.amplitudes
+    np.testing.assert_array_equal(made.plan[1]["amplitudes"], amplitudes.astype(np.float32))
+    np.testing.assert_allclose(np.abs(made.signed), amplitudes)
+    assert not made.fidelity.meets(wanted)

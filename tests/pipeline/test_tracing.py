@@ -19,7 +19,6 @@ from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
 from engine.sim.adversaries.collusion import collude
 from engine.sim.attacks import model_attack
-from engine.watermark.copies import copies_z
 from engine.watermark.messages import derive_message
 from engine.watermark.statistics import z_threshold
 
@@ -131,16 +130,3 @@ def test_what_cannot_be_traced_is_refused(copies: Copies) -> None:
         trace_images([picture], copies.opened, MODEL)
     with pytest.raises(InputError, match="no picture"):
         trace_images([], copies.opened)
-
-
-def test_z_of_a_copy_does_not_depend_on_who_else_is_asked() -> None:
-    rng = np.random.default_rng(0)
-    y, w = rng.standard_normal(999), rng.random(999)
-    marks = [rng.choice([-1, 1], 999).astype(np.int8) for i in range(600)]
-    together = copies_z(y, w, marks)
-    assert [copies_z(y, w, [mark])[0] for mark in marks[250:260]] == list(together[250:260])
-    direct = [float((w * y) @ mark / np.linalg.norm(w * y)) for mark in marks]
-    np.testing.assert_allclose(together, direct, atol=1e-12)
-    assert not copies_z(np.zeros(999), w, marks).any()
-    with pytest.raises(ValueError, match="999"):
-        copies_z(y, w, [np.ones(5, np.int8)])

@@ -25,9 +25,9 @@ from engine.pipeline.strength import add_dc
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.registration.mixtures import Mixtures
 from engine.sim.attacks import image_attack, model_attack
-from engine.watermark.copies import copies_z
 from engine.watermark.image_evidence import add_evidence
 from engine.watermark.keys import CHIPS, signs
+from engine.watermark.layers import layered_z
 from engine.watermark.model_evidence import gather_model_evidence
 from engine.watermark.power import expected_z
 from engine.watermark.rates import MADE_FIRST
@@ -145,9 +145,10 @@ def try_copies(path: str, copies: int, quick: bool, seed: int) -> list[Row]:
     made = embed(loaded.model, key, original_sha256=loaded.sha256, bits=32, config=fast_config(quick), copy="guilty")
     opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
     result = verify_model(made.model, opened, VerifyConfig(route="model"))
-    chips = len(result.evidence.y)
-    signs = (one.spreading_of(chips).signs(one.message) for one in innocent_copies(opened, key, copies))
-    z = copies_z(result.evidence.y, result.evidence.weights, signs)
+    evidence, tint = result.evidence, opened.layout.chips
+    innocent = innocent_copies(opened, key, copies)
+    signs = (one.spreading_of(len(evidence.y)).signs(one.message) for one in innocent)
+    z = np.array([layered_z(evidence, each, tint).z["both"] for each in signs])
     verdict = "marked" if result.claim.z_threshold <= z.max() else "not_marked"
     what = "copies of other recipients"
     return [_row("copies", Path(path).name, what, "model", False, float(z.max()), verdict, counted(z))]
