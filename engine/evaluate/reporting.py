@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from engine.evaluate.drawing import house_style, png, svg
 from engine.evaluate.running import write_whole
 from engine.evaluate.study import Drawing, Options, Row, Study
 from engine.numerics.machine import machine_info
 from engine.numerics.plain import plain
+from engine.pipeline.pages import templates
 
 __all__ = ["cell_text", "write_report"]
 
@@ -29,14 +28,7 @@ def cell_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).parent),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    undefined=StrictUndefined,
-    keep_trailing_newline=True,
-)
+TEMPLATES = templates(Path(__file__).parent, keep_trailing_newline=True)
 TEMPLATES.filters["cell_text"] = cell_text
 
 

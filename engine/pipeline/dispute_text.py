@@ -6,8 +6,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 
+from engine.pipeline.pages import templates
 from engine.watermark.wording import TYPOGRAPHIC, Form, percent, when
 
 __all__ = ["DEEDS", "DisputeWords", "dispute_page", "dispute_words"]
@@ -138,11 +139,4 @@ def _date(date: Mapping[str, str]) -> str:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("dispute.html")
+    return templates(Path(__file__).parent).get_template("dispute.html")

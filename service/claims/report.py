@@ -9,8 +9,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 
+from engine.pipeline.pages import templates
 from engine.records.timestamps import TimestampFault, stamped_at
 from engine.watermark.checks import named
 from engine.watermark.wording import ROUTES, TYPOGRAPHIC, when
@@ -118,12 +119,6 @@ def _pretty(document: Mapping[str, Any]) -> str:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates(Path(__file__).parent)
     environment.filters.update(power=partial(TYPOGRAPHIC.power, 10), when=when)
     return environment.get_template("report.html")
