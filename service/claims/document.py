@@ -66,7 +66,7 @@ def build_document(
 
 
 _BOUND = ("verdict", "confidence", "log10_false_claim", "meets_dishonest_claimant_rate", "would_be_claim_if_attested")
-_SAME = (*_BOUND, "derived_fraction", "derivation", "transform", "missing", "notes")
+_SAME = (*_BOUND, "layers", "derived_fraction", "derivation", "transform", "missing", "notes")
 _MESSAGE = {
     "hex": "message",
     "bits": "bits",
@@ -85,6 +85,7 @@ _NOTHING: dict[str, Any] = {
     "log10_false_claim": 0.0,
     "meets_dishonest_claimant_rate": False,
     "would_be_claim_if_attested": False,
+    "layers": None,
     "threshold": None,
     "message": None,
     "derived_fraction": None,

@@ -168,6 +168,9 @@ class ClaimDocument(_Part):
     derivation: Derivation | None = None
     transform: dict[str, Any] | None = Field(description="From suspect to registered model.")
     evidence: list[Evidence]
+    layers: dict[Literal["tint", "grain", "both"], float] | None = Field(
+        None, description="z of each layer of the mark by itself and of both; the claim rests on the strongest."
+    )
     checks: list[Check]
     missing: str = Field(description="What an inconclusive answer lacks.")
     notes: list[str]

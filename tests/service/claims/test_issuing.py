@@ -11,6 +11,7 @@ import sqlalchemy as sa
 from engine.records import signatures
 from engine.records.timestamps import Stamped
 from service.claims import issuing
+from service.claims.document import document_words
 from service.claims.issuing import IssuedClaim, stamp_claim
 from service.claims.schema import ClaimDocument
 from service.db.schema import assets, audit, claims
@@ -41,6 +42,15 @@ def test_a_claim_is_logged_signed_and_stored(registry: Registry, kind: str) -> N
     report = verify_log(registry.db)
     assert report.ok, report.text()
     assert (report.assets, report.claims) == (1, 1)
+
+
+def test_both_layers_of_the_evidence_are_signed(registry: Registry) -> None:
+    found = reply()
+    found["claim"]["layers"] = {"tint": 8.25, "grain": 31.5, "both": 32.0}
+    document = registry.issue(found).document
+    assert document["layers"] == found["claim"]["layers"]
+    words = [fact.text for fact in document_words(document).facts]
+    assert "in colours z 8.2, in centres and sizes z 31.5, together 32.0" in words
 
 
 def test_one_job_has_one_claim(registry: Registry) -> None:
