@@ -7,8 +7,11 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float32
+from engine.numerics.jit import kernel
 
 __all__ = ["difference_picture", "ms_ssim_distance", "psnr", "ssim", "ssim_maps"]
+
+_KERNEL_VERSION = 1
 
 SSIM_RADIUS = 5
 """Half width of the 11-tap window of Wang et al."""
@@ -64,22 +67,42 @@ def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float3
     # Moments about mid-grey: E[x^2] - E[x]^2 would lose half of float32's digits in bright flat regions.
     x -= np.float32(0.5)
     y -= np.float32(0.5)
-    kernel = cv2.getGaussianKernel(window, SSIM_SIGMA)
+    window_weights = cv2.getGaussianKernel(window, SSIM_SIGMA)
     inner = slice(SSIM_RADIUS, -SSIM_RADIUS)
 
-    def local_mean(image: Float32) -> Any:
-        return cv2.sepFilter2D(image, -1, kernel, kernel)[inner, inner]
+    def local_mean(image: Float32) -> Float32:
+        mean: Float32 = cv2.sepFilter2D(image, -1, window_weights, window_weights)
+        return mean
 
-    mean_x, mean_y = local_mean(x), local_mean(y)
-    square = local_mean(x * x + y * y)  # E[x^2] + E[y^2]
-    cross = local_mean(x * y)
-    product = mean_x * mean_y
-    powers = mean_x * mean_x + mean_y * mean_y
-    structure: Float32 = (2 * (cross - product) + SSIM_C2) / (square - powers + SSIM_C2)
-    # Back to means about black, where the luminance term is defined.
-    total = mean_x + mean_y  # (m_x + 1/2)(m_y + 1/2) = m_x m_y + (m_x + m_y)/2 + 1/4
-    luminance: Float32 = (2 * product + total + (0.5 + SSIM_C1)) / (powers + total + (0.5 + SSIM_C1))
-    return structure, luminance
+    square, cross = np.empty_like(x), np.empty_like(x)
+    fill_products(x.ravel(), y.ravel(), square.ravel(), cross.ravel())
+    # In place: the factors take the room of the means they are made of.
+    structure, luminance, square, cross = (local_mean(image) for image in (x, y, square, cross))
+    compare_windows(structure.ravel(), luminance.ravel(), square.ravel(), cross.ravel())
+    return structure[inner, inner], luminance[inner, inner]
+
+
+@kernel
+def fill_products(x: Any, y: Any, square: Any, cross: Any) -> None:
+    """x^2 + y^2 and x y of each value; flat float32 arrays, the last two are written."""
+    for i in range(len(x)):
+        square[i] = x[i] * x[i] + y[i] * y[i]
+        cross[i] = x[i] * y[i]
+
+
+@kernel
+def compare_windows(mean_x: Any, mean_y: Any, square: Any, cross: Any) -> None:
+    """Both factors of SSIM, written over the means: of windowed means about mid-grey, of x, y, x^2 + y^2 and x y."""
+    c1, c2, half = np.float32(SSIM_C1), np.float32(SSIM_C2), np.float32(0.5)
+    for i in range(len(mean_x)):
+        product = mean_x[i] * mean_y[i]
+        powers = mean_x[i] * mean_x[i] + mean_y[i] * mean_y[i]
+        # Back to means about black, where the luminance term is defined:
+        total = mean_x[i] + mean_y[i]  # (m_x + 1/2)(m_y + 1/2) = m_x m_y + (m_x + m_y)/2 + 1/4
+        double = product + product
+        structure = (cross[i] + cross[i] - double + c2) / (square[i] - powers + c2)
+        mean_x[i] = structure
+        mean_y[i] = (double + total + half + c1) / (powers + total + half + c1)
 
 
 def difference_picture(a: npt.NDArray[Any], b: npt.NDArray[Any], gain: float = 20.0) -> Float32:

@@ -4,6 +4,7 @@ They let the camera of a screenshot be found later, and are kept with the record
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ LEAST_ALPHA = 0.7
 """A pixel this opaque shows a surface, and its depth is that surface's."""
 DEPTH_EDGE = 0.05
 """Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
+AHEAD = 2
+"""Pictures drawn before they are searched: 8 MB each."""
 MARGIN = 8
 """Pixels kept around what is visible when a render is cut before detection."""
 
@@ -61,15 +64,17 @@ def make_landmarks(
 
     The cameras cover it, about 48 of 640 x 480 pixels; `advance` is called with the fraction done, 0 to 1, after each.
     """
-    points, descriptors, views = [], [], []
-    for number, camera in enumerate(cameras):
-        image, alpha, depth = render_depth(model, camera)
-        found = _detect(image, alpha, depth, camera)
-        points.append(found[0])
-        descriptors.append(found[1])
-        views.append(np.full(len(found[0]), number, dtype=np.int32))
-        if advance is not None:
-            advance((number + 1) / len(cameras))
+    found: list[Future[tuple[Float32, npt.NDArray[np.uint8]]]] = []
+    with ThreadPoolExecutor(max_workers=1) as detector:  # while one picture is searched, the next is drawn
+        for number, camera in enumerate(cameras):
+            image, alpha, depth = render_depth(model, camera)
+            if number >= AHEAD:
+                found[number - AHEAD].result()
+            found.append(detector.submit(_detect, image, alpha, depth, camera))
+            if advance is not None:
+                advance((number + 1) / len(cameras))
+        points, descriptors = zip(*(each.result() for each in found), strict=True) if found else ((), ())
+    views = [np.full(len(seen), number, dtype=np.int32) for number, seen in enumerate(points)]
     if not points:
         return Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, dtype=np.int32))
     return Landmarks(np.concatenate(points), np.concatenate(descriptors), np.concatenate(views))

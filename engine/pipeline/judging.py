@@ -99,7 +99,7 @@ def judge(
         transform=transform,
         notes=notes,
         layers=layered.z if len(evidence.y) > tint else None,
-        change=max(_change(only(evidence, layer, tint)) for layer in layered.z),
+        change=_change(evidence, tint),
     )
     if config.decoder == "paper":
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
@@ -118,8 +118,11 @@ def judge(
     return claim
 
 
-def _change(evidence: Evidence) -> float:
-    return measured_change(evidence.y, evidence.weights, evidence.signal)
+def _change(evidence: Evidence, tint: int) -> float:
+    """The larger `measured_change` of the two layers; that of both together lies between them."""
+    parts = (slice(0, tint), slice(tint, None))
+    layers = [(evidence.y[part], evidence.weights[part], evidence.signal[part]) for part in parts]
+    return max(measured_change(*layer) for layer in layers if len(layer[0]))
 
 
 def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:

@@ -1,12 +1,14 @@
 """The strength of a mark: as much as the worst key view stands (DESIGN 4.5)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from engine.model import Camera, Float32, Float64
 from engine.numerics.image_metrics import psnr, ssim
+from engine.numerics.jit import thread_count
 from engine.pipeline.scenes import ViewSet
 
 ROUNDS = 10
@@ -26,6 +28,12 @@ class Fidelity:
     def meets(self, other: "Fidelity") -> bool:
         """Whether it is at least as good in both."""
         return self.psnr_db >= other.psnr_db and self.ssim >= other.ssim
+
+    def room_to(self, other: "Fidelity") -> float:
+        """By how much the amplitude of what is seen may be multiplied until it shows as much as another: PSNR falls by
+        20 log10 of the factor, 1 - SSIM grows with its square."""
+        by_psnr = 10.0 ** ((self.psnr_db - other.psnr_db) / 20.0)
+        return float(min(by_psnr, np.sqrt((1.0 - other.ssim) / max(1.0 - self.ssim, 1e-12))))
 
 
 @dataclass(frozen=True)
@@ -66,14 +74,12 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
         First guess of the factor.
     """
     factor, above, best = start, np.inf, None
+    aim = Fidelity(psnr_db + 0.02, 1.0 - 0.996 * (1.0 - least_ssim))  # a hair above both
     for number in range(ROUNDS):
         found = _measure(views, displacement, factor)
         if not np.isfinite(found.psnr_db):  # nothing in sight changes: any strength will do
             return found
-        # PSNR falls by 20 log10 of the factor, 1 - SSIM grows with its square; aim a hair above both.
-        by_psnr = 10 ** ((found.psnr_db - psnr_db - 0.02) / 20.0)
-        by_ssim = np.sqrt((1.0 - least_ssim) / max(1.0 - found.ssim, 1e-12)) * 0.998
-        step = float(min(by_psnr, by_ssim))
+        step = found.room_to(aim)
         if found.psnr_db >= psnr_db and found.ssim >= least_ssim:
             if step < 1.006:
                 return found
@@ -91,5 +97,17 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
 
 def _measure(views: ViewSet, displacement: Float32, factor: float) -> Strength:
     sh = add_dc(views.model.sh, np.float32(factor) * displacement)
-    pairs = [(image, views.render(k, sh)) for k, image in enumerate(views.images)]
-    return Strength(min(psnr(a, b) for a, b in pairs), min(ssim(a, b) for a, b in pairs), factor)
+    found = worst_of(views.images, (views.render(k, sh) for k in range(len(views.images))))
+    return Strength(found.psnr_db, found.ssim, factor)
+
+
+def worst_of(images: Sequence[Float32], seen: Iterable[Float32]) -> Fidelity:
+    """The worst of pictures (H, W, 3) against images; while one is compared, the next is drawn."""
+    with ThreadPoolExecutor(max_workers=thread_count()) as pool:
+        found = [pool.submit(_compare, image, picture) for image, picture in zip(images, seen, strict=True)]
+        pairs = [each.result() for each in found]
+    return Fidelity(min(a for a, _ in pairs), min(b for _, b in pairs))
+
+
+def _compare(image: Float32, picture: Float32) -> tuple[float, float]:
+    return psnr(image, picture), ssim(image, picture)

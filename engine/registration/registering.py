@@ -37,6 +37,8 @@ FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
 EXPLAINED = 0.97
 """Mean trust in the matches below which errors are sought that grow with the Gaussians."""
+IN_ORDER = 0.9
+"""The same for a suspect in the reference's order, whose partners are known: what size explains is lost trust alone."""
 MOSTLY = 0.5
 """Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
 LEAST_REST = 64
@@ -128,7 +130,7 @@ def _answer(
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
     suspect = hands.of(verdict.mirrored)
     matches, quality = verdict.match(suspect)
-    if quality.mean() < EXPLAINED:
+    if quality.mean() < (EXPLAINED if verdict.order_quality is None else IN_ORDER):
         sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng)
         again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
         if again[1].sum() > quality.sum():

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.model import Float64
+from engine.watermark.statistics import magnitude
 
 
 class _Moments(NamedTuple):
@@ -29,14 +30,18 @@ class _Moments(NamedTuple):
 
 def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Moments:
     y, w, signal = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (y, w, signal)))
-    if not (np.isfinite(y).all() and np.isfinite(w).all() and np.isfinite(signal).all()):
+    largest = magnitude(y), magnitude(w), magnitude(signal)
+    if not all(map(math.isfinite, largest)):
         raise ValueError("evidence and signal must be finite")
-    if (w < 0).any():
+    if w.min(initial=0.0) < 0:
         raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
-    unit = max(float(np.abs(y).max(initial=0.0)), float(np.abs(signal).max(initial=0.0))) or 1.0
-    wy, ws = w * (y / unit), w * (signal / unit)
-    top = max(float(np.abs(wy).max(initial=0.0)), float(np.abs(ws).max(initial=0.0))) or 1.0
-    wy, ws = wy / top, ws / top
+    unit = max(largest[0], largest[2]) or 1.0
+    wy, ws = y / unit, signal / unit
+    wy *= w
+    ws *= w
+    top = max(magnitude(wy), magnitude(ws)) or 1.0
+    wy /= top
+    ws /= top
     root = math.sqrt(float(wy @ wy + ws @ ws))
     a = wy * (1 - threshold * ws / root) if root > 0 else wy
     return _Moments(float(ws.sum()), root, math.sqrt(float(a @ a)), math.sqrt(float(ws @ ws)))

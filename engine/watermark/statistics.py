@@ -53,17 +53,23 @@ def weighted_evidence(y: Float64, w: Float64) -> Float64:
     y, w = np.asarray(y, dtype=np.float64), np.asarray(w, dtype=np.float64)
     if y.ndim != 1 or y.shape != w.shape:
         raise ValueError(f"y and w must be equally long lists, got shapes {y.shape} and {w.shape}")
-    if not (np.isfinite(y).all() and np.isfinite(w).all()):
+    if not (math.isfinite(magnitude(y)) and math.isfinite(magnitude(w))):
         raise ValueError("evidence must be finite: give weight 0 and y 0 to what could not be measured")
-    if (w < 0).any():
+    if w.min(initial=0.0) < 0:
         raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
     y, w = _to_unit(y), _to_unit(w)
     return _to_unit(y * w)
 
 
+def magnitude(values: Float64) -> float:
+    """The largest absolute value, 0 of none; not finite where one is not."""
+    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    return max(-low, high) if low == low else low  # NaN is in both, and in no comparison
+
+
 def _to_unit(values: Float64) -> Float64:
     """Scale to a largest magnitude of 1, so that no square or sum over- or underflows where it matters."""
-    largest = float(np.abs(values).max(initial=0.0))
+    largest = magnitude(values)
     return values / largest if largest > 0 else values
 
 

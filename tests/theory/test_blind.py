@@ -20,15 +20,16 @@ from engine.sim.attacks import model_attack
 from engine.watermark.keys import CHIPS
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import spread
+from tests.scenes import sparse_plant
 
 pytestmark = pytest.mark.slow
 
-SCENE = "tests/data/plant.splat"
-
 
 @pytest.fixture(scope="module")
-def scene() -> MarkedScene:
-    return mark_scene(SCENE, profile("fast", landmark_views=0, views=3, view_size=256))
+def scene(tmp_path_factory: pytest.TempPathFactory) -> MarkedScene:
+    path = tmp_path_factory.mktemp("scene") / "plant.splat"
+    path.write_bytes(sparse_plant())
+    return mark_scene(path, profile("fast", landmark_views=0, views=2, view_size=192))
 
 
 def drawn_anew(opened: OpenedRecord, seed: int) -> OpenedRecord:
@@ -70,7 +71,7 @@ def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: Mar
     routes = set()
     for name, suspect in suspects(scene).items():
         true = walk(suspect, scene.opened)
-        for seed in (1, 2):
+        for seed in (1,):
             for one, other in zip(true, walk(suspect, drawn_anew(scene.opened, seed)), strict=True):
                 a, b = one.evidence, other.evidence
                 assert one.route == other.route

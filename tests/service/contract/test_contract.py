@@ -15,7 +15,7 @@ from tests.service import serving
 from tests.service.serving import Served
 
 HERE = Path(__file__).parent
-PLANT = HERE.parents[1] / "data" / "plant.splat"
+SMALL = HERE.parents[1] / "data" / "train_1000.ply"
 EXAMPLES = os.environ.get("MARK3DGS_CONTRACT_EXAMPLES", "10")
 
 
@@ -32,9 +32,9 @@ def filled(served: Served) -> dict[str, str]:
     with httpx.Client(base_url=served.address, headers={**served.headers, "Prefer": "wait=60"}, timeout=120) as client:
         key = client.post("/v1/keys", json={}).json()["id"]
         form = {"key_id": key, "profile": "fast"}
-        asset = client.post("/v1/embed", data=form, files={"model": PLANT.read_bytes()}).json()["result"]["asset_id"]
+        asset = client.post("/v1/embed", data=form, files={"model": SMALL.read_bytes()}).json()["result"]["asset_id"]
         body = {"asset_id": asset}
-        claim = client.post("/v1/verify", data=body, files={"model": PLANT.read_bytes()}).json()["result"]["claim_id"]
+        claim = client.post("/v1/verify", data=body, files={"model": SMALL.read_bytes()}).json()["result"]["claim_id"]
     return {"asset_id": asset, "claim_id": claim}
 
 

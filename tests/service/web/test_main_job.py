@@ -9,17 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from engine.cli.app import run
+from tests.scenes import sparse_plant
 from tests.service.web.conftest import shoot
-from tests.service.web.journey import LONG, PLANT, check, embed, make_key, pane_pictures
+from tests.service.web.journey import LONG, check, embed, make_key, pane_pictures
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
 def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
+    plant = tmp_path / "plant.splat"
+    plant.write_bytes(sparse_plant())
+
     # 1. mark
     assert make_key(page, "Studio").strip()
-    embed(page, PLANT, "Potted plant", "Acme")
+    embed(page, plant, "Potted plant", "Acme")
     page.get_by_role("heading", name="Marking the model").wait_for()
     page.locator(".progress-done li").first.wait_for(timeout=LONG)  # a stage is listed once it took a while
     shoot(page, "mark-progress")
@@ -96,7 +100,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     page.get_by_role("heading", name="Mark found").wait_for()
 
     # 7. an original that was never marked
-    assert check(page, PLANT) == "Derived, without this mark"
+    assert check(page, plant) == "Derived, without this mark"
     said = "derived from your asset; this copy's mark is absent or was taken out"
     assert said in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")

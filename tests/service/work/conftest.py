@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from service.work.tasks import TASKS
+from tests.scenes import sparse_plant
 
 DATA = Path(__file__).parents[2] / "data"
-SCENE = DATA / "plant.splat"
 FOREIGN = DATA / "train_1000.ply"
 KEY = "11" * 16 + "22" * 16
 
@@ -28,6 +28,7 @@ class Marked:
     """Files of one embedding, and what the task replied."""
 
     folder: Path
+    original: Path
     reply: dict[str, Any]
 
     def path(self, name: str) -> Path:
@@ -40,10 +41,12 @@ class Marked:
 
 @pytest.fixture(scope="session")
 def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
-    """The shipped scene, marked with the fast profile."""
+    """The shipped scene, thinned out, marked with the fast profile."""
     folder = tmp_path_factory.mktemp("marked")
+    original = folder / "plant.splat"
+    original.write_bytes(sparse_plant())
     request = {
-        "model": str(SCENE),
+        "model": str(original),
         "key": KEY,
         "message": "c0ffee42",
         "bits": None,
@@ -57,7 +60,7 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
         "spz_frame": "auto",
         "registered_at": "2026-01-02T03:04:05+00:00",
     }
-    return Marked(folder, TASKS["embed"](request, folder, silent))
+    return Marked(folder, original, TASKS["embed"](request, folder, silent))
 
 
 @pytest.fixture

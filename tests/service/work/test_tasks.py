@@ -22,7 +22,7 @@ from service.work.candidates import find_marks, load_candidates
 from service.work.embedding import embed_mark
 from service.work.pictures import choose_view
 from service.work.tasks import TASKS
-from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, silent
+from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked, silent
 
 EMBED: dict[str, Any] = {
     "model": str(FOREIGN),
@@ -56,7 +56,7 @@ def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
     assert (reply["message"], reply["format"], reply["original_format"]) == ("c0ffee42", "ply", "splat")
     assert reply["report"]["psnr_worst_view"] > 46.9
     assert reply["report"]["bytes_out"] == marked.path("model").stat().st_size
-    model, original = read_model(marked.path("model")).model, read_model(SCENE).model
+    model, original = read_model(marked.path("model")).model, read_model(marked.original).model
     moved = (model.sh[:, 0] != original.sh[:, 0]).any(axis=1)
     assert moved[~find_masses(original.sh[:, 0], PlanConfig().mass_share)].mean() > 0.99
     opened = open_record(marked.path("record").read_bytes(), OwnerKey(bytes.fromhex(KEY)))
@@ -65,8 +65,8 @@ def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
     assert marked.path("sketch").read_bytes() == make_sketch(model).to_bytes()
 
 
-def test_auto_says_what_it_chose_and_keeps_the_fidelity_that_was_asked_for(tmp_path: Path) -> None:
-    reply = embed_mark(EMBED | {"model": str(SCENE), "profile": "auto", "psnr": 44.0}, tmp_path, silent)
+def test_auto_says_what_it_chose_and_keeps_the_fidelity_that_was_asked_for(tmp_path: Path, marked: Marked) -> None:
+    reply = embed_mark(EMBED | {"model": str(marked.original), "profile": "auto", "psnr": 44.0}, tmp_path, silent)
     choice = reply["report"]["choice"]
     assert (choice["views"], choice["view_size"], choice["psnr_db"]) == (6, 256, 44.0)
     assert reply["report"]["seconds_by_stage"]["choose"] > 0.0
@@ -87,7 +87,7 @@ def test_preview_shows_original_marked_and_difference(marked: Marked) -> None:
 
 
 def test_the_view_shows_the_whole_model_and_needs_no_key(marked: Marked) -> None:
-    original = read_model(SCENE).model
+    original = read_model(marked.original).model
     camera, same = choose_view(original, 640, 480), choose_view(original, 640, 480)
     np.testing.assert_array_equal(camera.viewmat, same.viewmat)
     x = original.means[::50] @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -147,7 +147,7 @@ def test_a_registered_mark_is_found_and_only_that(marked: Marked) -> None:
     assert (found["alike"], found["screened"]) == (3, 3)
     assert found["carries"][0]["log10_false_claim"] < -100
     assert find_marks(stolen, candidates, 2, silent)["screened"] == 2
-    original, foreign = (read_model(path).model for path in (SCENE, FOREIGN))
+    original, foreign = (read_model(path).model for path in (marked.original, FOREIGN))
     assert find_marks(original, candidates, 8, silent)["carries"] == []
     assert find_marks(foreign, candidates, 8, silent)["screened"] == 0, "a foreign model costs no registration"
 

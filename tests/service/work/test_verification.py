@@ -20,7 +20,7 @@ from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
 from service.problems import Problem
 from service.work.pictures import CELL_CODES, cell_scores
-from tests.service.work.conftest import FOREIGN, KEY, SCENE, Ask, Marked, checks
+from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked, checks
 
 FIVE = ["record_intact", "owner_key", "derived", "mark", "evidence"]
 
@@ -33,7 +33,7 @@ def test_a_marked_model_is_told_with_pictures(verify: Ask, marked: Marked, tmp_p
     assert reply["registered_message"] == "c0ffee42"
     assert reply["record"]["record_id"] == marked.reply["record_id"]
     assert reply["record"]["registered_at"] == "2026-01-02T03:04:05+00:00"
-    assert reply["subject"] == {"format": "ply", "gaussians": len(read_model(SCENE).model), "pictures": 0}
+    assert reply["subject"] == {"format": "ply", "gaussians": len(read_model(marked.original).model), "pictures": 0}
     assert [check["code"] for check in reply["checks"]] == FIVE
     assert set(checks(reply).values()) == {True}
     assert set(reply["files"]) == {"heatmap", "suspect", "reference"}
@@ -43,8 +43,8 @@ def test_a_marked_model_is_told_with_pictures(verify: Ask, marked: Marked, tmp_p
             assert picture.size[0] == 640
 
 
-def test_derived_but_unmarked(verify: Ask) -> None:
-    reply = verify(model=str(SCENE))
+def test_derived_but_unmarked(verify: Ask, marked: Marked) -> None:
+    reply = verify(model=str(marked.original))
     assert reply["claim"]["verdict"] == "not_marked"
     assert reply["claim"]["derived"]
     assert checks(reply) == dict(zip(FIVE, [True, True, True, False, True], strict=True))
@@ -142,9 +142,9 @@ def test_a_picture_of_something_else(verify: Ask, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("both", [True, False])
-def test_a_suspect_is_a_model_or_pictures(verify: Ask, both: bool) -> None:
+def test_a_suspect_is_a_model_or_pictures(verify: Ask, both: bool, marked: Marked) -> None:
     with pytest.raises(Problem, match="one model, or pictures") as caught:
-        verify(model=str(SCENE) if both else None, images=[str(SCENE)] if both else [])
+        verify(model=str(marked.original) if both else None, images=[str(marked.original)] if both else [])
     assert caught.value.kind == "invalid-request"
 
 
@@ -160,6 +160,6 @@ def test_the_map_shows_the_mark_but_no_secret_sign(marked: Marked) -> None:
     assert len(cells) <= opened.layout.codes[0] // CELL_CODES
     for value in cells:
         assert len(np.unique(opened.layout.labels[0][z == value])) >= CELL_CODES
-    unmarked, _ = cell_scores(opened, verify_model(read_model(SCENE).model, opened))
+    unmarked, _ = cell_scores(opened, verify_model(read_model(marked.original).model, opened))
     assert np.abs(unmarked).max() < 5
     assert np.unique(unmarked).std() == pytest.approx(1.0, abs=0.5)
