@@ -23,9 +23,9 @@ RIGID = RegistrationConfig(deformed=False)
 
 @pytest.fixture(scope="module")
 def plant() -> ReferenceIndex:
-    """A sixth of a real scene."""
+    """A twelfth of a real scene."""
     model = read_model(PLANT).model
-    return ReferenceIndex(model.take(np.arange(0, len(model), 6)))
+    return ReferenceIndex(model.take(np.arange(0, len(model), 12)))
 
 
 def share_right(got: Registration, order: np.ndarray) -> tuple[float, float]:
