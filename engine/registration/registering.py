@@ -37,8 +37,6 @@ FIT_SAMPLE = 50_000
 """Matched pairs from which the similarity is fitted in the end."""
 EXPLAINED = 0.97
 """Mean trust in the matches below which errors are sought that grow with the Gaussians."""
-IN_ORDER = 0.9
-"""The same for a suspect in the reference's order, whose partners are known: what size explains is lost trust alone."""
 MOSTLY = 0.5
 """Share of the suspect that one hand must explain, or what is left over is looked at with the other hand, too."""
 LEAST_REST = 64
@@ -111,11 +109,17 @@ def register(
     rng = np.random.default_rng(seed)
     hands = Hands(suspect)
     verdict, tried = locate(index, hands, rng, colorless=config.colorless)
-    rigid = _nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng)
+    either = [(_nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng), verdict)]
     if verdict is not None:
-        rigid, verdict = _other_hand(index, hands, rigid, verdict, rng)
-    if config.merged and (rigid.matches < 0).mean() > LEFT_OVER:
-        rigid = _unmerge(index, hands, rigid, rng)
+        either += _other_hand(index, hands, either[0][0], rng)
+    if config.merged:
+        either = [
+            (_unmerge(index, hands, rigid, rng) if (rigid.matches < 0).mean() > LEFT_OVER else rigid, found)
+            for rigid, found in either
+        ]
+    # A thing as symmetric as a pot lies in its mirror image, too: what explains more is told when all is explained.
+    rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
+    rigid = replace(rigid, hypotheses_tried=max(one.hypotheses_tried for one, _ in either))
     return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
 
 
@@ -130,7 +134,7 @@ def _answer(
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
     suspect = hands.of(verdict.mirrored)
     matches, quality = verdict.match(suspect)
-    if quality.mean() < (EXPLAINED if verdict.order_quality is None else IN_ORDER):
+    if quality.mean() < EXPLAINED:
         sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng)
         again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
         if again[1].sum() > quality.sum():
@@ -145,20 +149,18 @@ def _answer(
 
 
 def _other_hand(
-    index: ReferenceIndex, hands: Hands, rigid: Registration, verdict: Verdict, rng: np.random.Generator
-) -> tuple[Registration, Verdict]:
-    """The registration with the other hand, where that explains more: a small piece left as it was hides no mirror."""
+    index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator
+) -> list[tuple[Registration, Verdict | None]]:
+    """The registration with the other hand, if there is one, where this one leaves much over: a small piece left as it
+    was hides no mirror."""
     left = np.flatnonzero(rigid.matches < 0)
     if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)):
-        return rigid, verdict
+        return []
     rest = Hands(hands.suspect.take(left))
     other, count = locate(index, rest, rng, asked=(not rigid.mirrored,), colorless=False)
-    tried = rigid.hypotheses_tried + count
-    if other is not None and other.order_quality is None:
-        answer = _answer(index, hands, other, tried, rng)
-        if answer.match_quality.sum() > rigid.match_quality.sum():
-            return answer, other
-    return replace(rigid, hypotheses_tried=tried), verdict
+    if other is None or other.order_quality is not None:
+        return []
+    return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)]
 
 
 def _found(reference: GaussianModel, matches: Int32) -> float:
