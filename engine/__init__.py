@@ -11,7 +11,7 @@ if _typing.TYPE_CHECKING:
     from engine.errors import Mark3DGSError
     from engine.formats import read_cameras, read_model, write_cameras, write_model
     from engine.model import Camera, GaussianModel
-    from engine.pipeline.embedding import embed
+    from engine.pipeline.embedding import embed, embed_copies
     from engine.pipeline.profiles import profile
     from engine.pipeline.rigs import make_rig
     from engine.pipeline.sealing import open_record
@@ -29,6 +29,7 @@ __all__ = [
     "Record",
     "VerifyConfig",
     "embed",
+    "embed_copies",
     "make_rig",
     "open_record",
     "profile",
@@ -47,7 +48,7 @@ _HOMES = {
     "engine.errors": ("Mark3DGSError",),
     "engine.formats": ("read_cameras", "read_model", "write_cameras", "write_model"),
     "engine.model": ("Camera", "GaussianModel"),
-    "engine.pipeline.embedding": ("embed",),
+    "engine.pipeline.embedding": ("embed", "embed_copies"),
     "engine.pipeline.profiles": ("profile",),
     "engine.pipeline.rigs": ("make_rig",),
     "engine.pipeline.sealing": ("open_record",),

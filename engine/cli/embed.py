@@ -17,6 +17,9 @@ from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, Key, Knobs, SpzFrame
 from engine.errors import InputError
 
+COPY = "{copy}"
+"""In the name of a file: the recipient's name."""
+
 
 def embed(
     model: Annotated[
@@ -49,7 +52,10 @@ def embed(
         Path | None,
         typer.Option("--cameras", help="cameras.json, transforms.json or COLMAP folder; else views are generated."),
     ] = None,
-    copy: Annotated[str, typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own.")] = "",
+    copy: Annotated[
+        list[str] | None,
+        typer.Option("--copy", metavar="NAME", help="Recipient: each has a mark of its own. Repeatable, see below."),
+    ] = None,
     registered_at: Annotated[
         str, typer.Option("--registered-at", metavar="TEXT", help="Self-declared time of registration, or 'now'.")
     ] = "",
@@ -71,21 +77,29 @@ def embed(
         --output compact --budget 40
       mark3dgs embed scene.ply acme.spz --key owner.key --record acme.record \\
         --copy acme --message c0ffee42
+
+    Several copies take little longer than one; {copy} in both names stands for
+    the recipient's:
+
+      mark3dgs embed scene.ply '{copy}.ply' --key owner.key \\
+        --record '{copy}.record' --copy acme --copy globex
     """
     console = Console(json)
     began = time.perf_counter()
-    refuse_same(model, out)
-    check_target(out)
-    check_target(record, overwrite=force)
-    if out.absolute() == record.absolute():
-        raise InputError("the marked model and the record need different names")
+    targets = _targets(copy or [""], out, record)
+    for marked, kept in targets.values():
+        refuse_same(model, marked)
+        check_target(marked)
+        check_target(kept, overwrite=force)
+        if marked.absolute() == kept.absolute():
+            raise InputError("the marked model and the record need different names")
     if message is not None and bits is not None:
         raise InputError("give --message or --bits, not both: a message has a length of its own")
     kind = format_for(out)
 
     from engine.formats import read_cameras, read_model, write_model
     from engine.formats.writing import loss_note
-    from engine.pipeline.embedding import embed as embed_mark
+    from engine.pipeline.embedding import embed_copies
     from engine.pipeline.profiles import compose
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
@@ -103,50 +117,73 @@ def embed(
         progress("read", 0.0)
         loaded = read_model(model, spz_frame=spz_frame)
         read_seconds = time.perf_counter() - started
-        made = embed_mark(
-            loaded.model,
-            owner,
-            original_sha256=loaded.sha256,
-            message=signs,
-            bits=bits or 32,
-            config=config,
-            cameras=views,
-            copy=copy,
-            registered_at=when,
-            progress=progress,
-        )
-        started = time.perf_counter()
-        progress("write", 0.0)
-        sealed = made.record.to_bytes(owner)
-        # The record comes first: a record without its model is harmless, a marked model without it is lost.
-        with whole_file(out) as model_part:
-            bytes_out = write_model(made.model, model_part, kind)
-            with whole_file(record, overwrite=force) as record_part:
-                write_secret(record_part, sealed)
-        write_seconds = time.perf_counter() - started
+        reports: list[dict[str, Any]] = []
+        for made, (marked, kept) in zip(
+            embed_copies(
+                loaded.model,
+                owner,
+                list(targets),
+                original_sha256=loaded.sha256,
+                message=signs,
+                bits=bits or 32,
+                config=config,
+                cameras=views,
+                registered_at=when,
+                progress=progress,
+            ),
+            targets.values(),
+            strict=True,
+        ):
+            started = time.perf_counter()
+            progress("write", 0.0)
+            sealed = made.record.to_bytes(owner)
+            # The record comes first: a record without its model is harmless, a marked model without it is lost.
+            with whole_file(marked) as model_part:
+                bytes_out = write_model(made.model, model_part, kind)
+                with whole_file(kept, overwrite=force) as record_part:
+                    write_secret(record_part, sealed)
+            once = {"compile": compile_seconds, "read": read_seconds} if not reports else {}
+            reports.append(
+                {
+                    **made.report,
+                    "out": str(marked),
+                    "record": str(kept),
+                    "bytes_in": loaded.source_bytes,
+                    "bytes_out": bytes_out,
+                    "record_bytes": len(sealed),
+                    "format_in": loaded.format,
+                    "format_out": kind,
+                    "profile": profile,
+                    "repairs": [asdict(repair) for repair in loaded.repairs],
+                    "notes": loss_note(made.model, kind),
+                    "seconds": time.perf_counter() - began,
+                    "seconds_by_stage": once
+                    | made.report["seconds_by_stage"]
+                    | {"write": time.perf_counter() - started},
+                }
+            )
+            began = time.perf_counter()
 
-    stages = {
-        "compile": compile_seconds,
-        "read": read_seconds,
-        **made.report["seconds_by_stage"],
-        "write": write_seconds,
-    }
-    report: dict[str, Any] = {
-        **made.report,
-        "bytes_in": loaded.source_bytes,
-        "bytes_out": bytes_out,
-        "record_bytes": len(sealed),
-        "format_in": loaded.format,
-        "format_out": kind,
-        "profile": profile,
-        "repairs": [asdict(repair) for repair in loaded.repairs],
-        "notes": loss_note(made.model, kind),
-        "seconds": time.perf_counter() - began,
-        "seconds_by_stage": stages,
-    }
-    _say(console, report, loaded.repairs, model, out, record)
-    console.emit(report)
+    say_repairs(console, loaded.repairs)
+    for report in reports:
+        _say(console, report, model)
+    console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0
+
+
+def _targets(copies: list[str], out: Path, record: Path) -> dict[str, tuple[Path, Path]]:
+    """Marked model and record of each copy."""
+    named = all(COPY in str(path) for path in (out, record))
+    if len(copies) > 1 and not named:
+        raise InputError(f"several copies need {COPY} in the names of model and record, such as '{COPY}.ply'")
+    targets = {}
+    for copy in copies:
+        if copy in targets:
+            raise InputError(f"copy {copy!r} is given twice")
+        if named and Path(copy).name != copy:
+            raise InputError(f"copy {copy!r} cannot stand in a file's name: name the files yourself")
+        targets[copy] = (Path(str(out).replace(COPY, copy)), Path(str(record).replace(COPY, copy)))
+    return targets
 
 
 def _decibels(budget: str) -> float | None:
@@ -157,8 +194,7 @@ def _decibels(budget: str) -> float | None:
         raise InputError(f"budget must be a number of dB or 'none', got {budget!r}") from None
 
 
-def _say(console: Console, report: dict[str, Any], repairs: Any, model: Path, out: Path, record: Path) -> None:
-    say_repairs(console, repairs)
+def _say(console: Console, report: dict[str, Any], model: Path) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report["seconds_by_stage"].items())
     fit = f"{report['picture_bits']} fit a picture, {report['capacity_bits']} a model"
     lines = {
@@ -178,12 +214,14 @@ def _say(console: Console, report: dict[str, Any], repairs: Any, model: Path, ou
         )
     if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
         del lines["in total"]
-    console.say(f"Marked {model} -> {out}")
+    console.say(f"Marked {model} -> {report['out']}")
     for label, text in lines.items():
         console.say(f"  {label:<11} {text}")
     for note in report["notes"]:
         console.say(f"  {'note':<11} {note}")
-    console.say(f"Keep {record} and your key: together they prove the mark. Keep the unmarked original private.")
+    console.say(
+        f"Keep {report['record']} and your key: together they prove the mark. Keep the unmarked original private."
+    )
 
 
 def size(count: int) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from engine.errors import InputError
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pipeline.embedding import embed
+from engine.pipeline.embedding import embed_copies
 from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.variant import PLAIN, Variant
@@ -57,10 +57,9 @@ def mark_copies(
     """The same for the copy of each recipient."""
     loaded, key = read_model(path), bench_key(seed)
     scenes = []
-    for name in names:
-        made = embed(
-            loaded.model, key, original_sha256=loaded.sha256, bits=bits, config=config, copy=name, variant=variant
-        )
+    for made in embed_copies(
+        loaded.model, key, names, original_sha256=loaded.sha256, bits=bits, config=config, variant=variant
+    ):
         opened = open_record(made.record.to_bytes(key), key, MADE_FIRST)
         scenes.append(MarkedScene(Path(path).name, loaded.model, made.model, opened, made.report))
     return scenes

@@ -5,43 +5,40 @@
 2. Prune to the budget, if one was given.           6. Settle the strength; draw bits and chips from the key.
 3. Fix the canonical reference.                     7. Refine, where that was asked for.
 4. Quantise hierarchically.                         8. Write the record: all that verification needs.
+
+Up to the landmarks all copies of a model have everything in common: see `pipeline.asset`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from engine.compress.hvq import group_means
-from engine.compress.impact import uncertainty
+from engine.compress.hvq import Stage, group_means
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pipeline.asset import Asset, bank_of
 from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import lay_groundwork
 from engine.pipeline.marking import Committed, Copy, make_mark
 from engine.pipeline.profiles import Auto, EmbedConfig, Settings
 from engine.pipeline.progress import Clock, Progress
-from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import worst_psnr_against
 from engine.pipeline.sealing import DRAWN
-from engine.pipeline.settling import measure, settle
-from engine.pipeline.strength import Fidelity, add_dc, solve_strength
+from engine.pipeline.settling import settle
+from engine.pipeline.strength import Fidelity
 from engine.pipeline.variant import PLAIN, Variant
 from engine.records.record import Record
 from engine.records.reference import encode_reference, reference_digest
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
 from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
-from engine.watermark.planning import make_plan, predict_z
+from engine.watermark.planning import Plan, make_plan, predict_z
 from engine.watermark.secret_cells import cells_key, jitter, join_cells
 from engine.watermark.unpredictability import unexplained
-
-LANDMARK_SIZE = (640, 480)
-"""Pixels of a view of the landmark bank."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,6 @@ class Embedding:
     report: dict[str, Any]  # measurements for people and machines (`embed --json`)
 
 
-@one_blas_thread
 def embed(
     model: GaussianModel,
     key: OwnerKey,
@@ -97,9 +93,65 @@ def embed(
         What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
         so decides the chips, which nobody can then try out beforehand.
     """
+    return next(
+        embed_copies(
+            model,
+            key,
+            [copy],
+            original_sha256=original_sha256,
+            message=message,
+            bits=bits,
+            config=config,
+            cameras=cameras,
+            registered_at=registered_at,
+            progress=progress,
+            variant=variant,
+            drawn=drawn,
+        )
+    )
+
+
+def embed_copies(
+    model: GaussianModel,
+    key: OwnerKey,
+    copies: Sequence[str],
+    *,
+    original_sha256: str,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: Settings | None = None,
+    cameras: Sequence[Camera] | None = None,
+    registered_at: str = "",
+    progress: Progress | None = None,
+    variant: Variant = PLAIN,
+    drawn: str = "",
+) -> Iterator[Embedding]:
+    """Mark a model for each of these recipients, one after another; parameters as for `embed`.
+
+    The same bytes as single embeddings, in a part of the time: what takes long is done once. The first report's
+    seconds include it.
+    """
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
     check_bits(bits)
+    asset = _prepare(model, key, original_sha256, clock, bits, config, cameras, variant)
+    for copy in copies:
+        yield _mark(asset, key, clock, message, bits, copy, registered_at, drawn)
+        clock = Clock(progress)
+
+
+@one_blas_thread
+def _prepare(
+    model: GaussianModel,
+    key: OwnerKey,
+    original_sha256: str,
+    clock: Clock,
+    bits: int,
+    config: Settings | None,
+    cameras: Sequence[Camera] | None,
+    variant: Variant,
+) -> Asset:
+    """Everything up to the recipient's own part."""
     choice: Choice | None = None
     if isinstance(config, Auto):
         if variant is not PLAIN:
@@ -114,49 +166,58 @@ def embed(
 
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.
-        ground = (
+        original = (
             choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
         )
-        original, extent, key_cameras = ground.views, ground.extent, ground.cameras
     with clock.stage("prune"):  # 2
-        slim, pruned = slim_down(model, original, ground.impact, extent, settings)
+        slim, pruned = slim_down(model, original.views, original.impact, original.extent, settings)
     with clock.stage("quantize"):  # 3, 4
-        ground = ground.of(slim, clock)
-        impact = ground.impact
-        delivered, stages = unmarked_delivery(slim, ground.stages, original, impact, settings)
-        reference_arrays = encode_reference(delivered)
-        digest = reference_digest(reference_arrays)
-        secret = cells_key(key, digest, copy)
-        missed = None
-        if variant.labels is None:
-            joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
-            stages = (joined, *stages[1:])
-            centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
-            missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
-        emphasis: Float32 | Float64 | None = variant.emphasis_on(impact)
-        # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
-        if variant.labels is None and settings.output == "fidelity":
-            stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
-            if missed is not None and len(stages[0].codebook) > len(missed):
-                missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
-    with clock.stage("landmarks"):
-        landmarks = _landmarks(delivered, extent, settings, clock)
-    with clock.stage("plan"):  # 5, 6
+        ground = original.of(slim, clock)
+        delivered, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
+        reference = encode_reference(delivered)
+        digest = reference_digest(reference)
         views = ground.views_of(delivered, clock)
-        grainy = variant is PLAIN and settings.plan.grain_center + settings.plan.grain_scale > 0.0
-        settled = settle(
-            views,
-            make_plan(stages, impact, settings.plan, emphasis, missed, lambda chips: jitter(secret, chips)),
-            settings,
-            grainy=grainy,
-        )
+    with clock.stage("landmarks"):
+        landmarks = bank_of(delivered, original.extent, settings, clock)
+    return Asset(
+        original,
+        original_sha256,
+        settings,
+        choice,
+        variant,
+        ground,
+        delivered,
+        tuple(stages),
+        reference,
+        digest,
+        views,
+        landmarks,
+        pruned,
+    )
+
+
+@one_blas_thread
+def _mark(
+    asset: Asset,
+    key: OwnerKey,
+    clock: Clock,
+    message: Signs | None,
+    bits: int,
+    copy: str,
+    registered_at: str,
+    drawn: str,
+) -> Embedding:
+    """The recipient's own part."""
+    settings, delivered, variant, ground = asset.settings, asset.delivered, asset.variant, asset.ground
+    with clock.stage("plan"):  # 5, 6
+        settled = settle(asset.views, _plan(asset, cells_key(key, asset.digest, copy)), settings, asset.grained)
     with clock.stage("mark"):
-        sign = message if message is not None else derive_message(key, bits, digest + copy.encode())
+        sign = message if message is not None else derive_message(key, bits, asset.digest + copy.encode())
         mark = make_mark(
-            views,
+            asset.views,
             settled,
-            Copy(key, digest, copy, sign),
-            Committed(key_cameras, landmarks, {**variant.commitments, **_drawn(drawn)}),
+            Copy(key, asset.digest, copy, sign),
+            Committed(ground.cameras, asset.landmarks, {**variant.commitments, **({DRAWN: drawn} if drawn else {})}),
             Fidelity(settings.psnr_db, settings.ssim),
             ground.picture_scale,
             variant.at_view,
@@ -165,29 +226,14 @@ def embed(
     marked, fidelity = mark.model, mark.fidelity
     if settings.refine.steps > 0:
         with clock.stage("refine"):  # 7
-            from engine.pipeline.refinement import refine  # torch is only needed here
+            from engine.pipeline.refinement import refine_mark  # torch is only needed here
 
-            doubt = uncertainty(impact.squared)
-            displacement = refine(
-                delivered,
-                plan.layout.displace(mark.signed),
-                list(key_cameras),
-                plan.layout,
-                mark.signed,
-                mark.spreading.bit_of,
-                bits,
-                doubt,
-                settings.refine,
-                clock.advance,
-            )
-            again = solve_strength(views, displacement, mark.settled.tint.psnr_db, mark.settled.tint.ssim, 1.0)
-            marked = marked.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
-            fidelity = measure(views, marked)
+            marked, fidelity = refine_mark(asset, mark, bits, clock.advance)
     with clock.stage("record"):  # 8
         record = Record.make(
             key,
-            reference_arrays,
-            original_digest=original_sha256,
+            asset.reference,
+            original_digest=asset.original_sha256,
             plan=mark.plan[0],
             plan_arrays=mark.plan[1],
             extra={"settings": asdict(settings)},
@@ -195,11 +241,11 @@ def embed(
             registered_at=registered_at,
         )
         total = fidelity.psnr_db
-        if delivered is not model:
-            total = worst_psnr_against(original.images, key_cameras, variant.at_view)(marked)
+        if delivered is not asset.original.model:
+            total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
     predicted = predict_z(plan.energies * ground.picture_scale, mark.spreading.bit_of, bits)
     report = {
-        "gaussians_in": len(model),
+        "gaussians_in": len(asset.original.model),
         "gaussians_out": len(marked),
         "bits": bits,
         "message": message_hex(sign),
@@ -213,21 +259,28 @@ def embed(
         "picture_bits": mark.pictured,
         "chips": plan.layout.chips,
         "grain": asdict(mark.settled.grain),
-        "choice": None if choice is None else choice.report(),
-        **pruned,
+        "choice": None if asset.choice is None else asset.choice.report(),
+        **asset.pruned,
         "seconds": clock.total,
         "seconds_by_stage": clock.seconds,
     }
     return Embedding(marked, record, settings, report)
 
 
-def _drawn(drawn: str) -> dict[str, str]:
-    return {DRAWN: drawn} if drawn else {}
-
-
-def _landmarks(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:
-    """The bank by which the camera of a screenshot is found; regular views of the unmarked model."""
-    if config.landmark_views == 0:
-        return None
-    rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
-    return make_landmarks(model, rig, clock.advance)
+def _plan(asset: Asset, secret: bytes) -> Plan:
+    """The tint at unit strength, on cells that the copy's secret joins."""
+    stages: tuple[Stage, ...] = asset.stages
+    ground, variant, settings, delivered = asset.ground, asset.variant, asset.settings, asset.delivered
+    missed = None
+    if variant.labels is None:
+        joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
+        stages = (joined, *stages[1:])
+        centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
+        missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
+    emphasis: Float32 | Float64 | None = variant.emphasis_on(ground.impact)
+    # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
+    if variant.labels is None and settings.output == "fidelity":
+        stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
+        if missed is not None and len(stages[0].codebook) > len(missed):
+            missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
+    return make_plan(stages, ground.impact, settings.plan, emphasis, missed, lambda chips: jitter(secret, chips))

@@ -14,10 +14,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from engine.compress.impact import uncertainty
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
 from engine.numerics.wavelet import dwt2
+from engine.pipeline.asset import Asset
 from engine.pipeline.distortions import draw
+from engine.pipeline.marking import Mark
 from engine.pipeline.profiles import RefineConfig
+from engine.pipeline.settling import measure
+from engine.pipeline.strength import Fidelity, add_dc, solve_strength
 from engine.raster import View, prepare_view, sh_colors
 from engine.watermark.layout import Layout
 
@@ -151,3 +156,25 @@ def _soft_bits(pulled: Tensor, pattern: Tensor, groups: list[Tensor], bits: int)
         total = total.index_add(0, group, contribution)
         energy = energy.index_add(0, group, contribution.detach() ** 2)
     return total / (energy.sqrt() + 1e-12)
+
+
+def refine_mark(
+    asset: Asset, mark: Mark, bits: int, advance: Callable[[float], None]
+) -> tuple[GaussianModel, Fidelity]:
+    """The marked model with its tint refined and its strength solved again, and what its worst view shows."""
+    plan, delivered, tint = mark.settled.plan, asset.delivered, mark.settled.tint
+    displacement = refine(
+        delivered,
+        plan.layout.displace(mark.signed),
+        list(asset.ground.cameras),
+        plan.layout,
+        mark.signed,
+        mark.spreading.bit_of,
+        bits,
+        uncertainty(asset.ground.impact.squared),
+        asset.settings.refine,
+        advance,
+    )
+    again = solve_strength(asset.views, displacement, tint.psnr_db, tint.ssim, 1.0)
+    marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
+    return marked, measure(asset.views, marked)

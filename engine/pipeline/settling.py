@@ -6,14 +6,14 @@ much within a tenth of a decibel, and where they show more, strengths are lowere
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.model import GaussianModel
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.scenes import ViewSet
-from engine.pipeline.strength import Fidelity, first_guess, solve_strength, worst_of
+from engine.pipeline.strength import Fidelity, compare, first_guess, solve_strength, worst_of
 from engine.pipeline.variant import AtView
 from engine.raster import render
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
@@ -38,6 +38,14 @@ MARGIN_DB = 0.05
 """Aimed at above the target, for chips that meet less luckily than the public ones."""
 
 
+@dataclass(frozen=True)
+class Grained:
+    """A grain, and what the worst view shows of it alone."""
+
+    grain: Grain
+    spent: Fidelity
+
+
 @dataclass(frozen=True, eq=False)
 class Settled:
     """Both layers at the strength at which they are embedded."""
@@ -52,7 +60,7 @@ class Settled:
         return Settled(self.plan.times(factor), self.grain.times(factor), self.tint)
 
 
-def settle(views: ViewSet, plan: Plan, config: EmbedConfig, *, grainy: bool) -> Settled:
+def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) -> Settled:
     """Strengths at which the worst view keeps PSNR and SSIM.
 
     Parameters
@@ -61,30 +69,40 @@ def settle(views: ViewSet, plan: Plan, config: EmbedConfig, *, grainy: bool) -> 
         Of the unmarked model as delivered.
     plan : Plan
         At unit strength.
-    grainy : bool
-        Whether there is a second layer.
+    grained : Grained
+        The second layer, from `settle_grain`: the same for all copies.
     """
-    wanted = Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
-    grain, spent = Grain(), Fidelity(np.inf, 1.0)
-    if grainy:
-        grain, spent = _settle_grain(views, Grain(config.plan.grain_center, config.plan.grain_scale), wanted)
+    wanted, spent = _aim(config), grained.spent
     error = 10.0 ** (-wanted.psnr_db / 10.0) - 10.0 ** (-spent.psnr_db / 10.0)
     left = Fidelity(-10.0 * float(np.log10(error)), wanted.ssim + (1.0 - spent.ssim))
     displacement = plan.layout.displace(plan.layout.amplitudes * public_signs(plan.layout.chips))
     guess = first_guess(plan.energies, views.cameras, left.psnr_db)
     strength = solve_strength(views, displacement, left.psnr_db, left.ssim, guess)
-    return Settled(plan.times(strength.factor), grain, left)
+    return Settled(plan.times(strength.factor), grained.grain, left)
 
 
-def _settle_grain(views: ViewSet, grain: Grain, wanted: Fidelity) -> tuple[Grain, Fidelity]:
-    """The asked grain, or as much of it as its part of the budget allows, and what that costs as measured."""
-    model = views.model
+def _aim(config: EmbedConfig) -> Fidelity:
+    return Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
+
+
+def settle_grain(views: ViewSet, config: EmbedConfig, *, grainy: bool) -> Grained:
+    """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
+
+    `grainy`: whether there is a second layer at all.
+    """
+    grain, wanted, model = Grain(config.plan.grain_center, config.plan.grain_scale), _aim(config), views.model
+    if not grainy:
+        return Grained(Grain(), Fidelity(np.inf, 1.0))
     signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
     allowed = Fidelity(wanted.psnr_db + GRAIN_ROOM_DB, 1.0 - GRAIN_SSIM_SHARE * (1.0 - wanted.ssim))
     factor, growth = 1.0, 1.0
     tried: list[tuple[float, float, Fidelity]] = []  # factor, log of what it may be multiplied with, what was found
     for _ in range(GRAIN_ROUNDS):
-        found = measure(views, roughen(model, grain.times(factor), signs))
+        each = measure_each(views, roughen(model, grain.times(factor), signs))
+        found = worst_of(each)
+        if not tried:  # the views that show it worst decide, and are enough from then on
+            chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})
+            views = replace(views, cameras=[views.cameras[k] for k in chosen], images=[views.images[k] for k in chosen])
         room = math.log(found.room_to(allowed)) if np.isfinite(found.psnr_db) else math.inf
         tried.append((factor, room, found))
         if -CLOSE < room < WASTE or (room > 0.0 and factor == 1.0):
@@ -95,10 +113,19 @@ def _settle_grain(views: ViewSet, grain: Grain, wanted: Fidelity) -> tuple[Grain
         factor = min(factor * math.exp(room / growth), 1.0)
     # The most of what may stay, else the least.
     factor, _, spent = max(tried, key=lambda each: (each[1] > -CLOSE, each[0] if each[1] > -CLOSE else -each[0]))
-    return grain.times(factor), spent
+    return Grained(grain.times(factor), spent)
+
+
+def _ssim(found: Fidelity) -> float:
+    return found.ssim
+
+
+def measure_each(views: ViewSet, model: GaussianModel, at_view: AtView | None = None) -> list[Fidelity]:
+    """What each view shows of another model, whatever of it differs, against the images of these views."""
+    seen = (render(model if at_view is None else at_view(model, k), camera) for k, camera in enumerate(views.cameras))
+    return compare(views.images, seen)
 
 
 def measure(views: ViewSet, model: GaussianModel, at_view: AtView | None = None) -> Fidelity:
-    """Worst view of another model, whatever of it differs, against the images of these views."""
-    seen = (render(model if at_view is None else at_view(model, k), camera) for k, camera in enumerate(views.cameras))
-    return worst_of(views.images, seen)
+    """What the worst of them shows."""
+    return worst_of(measure_each(views, model, at_view))

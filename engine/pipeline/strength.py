@@ -97,17 +97,21 @@ def solve_strength(views: ViewSet, displacement: Float32, psnr_db: float, least_
 
 def _measure(views: ViewSet, displacement: Float32, factor: float) -> Strength:
     sh = add_dc(views.model.sh, np.float32(factor) * displacement)
-    found = worst_of(views.images, (views.render(k, sh) for k in range(len(views.images))))
+    found = worst_of(compare(views.images, (views.render(k, sh) for k in range(len(views.images)))))
     return Strength(found.psnr_db, found.ssim, factor)
 
 
-def worst_of(images: Sequence[Float32], seen: Iterable[Float32]) -> Fidelity:
-    """The worst of pictures (H, W, 3) against images; while one is compared, the next is drawn."""
+def compare(images: Sequence[Float32], seen: Iterable[Float32]) -> list[Fidelity]:
+    """Pictures (H, W, 3) against images, each by itself; while one is compared, the next is drawn."""
     with ThreadPoolExecutor(max_workers=thread_count()) as pool:
         found = [pool.submit(_compare, image, picture) for image, picture in zip(images, seen, strict=True)]
-        pairs = [each.result() for each in found]
-    return Fidelity(min(a for a, _ in pairs), min(b for _, b in pairs))
+        return [each.result() for each in found]
 
 
-def _compare(image: Float32, picture: Float32) -> tuple[float, float]:
-    return psnr(image, picture), ssim(image, picture)
+def _compare(image: Float32, picture: Float32) -> Fidelity:
+    return Fidelity(psnr(image, picture), ssim(image, picture))
+
+
+def worst_of(views: Sequence[Fidelity]) -> Fidelity:
+    """The least of both among views."""
+    return Fidelity(min(view.psnr_db for view in views), min(view.ssim for view in views))

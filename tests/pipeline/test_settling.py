@@ -15,7 +15,17 @@ from engine.pipeline.embedding import embed
 from engine.pipeline.marking import DRAWS, Committed, Copy, make_mark
 from engine.pipeline.profiles import EmbedConfig, profile
 from engine.pipeline.scenes import ViewSet
-from engine.pipeline.settling import CLOSE, GRAIN_ROOM_DB, GRAIN_SSIM_SHARE, MARGIN_DB, WASTE, Settled, measure, settle
+from engine.pipeline.settling import (
+    CLOSE,
+    GRAIN_ROOM_DB,
+    GRAIN_SSIM_SHARE,
+    MARGIN_DB,
+    WASTE,
+    Settled,
+    measure,
+    settle,
+    settle_grain,
+)
 from engine.pipeline.strength import Fidelity, add_dc
 from engine.watermark.grain import Grain, roughen
 from engine.watermark.spreading import public_signs
@@ -30,7 +40,7 @@ SMALL = profile("fast", views=2, view_size=128, landmark_views=0)
 @pytest.fixture(scope="module")
 def settled() -> tuple[ViewSet, Settled]:
     ball = marked_ball(size=96)
-    return ball.original, settle(ball.original, ball.plan, WANTED, grainy=True)
+    return ball.original, settle(ball.original, ball.plan, WANTED, settle_grain(ball.original, WANTED, grainy=True))
 
 
 def grained(views: ViewSet, grain: Grain) -> GaussianModel:
@@ -48,7 +58,7 @@ def test_grain_and_tint_together_keep_the_budget(settled: tuple[ViewSet, Settled
 def test_the_grain_takes_no_more_than_its_part() -> None:
     ball = marked_ball(size=96)
     coarse = replace(WANTED, plan=replace(WANTED.plan, grain_center=0.9, grain_scale=0.4))
-    found = settle(ball.original, ball.plan, coarse, grainy=True)
+    found = settle(ball.original, ball.plan, coarse, settle_grain(ball.original, coarse, grainy=True))
     assert 0.001 < found.grain.center < 0.9
     assert found.grain.scale == pytest.approx(found.grain.center * 0.4 / 0.9, rel=1e-3)
     alone = measure(ball.original, grained(ball.original, found.grain))
@@ -60,11 +70,17 @@ def test_the_grain_takes_no_more_than_its_part() -> None:
 def test_what_the_grain_costs_is_measured_where_it_is_used(monkeypatch: pytest.MonkeyPatch, power: float) -> None:
     """Errors that grow more slowly than the grain: proportion alone would leave it too coarse."""
     monkeypatch.setattr(settling, "roughen", lambda model, grain, signs: grain)
-    monkeypatch.setattr(
-        settling, "measure", lambda views, grain: Fidelity(38.0 - 20 * power * math.log10(grain.center / 0.05), 1.0)
-    )
     ball = marked_ball(size=64)
-    grain, spent = settling._settle_grain(ball.original, Grain(0.05, 0.02), Fidelity(40.0, 0.9))
+    better = {id(camera): 3.0 * number for number, camera in enumerate(reversed(ball.cameras))}  # the last is the worst
+
+    def shows(views: ViewSet, grain: Grain) -> list[Fidelity]:
+        worst = 38.0 - 20 * power * math.log10(grain.center / 0.05)
+        return [Fidelity(worst + better[id(camera)], 1.0) for camera in views.cameras]
+
+    monkeypatch.setattr(settling, "measure_each", shows)
+    asked = replace(WANTED, psnr_db=40.0 - MARGIN_DB)
+    found = settle_grain(ball.original, asked, grainy=True)
+    grain, spent = found.grain, found.spent
     over = spent.psnr_db - 40.0 - GRAIN_ROOM_DB
     assert -20 * CLOSE / math.log(10) - 0.01 < over < 20 * WASTE / math.log(10)
     assert spent.psnr_db == pytest.approx(38.0 - 20 * power * math.log10(grain.center / 0.05))
@@ -72,7 +88,7 @@ def test_what_the_grain_costs_is_measured_where_it_is_used(monkeypatch: pytest.M
 
 def test_without_grain_the_tint_has_all() -> None:
     ball = marked_ball(size=96)
-    found = settle(ball.original, ball.plan, WANTED, grainy=False)
+    found = settle(ball.original, ball.plan, WANTED, settle_grain(ball.original, WANTED, grainy=False))
     assert not found.grain.there
     assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + MARGIN_DB)
 

@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
-from engine.pipeline.embedding import embed
+from engine.pipeline.embedding import embed, embed_copies
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import OpenedRecord, draw_spreading, open_record, plan_of
 from engine.pipeline.tracing import trace_images, trace_model
@@ -43,9 +43,8 @@ class Copies:
 def copies(small_plant: GaussianModel) -> Copies:
     """Five copies of one asset, and the records of copies that nobody leaked."""
     key = bench_key(5)
-    made = [
-        embed(small_plant, key, original_sha256="11" * 32, bits=16, config=CONFIG, copy=f"buyer {i}") for i in range(5)
-    ]
+    names = [f"buyer {i}" for i in range(5)]
+    made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=CONFIG))
     opened = [open_record(m.record.to_bytes(key), key) for m in made]
     first = opened[0]
     digest = bytes.fromhex(first.header.reference_digest)

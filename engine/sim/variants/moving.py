@@ -19,7 +19,8 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks import make_landmarks
-from engine.pipeline.embedding import LANDMARK_SIZE, Embedding, embed
+from engine.pipeline.asset import LANDMARK_SIZE
+from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig

@@ -11,7 +11,7 @@ import pytest
 from engine.evaluate.marked_scene import bench_key
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pipeline.embedding import embed
+from engine.pipeline.embedding import embed_copies
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import OpenedRecord, open_record
 
@@ -36,6 +36,7 @@ def plant() -> GaussianModel:
 def scene(plant: GaussianModel) -> Marked:
     key = bench_key(3)
     config = profile("fast", landmark_views=0, views=3, view_size=200)
-    made = [embed(plant, key, original_sha256="33" * 32, bits=16, config=config, copy=f"buyer {i}") for i in range(3)]
+    names = [f"buyer {i}" for i in range(3)]
+    made = list(embed_copies(plant, key, names, original_sha256="33" * 32, bits=16, config=config))
     opened = open_record(made[0].record.to_bytes(key), key)
     return Marked("plant", plant, made[0].model, opened, tuple(m.model for m in made[1:]))

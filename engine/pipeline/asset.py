@@ -1,0 +1,63 @@
+"""What all copies of an asset share, made once: the model as delivered, its reference, cells, views and landmarks.
+
+A buyer's copy differs by its chips, its message and the cells that its key joins; all that takes long does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from engine.compress.hvq import Stage
+from engine.model import GaussianModel
+from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pipeline.choosing import Choice
+from engine.pipeline.groundwork import Groundwork
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Clock
+from engine.pipeline.rigs import Extent, make_rig
+from engine.pipeline.scenes import ViewSet
+from engine.pipeline.settling import Grained, settle_grain
+from engine.pipeline.variant import PLAIN, Variant
+from engine.records.header import Arrays
+
+__all__ = ["LANDMARK_SIZE", "Asset", "bank_of"]
+
+LANDMARK_SIZE = (640, 480)
+"""Pixels of a view of the landmark bank."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """A model made ready to be marked for one recipient after another."""
+
+    original: Groundwork  # of the model as it came
+    original_sha256: str
+    settings: EmbedConfig  # the chosen ones, where that was left open
+    choice: Choice | None
+    variant: Variant
+    ground: Groundwork  # of the pruned model
+    delivered: GaussianModel  # unmarked, as a copy would be delivered
+    stages: tuple[Stage, ...]  # public cells of the delivered model, and what refines them
+    reference: Arrays  # the delivered model, canonical
+    digest: bytes  # of that
+    views: ViewSet  # of the delivered model
+    landmarks: Landmarks | None
+    pruned: dict[str, Any]  # for the report
+
+    @cached_property
+    def grained(self) -> Grained:
+        """The second layer at its strength, which no chip decides."""
+        plan = self.settings.plan
+        return settle_grain(
+            self.views, self.settings, grainy=self.variant is PLAIN and plan.grain_center + plan.grain_scale > 0.0
+        )
+
+
+def bank_of(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:
+    """The bank by which the camera of a screenshot is found; regular views of the unmarked model."""
+    if config.landmark_views == 0:
+        return None
+    rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
+    return make_landmarks(model, rig, clock.advance)
