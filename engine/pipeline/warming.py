@@ -9,9 +9,13 @@ import numpy as np
 from engine import raster
 from engine.compress.cells import split_cells
 from engine.model import GaussianModel
+from engine.numerics.image_metrics import ssim
 from engine.numerics.similarity import transform_model
 from engine.pictures.alignment import align_image
+from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
+from engine.watermark.grain import Grain
+from engine.watermark.grain_evidence import gather_grain_evidence
 
 __all__ = ["Work", "warm_up"]
 
@@ -25,7 +29,7 @@ def warm_up(work: Work, progress: _Advance | None = None) -> None:
     """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1."""
     needs: dict[Callable[[_Advance], None], tuple[Work, ...]] = {
         raster.warm_up: ("embed", "pictures"),
-        _cells: ("embed",),
+        _embedding: ("embed",),
         _registration: ("model",),
         _alignment: ("pictures",),
     }
@@ -40,8 +44,11 @@ def warm_up(work: Work, progress: _Advance | None = None) -> None:
     advance(len(steps), 0.0)
 
 
-def _cells(advance: _Advance) -> None:
+def _embedding(advance: _Advance) -> None:
     split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
+    advance(0.8)
+    picture = np.eye(16, dtype=np.float32)
+    ssim(picture, picture)
     advance(1.0)
 
 
@@ -58,9 +65,12 @@ def _registration(advance: _Advance) -> None:
     )
     turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
-    for share, suspect in ((0.3, model.take(rng.permutation(n))), (0.7, moved), (1.0, moved.take(np.arange(n // 2)))):
-        register(model, suspect)
+    for share, suspect in ((0.3, model.take(rng.permutation(n))), (0.6, moved), (0.8, moved.take(np.arange(n // 2)))):
+        found = register(model, suspect)
+        gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
         advance(share)
+    Wholes(moved).find(Parts.of(model), found.similarity)
+    advance(1.0)
 
 
 def _alignment(advance: _Advance) -> None:
