@@ -8,6 +8,7 @@ import pytest
 from engine.compress.cells import cell_features
 from engine.compress.hvq import HvqConfig, Stage, group_means, quantize
 from engine.model import Float64, GaussianModel
+from engine.watermark import secret_cells
 from engine.watermark.keys import OwnerKey
 from engine.watermark.secret_cells import cells_key, jitter, join_cells
 from tests.watermark.test_grain import blobs
@@ -57,6 +58,13 @@ def test_nobody_joins_as_another_copy_does() -> None:
     assert same_share(joined("a"), joined("a")) == 1.0
     assert same_share(joined("a"), joined("b")) < 0.6
     assert same_share(joined("a"), joined("a", b"y" * 32)) < 0.6
+
+
+@pytest.mark.parametrize("held", ["TILT", "SLIDE"])
+def test_cuts_are_tilted_and_slid_by_the_key(held: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the two alone tells copies apart."""
+    monkeypatch.setattr(secret_cells, held, 0.0)
+    assert same_share(joined("a"), joined("b")) < 0.9
 
 
 def test_at_most_one_for_two_cells() -> None:
