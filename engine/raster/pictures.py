@@ -8,8 +8,8 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.jit import parallel_section
 from engine.raster.geometry import build_geometry
 from engine.raster.settings import RasterSettings
-from engine.raster.spherical_harmonics import evaluate, sh_colors
-from engine.raster.view import blend_colors, prepare_view
+from engine.raster.spherical_harmonics import evaluate
+from engine.raster.view import blend_colors
 from engine.raster.workspace import borrow_workspace
 
 __all__ = ["render", "render_depth"]
@@ -42,10 +42,13 @@ def render_depth(
     """
     behind = np.zeros(4, dtype=np.float32)
     behind[:3] = background
-    view = prepare_view(model, camera, settings)
-    colors = np.empty((len(model), 4), dtype=np.float32)
-    colors[:, :3] = sh_colors(model.sh, model.means, camera.position)
-    colors[:, 3] = view.depth_of_all
-    blended, alpha = view.render(colors, behind)
+    row = camera.viewmat[2]
+    with parallel_section(), borrow_workspace() as work:
+        geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
+        colors, shades = work.array("colors", (len(model), 3)), work.array("shades", (len(model), 4))
+        evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)
+        shades[:, :3] = colors
+        shades[:, 3] = model.means @ row[:3].astype(np.float32) + np.float32(row[3])
+        blended, alpha, _ = blend_colors(geometry, shades, behind, work)
     depth = blended[..., 3] / np.maximum(alpha, np.finfo(np.float32).tiny)
     return np.ascontiguousarray(blended[..., :3]), alpha, depth.astype(np.float32)

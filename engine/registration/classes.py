@@ -5,8 +5,10 @@ in classes of like size, each with errors of its own, learnt as the others are: 
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
@@ -53,11 +55,12 @@ def by_size(
     deviations: Deviations,
     floor: Deviations,
     rng: np.random.Generator,
+    in_order: bool = False,
 ) -> SizedMatcher | None:
     """The reference laid out in classes of size for a suspect whose place and errors are known; None where the errors
     do not grow with size.
 
-    `floor` are the errors below which nothing is measured.
+    `floor` are the errors below which nothing is measured; `in_order`: row for row the partners are known.
     """
     own, theirs = _sizes(reference), _sizes(suspect) + np.log(fit.scale)
     edges = np.quantile(theirs, np.arange(1, CLASSES) / CLASSES)
@@ -72,11 +75,15 @@ def by_size(
         # strangers may be of sizes that the reference has not
         rows.append(alike if len(alike) >= LEAST_PAIRS else np.arange(len(reference)))
         mine = np.flatnonzero(home == number)
-        part = suspect.take(mine[sample_rows(len(mine), SAMPLE, rng)])
+        asked = mine[sample_rows(len(mine), SAMPLE, rng)]
+        part = suspect.take(asked)
         typical = float(np.median(theirs[mine])) if len(mine) else before
         grown = begin.position * np.exp(max(0.0, typical - before))
         begin = replace(begin, position=np.maximum(deviations.position, grown))
-        found = _learn(reference.take(rows[-1]), part, fit, begin, floor)
+        if in_order:
+            found = _compare(reference.take(asked), part, fit, floor)
+        else:
+            found = _learn(reference.take(rows[-1]), part, fit, begin, floor)
         learnt.append(found or deviations)
         begin, before = found or begin, typical
     means = np.array([np.log(d.position).mean() for d in learnt])
@@ -93,17 +100,13 @@ def _learn(
     """Errors of one class; None where they are not to be learnt, or grow beyond belief."""
     if len(reference) < LEAST_PAIRS or not len(part):
         return None
-    limit = OWN_SIZE * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
+    limit = _limit(part, fit)
     deviations = start
     for _ in range(ROUNDS):
         pairs = paired(Matcher(reference, deviations).match(part, fit, deviations))
         if len(np.unique(pairs[0])) < LEAST_PAIRS:
             return None
-        measured = estimate_deviations(reference, part, pairs, fit, floor)
-        # Within a class, and along the axes of each, errors differ still: the larger ones count.
-        error = np.abs(fit.apply(part.means[pairs[1]]) - reference.means[pairs[0]])
-        wide = np.quantile(error, 0.9, axis=0) / 1.645  # nine in ten of a normal error are smaller
-        measured = replace(measured, position=np.maximum(measured.position, wide))
+        measured = _measure(reference, part, pairs, fit, floor)
         if (measured.position > np.maximum(limit, start.position)).any():
             return None
         settled = not (measured.much_above(deviations, 1.1) or deviations.much_above(measured, 1.5))
@@ -111,6 +114,32 @@ def _learn(
         if settled:
             break
     return deviations
+
+
+def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, floor: Deviations) -> Deviations | None:
+    """The same where row for row the partners are known; what lies too far off is something else."""
+    error = np.abs(fit.apply(part.means) - reference.means)
+    near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
+    return _measure(reference, part, (near, near), fit, floor) if len(near) >= LEAST_PAIRS else None
+
+
+def _limit(part: GaussianModel, fit: Similarity) -> float:
+    """The largest error that is believed."""
+    return OWN_SIZE * float(np.exp(np.median(_sizes(part)) + np.log(fit.scale)))
+
+
+def _measure(
+    reference: GaussianModel,
+    part: GaussianModel,
+    pairs: tuple[npt.NDArray[Any], npt.NDArray[Any]],
+    fit: Similarity,
+    floor: Deviations,
+) -> Deviations:
+    measured = estimate_deviations(reference, part, pairs, fit, floor)
+    # Within a class, and along the axes of each, errors differ still: the larger ones count.
+    error = np.abs(fit.apply(part.means[pairs[1]]) - reference.means[pairs[0]])
+    wide = np.quantile(error, 0.9, axis=0) / 1.645  # nine in ten of a normal error are smaller
+    return replace(measured, position=np.maximum(measured.position, wide))
 
 
 def _sizes(model: GaussianModel) -> Float64:

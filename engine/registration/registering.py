@@ -135,7 +135,8 @@ def _answer(
     suspect = hands.of(verdict.mirrored)
     matches, quality = verdict.match(suspect)
     if quality.mean() < EXPLAINED:
-        sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng)
+        in_order = verdict.order_quality is not None
+        sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order)
         again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
         if again[1].sum() > quality.sum():
             matches, quality = again

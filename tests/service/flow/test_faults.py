@@ -14,8 +14,9 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.scenes import sparse_plant
 from tests.service import serving
-from tests.service.flow.test_main_job import PLANT, Client
+from tests.service.flow.test_main_job import Client
 from tests.service.postgres import Postgres
 from tests.service.serving import ROOT, Served
 
@@ -41,7 +42,7 @@ def test_on_postgres_with_an_outage_in_mid_job(postgres: Postgres, tmp_path: Pat
     served = serving.start(tmp_path, DATABASE_URL=postgres.new_database("mark"), WORKER_SILENCE_SECONDS="5")
     try:
         with admin(served) as client:
-            job = client.post("/v1/embed", data={"profile": "fast"}, files={"model": PLANT.read_bytes()}).json()
+            job = client.post("/v1/embed", data={"profile": "fast"}, files={"model": sparse_plant()}).json()
             until = time.monotonic() + 60
             while client.get(f"/v1/jobs/{job['id']}").json()["stage"] not in ("look", "quantize", "landmarks"):
                 assert time.monotonic() < until

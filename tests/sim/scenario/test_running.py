@@ -10,9 +10,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.sim.scenario import Run, StepResult, read_scenario, run_scenario
+from tests.scenes import sparse_plant
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
-TRAIN = PLANT.with_name("train_1000.ply")
+TRAIN = Path(__file__).parents[2] / "data" / "train_1000.ply"
 
 STEPS = f"""
 seed = 5
@@ -21,7 +21,7 @@ size = [160, 120]
 frames = 2
 [[objects]]
 name = "plant"
-model = "{PLANT}"
+model = "plant.splat"
 bits = 16
 profile = "fast"
 [[steps]]
@@ -58,6 +58,7 @@ name = "plant"
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[StepResult]]:
     path = tmp_path_factory.mktemp("scenario") / "s.toml"
     path.write_text(STEPS)
+    path.with_name("plant.splat").write_bytes(sparse_plant())
     told: list[StepResult] = []
     return run_scenario(read_scenario(path), tell=told.append), told
 
