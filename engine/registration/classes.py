@@ -118,6 +118,8 @@ def _learn(
 
 def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, floor: Deviations) -> Deviations | None:
     """The same where row for row the partners are known; what lies too far off is something else."""
+    if not len(part):
+        return None
     error = np.abs(fit.apply(part.means) - reference.means)
     near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
     return _measure(reference, part, (near, near), fit, floor) if len(near) >= LEAST_PAIRS else None

@@ -16,7 +16,7 @@ from tests.service.serving import Served
 
 HERE = Path(__file__).parent
 SMALL = HERE.parents[1] / "data" / "train_1000.ply"
-EXAMPLES = os.environ.get("MARK3DGS_CONTRACT_EXAMPLES", "6")
+EXAMPLES = os.environ.get("MARK3DGS_CONTRACT_EXAMPLES", "10")
 
 
 @pytest.fixture
