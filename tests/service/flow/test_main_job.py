@@ -79,6 +79,12 @@ def bob(served: Served) -> Client:
 
 
 @pytest.fixture(scope="module")
+def owner_key(alice: Client) -> str:
+    """Alice has it, whichever test comes first."""
+    return str(alice.post("/v1/keys", json={}).json()["id"])
+
+
+@pytest.fixture(scope="module")
 def marked(alice: Client) -> dict[str, Any]:
     """Alice's asset, with the marked model."""
     job = alice.embed(SCENE, copy_name="acme", label="Potted plant")
@@ -240,9 +246,8 @@ def test_an_erased_owner_key(served: Served) -> None:
     assert dave.verify(model, asset_id=asset)["result"]["verdict"] == "marked"
 
 
-def test_cancelling_kills_the_process(served: Served, alice: Client) -> None:
-    key = alice.get("/v1/keys").json()["items"][0]["id"]
-    form = {"key_id": key, "profile": "strong"}
+def test_cancelling_kills_the_process(served: Served, alice: Client, owner_key: str) -> None:
+    form = {"key_id": owner_key, "profile": "strong"}
     job = alice.post("/v1/embed", data=form, files={"model": sparse_plant()}).json()
     until = time.monotonic() + 60
     while alice.get(f"/v1/jobs/{job['id']}").json()["stage"] not in ("look", "quantize", "landmarks"):
@@ -257,9 +262,8 @@ def test_cancelling_kills_the_process(served: Served, alice: Client) -> None:
     assert left == []
 
 
-def test_a_killed_worker_loses_nothing(served: Served, alice: Client) -> None:
-    key = alice.get("/v1/keys").json()["items"][0]["id"]
-    form = {"key_id": key, "profile": "fast", "copy_name": "survivor"}
+def test_a_killed_worker_loses_nothing(served: Served, alice: Client, owner_key: str) -> None:
+    form = {"key_id": owner_key, "profile": "fast", "copy_name": "survivor"}
     job = alice.post("/v1/embed", data=form, files={"model": sparse_plant()}).json()
     while alice.get(f"/v1/jobs/{job['id']}").json()["state"] == "queued":
         time.sleep(0.05)
@@ -270,11 +274,10 @@ def test_a_killed_worker_loses_nothing(served: Served, alice: Client) -> None:
     assert names.count("survivor") == 1
 
 
-def test_a_model_too_small_for_its_message(alice: Client) -> None:
+def test_a_model_too_small_for_its_message(alice: Client, owner_key: str) -> None:
     small = (ROOT / "tests" / "data" / "train_1000.ply").read_bytes()
-    key = alice.get("/v1/keys").json()["items"][0]["id"]
     answer = alice.post(
-        "/v1/embed", data={"key_id": key, "bits": "256"}, files={"model": small}, headers={"Prefer": "wait=60"}
+        "/v1/embed", data={"key_id": owner_key, "bits": "256"}, files={"model": small}, headers={"Prefer": "wait=60"}
     )
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:mark3dgs:problem:capacity")
     assert answer.json()["wanted"] == 256
