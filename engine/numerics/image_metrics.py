@@ -43,7 +43,7 @@ def ssim(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
 
     Of images (H, W, C) or (H, W) of at least 11 by 11 pixels, clipped as for `psnr`. The same number as scikit-image's
     `structural_similarity` with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1`, in a
-    third of its time: the window is run as one separable filter over all channels, and the two variances are only
+    part of its time: the window is run as one separable filter over all channels, and the two variances are only
     needed as a sum. InputError if the shapes differ, a side is shorter than the window, or an image does not hold
     floats.
 
@@ -74,7 +74,8 @@ def ssim_maps(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[Float32, Float3
         mean: Float32 = cv2.sepFilter2D(image, -1, window_weights, window_weights)
         return mean
 
-    square, cross = np.empty_like(x), np.empty_like(x)
+    # Row by row, whatever the layout of the pictures: of any other, `ravel` is a copy, and what is written is lost.
+    square, cross = np.empty(x.shape, np.float32), np.empty(x.shape, np.float32)
     fill_products(x.ravel(), y.ravel(), square.ravel(), cross.ravel())
     # In place: the factors take the room of the means they are made of.
     structure, luminance, square, cross = (local_mean(image) for image in (x, y, square, cross))

@@ -95,3 +95,13 @@ def test_unfit_images_are_refused() -> None:
         ssim(a[:10], a[:10])
     with pytest.raises(InputError, match="shape"):
         difference_picture(a[:0], a[:0])
+
+
+def test_ssim_does_not_depend_on_how_pictures_lie_in_memory() -> None:
+    rng = np.random.default_rng(4)
+    a = rng.random((40, 30, 3), np.float32)
+    b = np.clip(a + 0.1 * rng.standard_normal(a.shape).astype(np.float32), 0, 1)
+    across = [np.ascontiguousarray(each.transpose(1, 0, 2)).transpose(1, 0, 2) for each in (a, b)]
+    assert not across[0].flags.c_contiguous
+    assert ssim(*across) == ssim(a, b)
+    assert ssim(a[:, ::-1], b[:, ::-1]) == pytest.approx(ssim(a, b), abs=1e-6)
