@@ -78,8 +78,9 @@ def embed(
       mark3dgs embed scene.ply acme.spz --key owner.key --record acme.record \\
         --copy acme --message c0ffee42
 
-    Several copies take little longer than one; {copy} in both names stands for
-    the recipient's:
+    Of several copies each further one takes a fraction of the first one's time;
+    {copy} in both names stands for the recipient's. --json lists them under
+    "copies":
 
       mark3dgs embed scene.ply '{copy}.ply' --key owner.key \\
         --record '{copy}.record' --copy acme --copy globex
@@ -173,14 +174,14 @@ def embed(
 
 def _targets(copies: list[str], out: Path, record: Path) -> dict[str, tuple[Path, Path]]:
     """Marked model and record of each copy."""
-    named = all(COPY in str(path) for path in (out, record))
-    if len(copies) > 1 and not named:
+    places = [COPY in str(path) for path in (out, record)]
+    if len(copies) > 1 and not all(places):
         raise InputError(f"several copies need {COPY} in the names of model and record, such as '{COPY}.ply'")
     targets = {}
     for copy in copies:
         if copy in targets:
             raise InputError(f"copy {copy!r} is given twice")
-        if named and Path(copy).name != copy:
+        if any(places) and (copy in ("", "..") or Path(copy).name != copy):
             raise InputError(f"copy {copy!r} cannot stand in a file's name: name the files yourself")
         targets[copy] = (Path(str(out).replace(COPY, copy)), Path(str(record).replace(COPY, copy)))
     return targets

@@ -26,7 +26,7 @@ LEAST_ALPHA = 0.7
 DEPTH_EDGE = 0.05
 """Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
 AHEAD = 2
-"""Pictures drawn before they are searched: 8 MB each."""
+"""Pictures drawn before they are searched: 6 MB each."""
 MARGIN = 8
 """Pixels kept around what is visible when a render is cut before detection."""
 
@@ -86,7 +86,7 @@ def _detect(image: Float32, alpha: Float32, depth: Float32, camera: Camera) -> t
     grey = luma(image[top:bottom, left:right])
     if min(grey.shape) < 16:
         return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
-    surface = _surface(alpha, depth)  # nothing else is described, which takes half of the time
+    surface = _surface(alpha, depth)  # keypoints elsewhere are not described
     keypoints = detect_keypoints(grey, int(SURPLUS * PER_VIEW), surface[top:bottom, left:right])
     pixels = keypoints.points + np.array([left, top])
     column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)

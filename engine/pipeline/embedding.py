@@ -180,19 +180,19 @@ def _prepare(
     with clock.stage("landmarks"):
         landmarks = bank_of(delivered, original.extent, settings, clock)
     return Asset(
-        original,
-        original_sha256,
-        settings,
-        choice,
-        variant,
-        ground,
-        delivered,
-        tuple(stages),
-        reference,
-        digest,
-        views,
-        landmarks,
-        pruned,
+        original=original,
+        original_sha256=original_sha256,
+        settings=settings,
+        choice=choice,
+        variant=variant,
+        ground=ground,
+        delivered=delivered,
+        stages=tuple(stages),
+        reference=reference,
+        digest=digest,
+        views=views,
+        landmarks=landmarks,
+        pruned=pruned,
     )
 
 

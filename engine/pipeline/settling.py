@@ -2,7 +2,7 @@
 
 One budget of fidelity holds both layers. The grain takes what it needs up to a fixed part of it, the tint the rest:
 errors of independent signs add in squares, so each is measured alone. Signs are public ones; those of the key show as
-much within a tenth of a decibel, and where they show more, strengths are lowered and chips drawn anew.
+much within a few tenths of a decibel, and where they show more, strengths are lowered and chips drawn anew.
 """
 
 import math

@@ -55,7 +55,8 @@ def by_size(
     deviations: Deviations,
     floor: Deviations,
     rng: np.random.Generator,
-    in_order: bool = False,
+    *,
+    in_order: bool,
 ) -> SizedMatcher | None:
     """The reference laid out in classes of size for a suspect whose place and errors are known; None where the errors
     do not grow with size.
@@ -117,12 +118,14 @@ def _learn(
 
 
 def _compare(reference: GaussianModel, part: GaussianModel, fit: Similarity, floor: Deviations) -> Deviations | None:
-    """The same where row for row the partners are known; what lies too far off is something else."""
+    """The same where row for row the partners are known; what lies too far off is something else, unless most does."""
     if not len(part):
         return None
     error = np.abs(fit.apply(part.means) - reference.means)
     near = np.flatnonzero((error <= _limit(part, fit)).all(axis=1))
-    return _measure(reference, part, (near, near), fit, floor) if len(near) >= LEAST_PAIRS else None
+    if len(near) < max(LEAST_PAIRS, len(part) / 2):
+        return None
+    return _measure(reference, part, (near, near), fit, floor)
 
 
 def _limit(part: GaussianModel, fit: Similarity) -> float:

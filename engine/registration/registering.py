@@ -111,7 +111,9 @@ def register(
     verdict, tried = locate(index, hands, rng, colorless=config.colorless)
     either = [(_nothing(m, tried) if verdict is None else _answer(index, hands, verdict, tried, rng), verdict)]
     if verdict is not None:
-        either += _other_hand(index, hands, either[0][0], rng)
+        others, weighed = _other_hand(index, hands, either[0][0], rng)
+        either += others
+        tried += weighed
     if config.merged:
         either = [
             (_unmerge(index, hands, rigid, rng) if (rigid.matches < 0).mean() > LEFT_OVER else rigid, found)
@@ -119,7 +121,7 @@ def register(
         ]
     # A thing as symmetric as a pot lies in its mirror image, too: what explains more is told when all is explained.
     rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
-    rigid = replace(rigid, hypotheses_tried=max(one.hypotheses_tried for one, _ in either))
+    rigid = replace(rigid, hypotheses_tried=max(tried, *(one.hypotheses_tried for one, _ in either)))
     return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
 
 
@@ -136,7 +138,7 @@ def _answer(
     matches, quality = verdict.match(suspect)
     if quality.mean() < EXPLAINED:
         in_order = verdict.order_quality is not None
-        sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order)
+        sized = by_size(index.model, suspect, verdict.fit, verdict.deviations, index.floor, rng, in_order=in_order)
         again = (matches, quality) if sized is None else replace(verdict, matcher=sized).match(suspect)
         if again[1].sum() > quality.sum():
             matches, quality = again
@@ -151,17 +153,17 @@ def _answer(
 
 def _other_hand(
     index: ReferenceIndex, hands: Hands, rigid: Registration, rng: np.random.Generator
-) -> list[tuple[Registration, Verdict | None]]:
+) -> tuple[list[tuple[Registration, Verdict | None]], int]:
     """The registration with the other hand, if there is one, where this one leaves much over: a small piece left as it
-    was hides no mirror."""
+    was hides no mirror. And how many alignments were weighed."""
     left = np.flatnonzero(rigid.matches < 0)
     if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)):
-        return []
+        return [], 0
     rest = Hands(hands.suspect.take(left))
     other, count = locate(index, rest, rng, asked=(not rigid.mirrored,), colorless=False)
     if other is None or other.order_quality is not None:
-        return []
-    return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)]
+        return [], count
+    return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)], count
 
 
 def _found(reference: GaussianModel, matches: Int32) -> float:

@@ -51,6 +51,8 @@ def test_each_recipient_has_a_copy_and_a_record(key: Path, capsys: Capsys, tmp_p
         ("one", NAMES, "several copies need {copy}"),
         ("{copy}", ("acme", "acme"), "copy 'acme' is given twice"),
         ("{copy}", ("acme", "../up"), "copy '../up' cannot stand in a file's name"),
+        ("{copy}", ("..",), "copy '..' cannot stand in a file's name"),
+        ("{copy}", (), "copy '' cannot stand in a file's name"),
     ],
 )
 def test_names_that_cannot_be_told_apart_are_refused(

@@ -53,24 +53,36 @@ def test_in_order_too_and_beside_strangers() -> None:
     assert (got.matches[len(order) :] >= 0).mean() < 0.005
 
 
-def classes_of(suspect: GaussianModel) -> object:
+def classes_of(suspect: GaussianModel, in_order: bool) -> object:
     index, rng = ReferenceIndex(wide()), np.random.default_rng(0)
     rows, same = np.arange(len(suspect)), Similarity.identity()
     errors = estimate_deviations(index.model, suspect, (rows, rows), same, index.floor)
-    return by_size(index.model, suspect, same, errors, index.floor, rng)
+    return by_size(index.model, suspect, same, errors, index.floor, rng, in_order=in_order)
 
 
-def test_there_are_classes_only_where_errors_grow_with_size() -> None:
+@pytest.mark.parametrize("in_order", [False, True])
+def test_there_are_classes_only_where_errors_grow_with_size(in_order: bool) -> None:
     model = wide()
-    assert classes_of(shaken(marked(model), 0.3)) is not None
-    assert classes_of(marked(model)) is None
-    assert classes_of(noised(marked(model), 0.1)) is None
+    assert classes_of(shaken(marked(model), 0.3), in_order) is not None
+    assert classes_of(marked(model), in_order) is None
+    assert classes_of(noised(marked(model), 0.1), in_order) is None
 
 
-def test_a_class_pairs_rows_of_the_whole_reference() -> None:
+def test_known_partners_that_lie_elsewhere_teach_no_errors() -> None:
+    """A quarter of the scene was carried away: the errors are those of the rest."""
+    suspect = shaken(marked(wide()), 0.3)
+    away = suspect.means.copy()
+    away[::4] += 50.0
+    kept, rest = (classes_of(each, in_order=True) for each in (suspect, suspect.with_(means=away)))
+    for one, other in zip(kept.matchers, rest.matchers, strict=True):  # type: ignore[attr-defined]
+        np.testing.assert_allclose(other.deviations.position, one.deviations.position, rtol=0.3)
+
+
+@pytest.mark.parametrize("in_order", [False, True])
+def test_a_class_pairs_rows_of_the_whole_reference(in_order: bool) -> None:
     model = wide()
     suspect = shaken(marked(model), 0.3)
-    sized = classes_of(suspect)
+    sized = classes_of(suspect, in_order)
     assert sized is not None
     errors = sized.matchers[0].deviations  # type: ignore[attr-defined]
     matches, quality = sized.pair(suspect, Similarity.identity(), errors)  # type: ignore[attr-defined]
