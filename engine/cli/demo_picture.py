@@ -68,4 +68,4 @@ def draw_demo(path: Path, original: Panel, marked: Panel, suspect: Panel, headli
     figure.text(_LEFT, 0.422, headline, fontsize=14, fontweight="bold", color=_ACCENT, va="top")
     text = "\n".join(lines)
     figure.text(_LEFT, 0.376, text, fontsize=8.7, color=_INK, va="top", family="monospace", linespacing=1.3)
-    figure.savefig(path, format="png", facecolor=_PAPER)
+    figure.savefig(path, format="png", facecolor=_PAPER, bbox_inches="tight", pad_inches=0.25)  # however long the claim

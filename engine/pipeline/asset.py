@@ -19,7 +19,7 @@ from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import Extent, make_rig
 from engine.pipeline.scenes import ViewSet
 from engine.pipeline.settling import Grained, settle_grain
-from engine.pipeline.variant import PLAIN, Variant
+from engine.pipeline.variant import Variant
 from engine.records.header import Arrays
 
 __all__ = ["LANDMARK_SIZE", "Asset", "bank_of"]
@@ -49,10 +49,7 @@ class Asset:
     @cached_property
     def grained(self) -> Grained:
         """The second layer at its strength, which no chip decides."""
-        plan = self.settings.plan
-        return settle_grain(
-            self.views, self.settings, grainy=self.variant is PLAIN and plan.grain_center + plan.grain_scale > 0.0
-        )
+        return settle_grain(self.views, self.settings, self.variant)
 
 
 def bank_of(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
-from engine.model import Camera, GaussianModel
+from engine.model import Bool, Camera, GaussianModel
 from engine.pictures.landmarks import Landmarks
 from engine.pipeline.admission import admit
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
-from engine.watermark.grain import Grain
+from engine.watermark.grain import ATTRIBUTES, Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs, message_hex, message_signs
@@ -54,13 +54,18 @@ class OpenedRecord:
     settings: dict[str, Any]  # profile and configuration of the embedding
     # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
+    kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
     attested: Attested | None = None  # somebody else's word on when it was registered, checked by whoever opened it
 
     def spreading_of(self, chips: int) -> Spreading:
         """Bits and chips of evidence on so many chips: of the tint alone, or of both layers."""
         if chips == len(self.spreading.chips):
             return self.spreading
-        grain = spread_grain(self.grain_key, len(self.reference), len(self.message))
+        gaussians = len(self.reference) if self.kept is None else len(self.kept)
+        grain = spread_grain(self.grain_key, gaussians, len(self.message))
+        if self.kept is not None:
+            rows = np.repeat(self.kept, ATTRIBUTES)
+            grain = Spreading(grain.bit_of[rows], grain.chips[rows])
         both = self.spreading.then(grain)
         if chips != len(both.chips):
             raise ValueError(f"evidence on {chips} chips, where {len(self.spreading.chips)} or {len(both.chips)} are")

@@ -6,7 +6,8 @@ much within a few tenths of a decibel, and where they show more, strengths are l
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from engine.model import GaussianModel
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.scenes import ViewSet
 from engine.pipeline.strength import Fidelity, compare, first_guess, solve_strength, worst_of
-from engine.pipeline.variant import AtView
+from engine.pipeline.variant import PLAIN, AtView, Variant
 from engine.raster import render
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.planning import Plan
@@ -85,24 +86,25 @@ def _aim(config: EmbedConfig) -> Fidelity:
     return Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
 
 
-def settle_grain(views: ViewSet, config: EmbedConfig, *, grainy: bool) -> Grained:
+def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN) -> Grained:
     """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
 
-    `grainy`: whether there is a second layer at all.
+    There is none where neither centres nor sizes have room for it.
     """
-    grain, wanted, model = Grain(config.plan.grain_center, config.plan.grain_scale), _aim(config), views.model
-    if not grainy:
+    wanted, model, at_view = _aim(config), views.model, variant.at_view
+    grain = Grain(config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes)
+    if not grain.there:
         return Grained(Grain(), Fidelity(np.inf, 1.0))
     signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
     allowed = Fidelity(wanted.psnr_db + GRAIN_ROOM_DB, 1.0 - GRAIN_SSIM_SHARE * (1.0 - wanted.ssim))
     factor, growth = 1.0, 1.0
     tried: list[tuple[float, float, Fidelity]] = []  # factor, log of what it may be multiplied with, what was found
+    chosen = list(range(len(views.cameras)))
     for _ in range(GRAIN_ROUNDS):
-        each = measure_each(views, roughen(model, grain.times(factor), signs))
+        each = measure_each(views, roughen(model, grain.times(factor), signs), at_view, chosen)
         found = worst_of(each)
         if not tried:  # the views that show it worst decide, and are enough from then on
             chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})
-            views = replace(views, cameras=[views.cameras[k] for k in chosen], images=[views.images[k] for k in chosen])
         room = math.log(found.room_to(allowed)) if np.isfinite(found.psnr_db) else math.inf
         tried.append((factor, room, found))
         if -CLOSE < room < WASTE or (room > 0.0 and factor == 1.0):
@@ -120,10 +122,13 @@ def _ssim(found: Fidelity) -> float:
     return found.ssim
 
 
-def measure_each(views: ViewSet, model: GaussianModel, at_view: AtView | None = None) -> list[Fidelity]:
-    """What each view shows of another model, whatever of it differs, against the images of these views."""
-    seen = (render(model if at_view is None else at_view(model, k), camera) for k, camera in enumerate(views.cameras))
-    return compare(views.images, seen)
+def measure_each(
+    views: ViewSet, model: GaussianModel, at_view: AtView | None = None, chosen: Sequence[int] | None = None
+) -> list[Fidelity]:
+    """What each view, or each of those chosen, shows of another model, whatever of it differs, against its image."""
+    chosen = range(len(views.cameras)) if chosen is None else chosen
+    seen = (render(model if at_view is None else at_view(model, k), views.cameras[k]) for k in chosen)
+    return compare([views.images[k] for k in chosen], seen)
 
 
 def measure(views: ViewSet, model: GaussianModel, at_view: AtView | None = None) -> Fidelity:

@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel, Int32
 
 AtView = Callable[[GaussianModel, int], GaussianModel]
-"""From the model (or the same model with other colours) and the number of a key view to what that view sees."""
+"""From the model (or the same one displaced, in colour and geometry) and the number of a key view to what it sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +26,9 @@ class Variant:
     at_view: AtView | None = None
     # (N,) factor on the displacement of each Gaussian's code vector (mean over the members), 0 exclusive to 1
     emphasis: Float32 | Float64 | None = None
+    # Whether the file has room for a grain in its centres and sizes: no two Gaussians may share an entry of a codebook
+    free_centers: bool = True
+    free_sizes: bool = True
     # Digests of what verification will rely on beside the record. They enter its plan, so that the chips are drawn
     # after them (DESIGN 4.9).
     commitments: Mapping[str, str] = field(default_factory=dict)

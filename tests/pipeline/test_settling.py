@@ -27,6 +27,7 @@ from engine.pipeline.settling import (
     settle_grain,
 )
 from engine.pipeline.strength import Fidelity, add_dc
+from engine.pipeline.variant import Variant
 from engine.watermark.grain import Grain, roughen
 from engine.watermark.spreading import public_signs
 from tests.watermark.ball import marked_ball
@@ -40,7 +41,7 @@ SMALL = profile("fast", views=2, view_size=128, landmark_views=0)
 @pytest.fixture(scope="module")
 def settled() -> tuple[ViewSet, Settled]:
     ball = marked_ball(size=96)
-    return ball.original, settle(ball.original, ball.plan, WANTED, settle_grain(ball.original, WANTED, grainy=True))
+    return ball.original, settle(ball.original, ball.plan, WANTED, settle_grain(ball.original, WANTED))
 
 
 def grained(views: ViewSet, grain: Grain) -> GaussianModel:
@@ -58,7 +59,7 @@ def test_grain_and_tint_together_keep_the_budget(settled: tuple[ViewSet, Settled
 def test_the_grain_takes_no_more_than_its_part() -> None:
     ball = marked_ball(size=96)
     coarse = replace(WANTED, plan=replace(WANTED.plan, grain_center=0.9, grain_scale=0.4))
-    found = settle(ball.original, ball.plan, coarse, settle_grain(ball.original, coarse, grainy=True))
+    found = settle(ball.original, ball.plan, coarse, settle_grain(ball.original, coarse))
     assert 0.001 < found.grain.center < 0.9
     assert found.grain.scale == pytest.approx(found.grain.center * 0.4 / 0.9, rel=1e-3)
     alone = measure(ball.original, grained(ball.original, found.grain))
@@ -73,13 +74,13 @@ def test_what_the_grain_costs_is_measured_where_it_is_used(monkeypatch: pytest.M
     ball = marked_ball(size=64)
     better = {id(camera): 3.0 * number for number, camera in enumerate(reversed(ball.cameras))}  # the last is the worst
 
-    def shows(views: ViewSet, grain: Grain) -> list[Fidelity]:
+    def shows(views: ViewSet, grain: Grain, at_view: None, chosen: list[int]) -> list[Fidelity]:
         worst = 38.0 - 20 * power * math.log10(grain.center / 0.05)
-        return [Fidelity(worst + better[id(camera)], 1.0) for camera in views.cameras]
+        return [Fidelity(worst + better[id(views.cameras[k])], 1.0) for k in chosen]
 
     monkeypatch.setattr(settling, "measure_each", shows)
     asked = replace(WANTED, psnr_db=40.0 - MARGIN_DB)
-    found = settle_grain(ball.original, asked, grainy=True)
+    found = settle_grain(ball.original, asked)
     grain, spent = found.grain, found.spent
     over = spent.psnr_db - 40.0 - GRAIN_ROOM_DB
     assert -20 * CLOSE / math.log(10) - 0.01 < over < 20 * WASTE / math.log(10)
@@ -88,7 +89,12 @@ def test_what_the_grain_costs_is_measured_where_it_is_used(monkeypatch: pytest.M
 
 def test_without_grain_the_tint_has_all() -> None:
     ball = marked_ball(size=96)
-    found = settle(ball.original, ball.plan, WANTED, settle_grain(ball.original, WANTED, grainy=False))
+    found = settle(
+        ball.original,
+        ball.plan,
+        WANTED,
+        settle_grain(ball.original, WANTED, Variant(free_centers=False, free_sizes=False)),
+    )
     assert not found.grain.there
     assert found.tint.psnr_db == pytest.approx(WANTED.psnr_db + MARGIN_DB)
 

@@ -113,6 +113,8 @@ def make_codebook(model: GaussianModel, codes: Mapping[str, int] | None = None, 
 def embed_codebook(compressed: CodebookModel, key: OwnerKey, **request: Any) -> tuple[CodebookModel, Embedding]:
     """Mark a model in its own colour codebook: its entries are the mark's code vectors.
 
+    Centres and sizes carry the grain where they are plain; a codebook of them would need an entry a Gaussian.
+
     The `request` is that of `engine.pipeline.embedding.embed`, whose errors are raised, too; ``original_sha256`` must
     be there. The marked model has as many codes and the same indices: a file of the same size. InputError if the
     colours have no codebook.
@@ -120,8 +122,14 @@ def embed_codebook(compressed: CodebookModel, key: OwnerKey, **request: Any) -> 
     if "dc" not in compressed.centers:
         raise InputError("this model's colours are not quantised: mark it as a plain model")
     model, labels = compressed.decode(), compressed.indices["dc"]
-    result = embed(model, key, variant=Variant(labels=labels), **request)
+    own = Variant(labels=labels, free_centers="xyz" in compressed.plain, free_sizes="scale" in compressed.plain)
+    result = embed(model, key, variant=own, **request)
     used, member = np.unique(labels, return_index=True)  # all members of a code are displaced alike
     codes = compressed.centers["dc"].copy()  # (M, 3)
     codes[used] = result.model.sh[member, 0]
-    return compressed.with_codes("dc", codes), result
+    free = {
+        name: values
+        for name, values in (("xyz", result.model.means), ("scale", result.model.log_scales))
+        if name in compressed.plain
+    }
+    return replace(compressed.with_codes("dc", codes), plain={**compressed.plain, **free}), result

@@ -17,6 +17,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.formats import read_model
 from engine.model import Float32, GaussianModel
+from engine.numerics.similarity import quaternion_to_rotation
 
 __all__ = ["FrameSequence", "read_frames"]
 
@@ -55,10 +56,14 @@ class FrameSequence:
         """First and last moment."""
         return float(self.times[0]), float(self.times[-1])
 
-    def at(self, time: float) -> GaussianModel:
-        """The frame nearest in time, with the colours of the first."""
+    def at(self, time: float, displaced: GaussianModel | None = None) -> GaussianModel:
+        """The frame nearest in time, with the colours of the first.
+
+        As if `displaced` were the canonical model, where given: centres move along with their Gaussian's axes.
+        """
         nearest = int(np.abs(np.asarray(self.times) - time).argmin())
-        return self.frames[nearest].with_(sh=self.frames[0].sh)
+        frame = self.frames[nearest].with_(sh=self.frames[0].sh)
+        return frame if displaced is None else _displace(frame, self.canonical(), displaced)
 
     def canonical(self) -> GaussianModel:
         """The frame in the middle of the sequence."""
@@ -70,9 +75,9 @@ class FrameSequence:
         mean: Float32 = opacities.mean(axis=0) / np.maximum(opacities.max(axis=0), 1e-12)
         return mean
 
-    def displaced(self, dc: Float32) -> FrameSequence:
-        """A copy with the DC coefficients of every frame moved by dc (N, 3)."""
-        return FrameSequence([f.with_dc(f.sh[:, 0] + dc) for f in self.frames], self.times)
+    def displaced(self, canonical: GaussianModel) -> FrameSequence:
+        """A copy of which every frame is displaced as this model is against the canonical one."""
+        return FrameSequence([self.at(time, canonical) for time in self.times], self.times)
 
     def digest(self) -> str:
         """SHA-256 over times and all arrays of all frames, hexadecimal."""
@@ -81,6 +86,19 @@ class FrameSequence:
             for array in (frame.means, frame.log_scales, frame.quats, frame.opacity_logits, frame.sh):
                 whole.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
         return whole.hexdigest()
+
+
+def _displace(frame: GaussianModel, before: GaussianModel, after: GaussianModel) -> GaussianModel:
+    """The frame with every centre and size moved as from one model to another, along its own axes, in its own sizes."""
+    shift = (after.means - before.means)[:, :, None].astype(np.float64)  # (N, 3, 1)
+    own = np.swapaxes(quaternion_to_rotation(before.quats), 1, 2) @ shift  # along the Gaussian's axes
+    own *= np.exp((frame.log_scales - before.log_scales).astype(np.float64))[:, :, None]
+    moved = (quaternion_to_rotation(frame.quats) @ own)[:, :, 0]
+    return frame.with_(
+        means=(frame.means + moved).astype(np.float32),
+        log_scales=frame.log_scales + (after.log_scales - before.log_scales),
+        sh=after.sh,
+    )
 
 
 def read_frames(

@@ -1,7 +1,8 @@
 """Marking what moves: one record for a whole clip, verified as the 4-D file, as any moment's export, as pictures.
 
-The mark displaces colours that do not change with time, planned on the canonical model (each Gaussian once, where it
-is most opaque); what is short-lived carries less; impact and strength are measured at moments spread over the clip.
+The tint displaces colours that do not change with time, planned on the canonical model (each Gaussian once, where it
+is most opaque); what is short-lived carries less. The grain displaces that model's centres and sizes, which go along
+at all times. Impact and strength are measured at moments spread over the clip.
 
 **Why verification at a moment stays a theorem (DESIGN 4.9).** A model exported at time t is compared with the
 unmarked reference moved to t by the owner's own original. That original is committed to: its digest is part of the
@@ -20,6 +21,7 @@ from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks import make_landmarks
 from engine.pipeline.asset import LANDMARK_SIZE
+from engine.pipeline.derivation import derivation_of_model
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
@@ -63,8 +65,8 @@ class Moving(Protocol):
 
     def __len__(self) -> int: ...
 
-    def at(self, time: float) -> GaussianModel:
-        """All Gaussians at a moment, always the same rows."""
+    def at(self, time: float, displaced: GaussianModel | None = None) -> GaussianModel:
+        """All Gaussians at a moment, always the same rows; as if `displaced` were the canonical model, where given."""
 
     def canonical(self) -> GaussianModel:
         """Each Gaussian where it is most opaque."""
@@ -72,8 +74,8 @@ class Moving(Protocol):
     def persistence(self) -> Float32:
         """(N,) how lasting each Gaussian is, 0 to 1."""
 
-    def displaced(self, dc: Float32) -> Self:
-        """A copy with the DC coefficients moved by (N, 3), at all times."""
+    def displaced(self, canonical: GaussianModel) -> Self:
+        """A copy displaced at all times as this canonical model is: its centres, sizes and DC coefficients."""
 
     def digest(self) -> str:
         """SHA-256 of everything, hexadecimal."""
@@ -103,13 +105,13 @@ def embed_moving(
     canonical, digest = moving.canonical(), moving.digest()
     times = key_times(moving, config.views)
     variant = Variant(
-        at_view=lambda model, k: moving.at(times[k]).with_(sh=model.sh),
+        at_view=lambda model, k: moving.at(times[k], model),
         emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
         commitments={COMMITMENT: digest},
     )
     original_sha256 = original_sha256 or digest
     result = embed(canonical, key, original_sha256=original_sha256, config=config, variant=variant, **request)
-    return moving.displaced(result.model.sh[:, 0] - canonical.sh[:, 0]), result
+    return moving.displaced(result.model), result
 
 
 def visible(model: GaussianModel) -> GaussianModel:
@@ -139,11 +141,13 @@ def move_record(opened: OpenedRecord, original: Moving, time: float, *, landmark
     posed = original.at(time).with_(sh=opened.reference.sh)
     rows = _visible_rows(posed, f" at time {time:g}")
     layout = replace(opened.layout, labels=tuple(labels[rows] for labels in opened.layout.labels))
+    kept = np.zeros(len(posed), dtype=bool)
+    kept[rows] = True
     reference = posed.take(rows)
     landmarks = None
     if landmark_views:
         landmarks = make_landmarks(reference, make_rig(reference, landmark_views, *LANDMARK_SIZE))
-    return replace(opened, reference=reference, layout=layout, landmarks=landmarks)
+    return replace(opened, reference=reference, layout=layout, landmarks=landmarks, kept=kept)
 
 
 def find_time(
@@ -151,15 +155,17 @@ def find_time(
 ) -> float | None:
     """The moment at which the original looks most like a model exported from it; None where it is never found.
 
-    Only geometry and the registration's unmarked features decide, so the search is no further try of a claim. It
-    tries `count` moments over the whole clip, then `rounds` times the neighbours of the best.
+    Most Gaussians nearest to where they should be, in their own sizes. Only geometry and the registration's unmarked
+    features decide, so the search is no further try of a claim. It tries `count` moments over the whole clip, then
+    `rounds` times the neighbours of the best.
     """
     shown = visible(suspect)
     rigid = RegistrationConfig(colorless=False, merged=False, deformed=False)  # a wrong moment is to fit badly
 
     def score(time: float) -> float:
         reference = move_record(opened, original, time).reference
-        return float(register(reference, shown, seed=seed, config=rigid).match_quality.sum())
+        found = derivation_of_model(reference, shown, register(reference, shown, seed=seed, config=rigid))
+        return 0.0 if found.exactness is None else (found.gaussians or 0) / (1.0 + found.exactness**2)
 
     low, high = original.span
     step = (high - low) / max(count - 1, 1)

@@ -62,8 +62,13 @@ class SpacetimeModel:
         """First and last moment of the clip, which by convention lasts from 0 to 1."""
         return 0.0, 1.0
 
-    def at(self, time: float) -> GaussianModel:
-        """All N Gaussians at a moment (units of the clip), also those that are not visible then; SH degree 0."""
+    def at(self, time: float, displaced: GaussianModel | None = None) -> GaussianModel:
+        """All N Gaussians at a moment (units of the clip), also those that are not visible then; SH degree 0.
+
+        As if `displaced` were the canonical model, where given.
+        """
+        if displaced is not None:
+            return self.displaced(displaced).at(time)
         if not np.isfinite(time):
             raise InputError(f"a moment must be a finite number, got {time}")
         d = (time - self.trbf_center.astype(np.float64))[:, None]  # (N, 1)
@@ -91,9 +96,10 @@ class SpacetimeModel:
             total += np.exp(-self._distance2(time))
         return (total / MOMENTS).astype(np.float32)
 
-    def displaced(self, dc: Float32) -> SpacetimeModel:
-        """A copy with the DC coefficients moved by dc (N, 3): for all time, since the colours have no time."""
-        return replace(self, colors=self.colors + np.float32(SH_C0) * dc)
+    def displaced(self, canonical: GaussianModel) -> SpacetimeModel:
+        """A copy that has the centres at its temporal centres, the sizes and DC coefficients of this model (N)."""
+        colors = self.colors + np.float32(SH_C0) * (canonical.sh[:, 0] - self._dc())
+        return replace(self, means=canonical.means, log_scales=canonical.log_scales, colors=colors)
 
     def digest(self) -> str:
         """SHA-256 over all arrays, hexadecimal."""

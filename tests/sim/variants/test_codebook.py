@@ -57,7 +57,7 @@ def test_each_gaussian_has_its_nearest_code(compressed: CodebookModel, plant: Ga
     assert (own <= gap.min(axis=1) + 1e-12).mean() > 0.9
 
 
-def test_the_mark_is_in_the_colour_codes_alone(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
+def test_no_codes_but_those_of_colours_are_touched(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
     model = marked[0]
     assert model.centers["dc"].shape == compressed.centers["dc"].shape
     assert (model.centers["dc"] != compressed.centers["dc"]).any(axis=1).mean() > 0.9
@@ -65,6 +65,15 @@ def test_the_mark_is_in_the_colour_codes_alone(compressed: CodebookModel, marked
         np.testing.assert_array_equal(model.centers[name], compressed.centers[name])
     for name in compressed.indices:
         np.testing.assert_array_equal(model.indices[name], compressed.indices[name])
+
+
+def test_plain_centres_carry_the_grain_and_quantised_sizes_do_not(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]
+    model, result, opened = marked
+    assert opened.grain.center > 0.0
+    assert opened.grain.scale == 0.0
+    np.testing.assert_array_equal(model.decode().means, result.model.means)
+    assert (model.plain["xyz"] != compressed.plain["xyz"]).any(axis=1).mean() > 0.99
+    assert verify_model(model.decode(), opened).claim.layers["grain"] > 100
 
 
 def test_the_codes_are_the_code_vectors(compressed: CodebookModel, marked) -> None:  # type: ignore[no-untyped-def]

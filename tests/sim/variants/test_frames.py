@@ -7,6 +7,8 @@ import pytest
 
 from engine.errors import InputError
 from engine.formats import write_model
+from engine.model import GaussianModel
+from engine.numerics.similarity import quaternion_to_rotation
 from engine.pipeline.sealing import open_record
 from engine.sim.variants.frames import FrameSequence, read_frames
 from engine.sim.variants.moving import embed_moving, verify_moment
@@ -44,7 +46,31 @@ def test_one_record_verifies_every_frame(sequence: FrameSequence, key: OwnerKey,
         claim = verify_moment(marked.at(time), opened, sequence, time).claim
         assert claim.verdict is Verdict.MARKED
         assert claim.bit_accuracy == 1.0
+        assert claim.layers["grain"] > 140
         assert verify_moment(sequence.at(time), opened, sequence, time).claim.verdict is not Verdict.MARKED
+
+
+def test_displaced_frames_follow_their_gaussians(sequence: FrameSequence) -> None:
+    """What lies half a size along an axis of the canonical model lies there in every frame, however it is turned."""
+    still = sequence.canonical()
+    turned = sequence.frames[0].with_(log_scales=still.log_scales + np.float32(0.7))
+    clip = FrameSequence([turned, *sequence.frames[1:]], sequence.times)
+
+    def axis(model: GaussianModel) -> np.ndarray:
+        length = np.exp(model.log_scales[:, 1:2].astype(np.float64))
+        return np.asarray(0.5 * length * quaternion_to_rotation(model.quats)[:, :, 1])
+
+    like = still.with_(
+        means=(still.means + axis(still)).astype(np.float32),
+        log_scales=still.log_scales - np.float32(0.1),
+        sh=still.sh + np.float32(0.2),
+    )
+    moved = clip.displaced(like)
+    for before, after in zip(clip.frames, moved.frames, strict=True):
+        np.testing.assert_allclose(after.means - before.means, axis(before), atol=1e-5)
+        np.testing.assert_allclose(after.log_scales - before.log_scales, -0.1, atol=1e-5)
+        np.testing.assert_allclose(after.sh - before.sh, 0.2, atol=1e-5)
+    np.testing.assert_array_equal(clip.at(0.0, like).means, moved.frames[0].means)
 
 
 def test_frames_that_do_not_belong_together_are_refused(sequence: FrameSequence, tmp_path: Path) -> None:

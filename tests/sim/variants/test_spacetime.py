@@ -70,13 +70,22 @@ def test_persistence_is_the_mean_of_the_temporal_basis(few: SpacetimeModel) -> N
     np.testing.assert_allclose(few.persistence(), exact, atol=0.02)
 
 
-def test_displaced_moves_dc_at_all_times_and_nothing_else(few: SpacetimeModel) -> None:
-    moved = few.displaced(np.full((40, 3), 0.1, dtype=np.float32))
+def test_displaced_at_all_times_as_the_canonical_model_is(few: SpacetimeModel) -> None:
+    still = few.canonical()
+    like = still.with_(
+        means=still.means + np.float32(0.2),
+        log_scales=still.log_scales - np.float32(0.3),
+        sh=still.sh + np.float32(0.1),
+    )
+    moved = few.displaced(like)
     for time in (0.0, 0.8):
         a, b = few.at(time), moved.at(time)
         np.testing.assert_allclose(b.sh - a.sh, 0.1, atol=1e-5)
-        np.testing.assert_array_equal(a.means, b.means)
+        np.testing.assert_allclose(b.means - a.means, 0.2, atol=1e-5)
+        np.testing.assert_allclose(b.log_scales - a.log_scales, -0.3, atol=1e-5)
+        np.testing.assert_array_equal(a.quats, b.quats)
         np.testing.assert_array_equal(a.opacity_logits, b.opacity_logits)
+        np.testing.assert_array_equal(few.at(time, like).means, b.means)
 
 
 def test_digest_sees_every_array(few: SpacetimeModel) -> None:
