@@ -3,8 +3,10 @@
 1. Colour: affine change, clipping, tone curve and uneven light are fitted and taken off (`light.fit_colors`).
 2. Sharpness and position: the residual is regressed on gradients and Laplacians of the reference; what blur,
    resampling and a few hundredths of a pixel leave behind is explained by these.
-3. Reliability: the residual's Haar bands, brightness and chroma apart, are divided by their own spread, so
-   that bands drowned in noise or texture count little; outliers are clipped.
+3. Reliability: the residual's Haar bands, brightness and chroma apart, are weighed by their own variance, so that
+   bands drowned in noise or texture count little; outliers are clipped. How much of the reference's own faint details
+   a band still shows tells how much of a mark's it would: what a lossy coder emptied is quiet, and counts little all
+   the same.
 
 Everything depends on the picture and the unmarked reference alone: no key, no chip, no mark (DESIGN 4.9).
 """
@@ -36,13 +38,19 @@ _LEAST_SLOPE = 0.3
 """Pixels with a channel of which less than this share of a change survives clipping are left out."""
 _LEAST_PIXELS = 64
 """Fewer than this do not carry the fits."""
-_NOISE_FLOOR = 0.002
-"""Standard deviation added to every band's, image units: about what rounding to 8 bits leaves."""
+_NOISE_FLOOR = 0.0005
+"""Standard deviation added to every band's, image units: half of what rounding to 8 bits leaves."""
 _CLIP = 3.0
 """Coefficients are clipped at this many standard deviations of their band."""
-_EXPONENT = 0.5
-"""A band is divided by its variance to this power. 1 is right for noise that is independent of the mark; 1/2 is kinder
-to lossy compression, whose most quiet bands are those it emptied of the mark."""
+_EXPONENT = 0.75
+"""A band is divided by its variance to this power. 1 is right for noise that is independent of the mark, and reads a
+picture of washed colours best; 1/2 is kindest to lossy coders, whose noise is not."""
+_FAINT = 0.5 / 255, 2.5 / 255
+"""Details of the reference, image units, that are as faint as a mark's: strong ones survive where these do not."""
+_LEAST_DETAILS = 50
+"""Fewer of them do not tell how much survives."""
+_DOUBTS = 1.0
+"""Standard errors by which less must survive than everything: noise leaves few details that tell."""
 
 
 def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool) -> Float32:
@@ -68,7 +76,7 @@ def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool) -> Fl
     for c in range(3):
         planes = [expected[..., 0]] if c == 0 else [expected[..., 0], expected[..., c]]
         clean = _take_off_shape(residual[..., c], planes, usable)
-        weighted[..., c] = _whiten(clean, coverage)
+        weighted[..., c] = _whiten(clean, residual[..., c], expected[..., c] * usable, coverage)
     # The transpose of the change of colours, of the slope and of the mask: this is a cotangent.
     return np.ascontiguousarray((weighted @ _OPPONENT) * toned.slope * usable[..., None], dtype=np.float32)
 
@@ -102,18 +110,41 @@ def _coverage(usable: Bool) -> list[Float32]:
     return shares
 
 
-def _whiten(plane: Float32, coverage: list[Float32]) -> Float32:
-    """W^T D W of a plane: D divides each band by its own variance to the power _EXPONENT."""
-    approx, details = dwt2(plane, _LEVELS)
-    weighted = [
-        tuple(_weigh(band, share[: band.shape[0], : band.shape[1]]) for band in bands)
-        for bands, share in zip(details, coverage, strict=True)
-    ]
+def _whiten(clean: Float32, residual: Float32, expected: Float32, coverage: list[Float32]) -> Float32:
+    """W^T D W of a clean plane: D weighs each band by its variance, and by what it shows of the expected picture's."""
+    approx, details = dwt2(clean, _LEVELS)
+    off, known = dwt2(residual, _LEVELS)[1], dwt2(expected, _LEVELS)[1]
+    weighted = []
+    for *levels, share in zip(details, off, known, coverage, strict=True):
+        bands = zip(*levels, strict=True)  # of each direction: what is clean, what is off, what is known
+        weighted.append(tuple(_weigh(a, _inside(share, a), _survival(b, c, _inside(share, a))) for a, b, c in bands))
     coarse = _weigh(approx, coverage[-1])
     return np.asarray(idwt2(coarse, weighted))  # type: ignore[arg-type]  # mypy does not count the three bands
 
 
-def _weigh(band: npt.NDArray[Any], share: Float32) -> Float32:
+def _inside(share: Float32, band: npt.NDArray[Any]) -> Float32:
+    """The share of each block that is usable, for a band that lacks an odd last row or column."""
+    return share[: band.shape[0], : band.shape[1]]
+
+
+def _survival(off: npt.NDArray[Any], known: npt.NDArray[Any], share: Float32) -> float:
+    """What the picture shows of the faint details of a band, 0 to 1.
+
+    `off` is how far the picture is from the reference in that band, `known` the reference.
+    """
+    faint = (share > 0.99) & (np.abs(known) > _FAINT[0]) & (np.abs(known) < _FAINT[1])
+    if faint.sum() < _LEAST_DETAILS:
+        return 1.0
+    error, detail = off[faint].astype(np.float64), known[faint].astype(np.float64)
+    limit = _CLIP * np.sqrt(np.square(error).mean())
+    error, size = np.clip(error, -limit, limit), float(detail @ detail)
+    slope = 1.0 + float(error @ detail) / size
+    doubt = np.sqrt(np.square(error).mean() / size)  # of the slope
+    return float(np.clip(slope + _DOUBTS * doubt, 0.0, 1.0))
+
+
+def _weigh(band: npt.NDArray[Any], share: Float32, kept: float = 1.0) -> Float32:
+    """The band times the square of what it keeps of a faint detail, over its variance to the power _EXPONENT."""
     count = max(float(share.sum()), 1.0)
     squares = np.square(band)
     variance = float(squares.sum()) / count
@@ -121,4 +152,4 @@ def _weigh(band: npt.NDArray[Any], share: Float32) -> Float32:
         variance = float(np.minimum(squares, _CLIP**2 * variance).sum()) / count
     variance += _NOISE_FLOOR**2
     limit = _CLIP * np.sqrt(variance)
-    return np.asarray(np.clip(band, -limit, limit) / variance**_EXPONENT, dtype=np.float32)
+    return np.asarray(kept**2 * np.clip(band, -limit, limit) / variance**_EXPONENT, dtype=np.float32)

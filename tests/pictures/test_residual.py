@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
+from engine.numerics.wavelet import dwt2, idwt2
+from engine.pictures import residual
 from engine.pictures.alignment import align_image
 from engine.pictures.residual import image_cotangent
 from engine.pictures.tone_curve import fit_tone, robust_regression
@@ -74,19 +76,45 @@ def test_nothing_comes_from_outside_the_mask() -> None:
 
 
 def test_a_quiet_band_counts_more_than_a_noisy_one() -> None:
-    """Noise in the finest details is weighted down against the mark in the coarser bands."""
+    """Noise in the finest diagonal details takes their weight away, and leaves that of others."""
     case, rng = marked(), np.random.default_rng(3)
-    checks = np.indices(case.plain.shape[:2]).sum(axis=0) % 2 * 2.0 - 1.0
-    noisy = case.image + (0.05 * rng.normal(size=checks.shape) * checks)[..., None].astype(np.float32)
-    noise = noisy - case.image
-    fine = np.asarray(
-        noise - (noise + np.roll(noise, 1, 0) + np.roll(noise, 1, 1) + np.roll(noise, (1, 1), (0, 1))) / 4
-    )
-    picture_ = np.clip(case.image + fine, 0, 1).astype(np.float32)
     everywhere = np.ones(case.plain.shape[:2], dtype=bool)
-    z = z_score(case.read(image_cotangent(case.plain, picture_, everywhere)), case.chips)
-    plain = z_score(case.read(picture_ - case.plain), case.chips)
-    assert z > plain
+    plain = (0.2 + 0.6 * case.plain).astype(np.float32)  # nothing is clipped
+    approx, details = dwt2(np.zeros(plain.shape[:2], dtype=np.float32), 1)
+    details[0] = (*details[0][:2], (0.1 * rng.normal(size=details[0][2].shape)).astype(np.float32))
+    noise = idwt2(approx, details)[..., None]
+
+    def gains(image: np.ndarray) -> list[float]:
+        """Weight of the diagonal details of the first level, and of those of the second."""
+        cotangent, off = (
+            dwt2(each.mean(axis=2), 2)[1] for each in (image_cotangent(plain, image, everywhere), image - plain)
+        )
+        return [float(np.std(cotangent[level][2]) / np.std(off[level][2])) for level in (0, 1)]
+
+    clean = (plain + 0.6 * (case.image - case.plain)).astype(np.float32)
+    quiet, loud = gains(clean), gains(clean + noise)
+    assert loud[0] < 0.05 * quiet[0]
+    assert loud[1] > 0.5 * quiet[1]
+
+
+def test_a_band_that_a_coder_emptied_counts_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is quiet, too, but shows none of the reference's own faint details."""
+    name = "rotation, scale, jpeg50"
+    with_ = z_score(evidence(name), marked().chips)
+    monkeypatch.setattr(residual, "_survival", lambda off, known, share: 1.0)
+    assert with_ > 1.03 * z_score(evidence(name), marked().chips)
+
+
+def test_how_much_of_faint_details_survives() -> None:
+    rng = np.random.default_rng(0)
+    known = rng.uniform(-2.5, 2.5, (100, 100)) / 255
+    known[::2] *= 100  # strong ones, of which nothing is lost
+    faint = np.abs(known) < 2.5 / 255
+    whole = np.ones_like(known)
+    assert residual._survival(np.where(faint, -0.6 * known, 0.0), known, whole) == pytest.approx(0.4, abs=0.05)
+    assert residual._survival(0.03 * rng.normal(size=known.shape), known, whole) == 1.0  # noise takes nothing away
+    assert residual._survival(-known, known, whole) == pytest.approx(0.0, abs=0.05)
+    assert residual._survival(-known, known, np.where(faint, 0.5, 1.0)) == 1.0  # half outside the mask
 
 
 @pytest.mark.parametrize("height", [1, 7, 33])
