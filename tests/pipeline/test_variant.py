@@ -11,6 +11,7 @@ from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
 from engine.pipeline.variant import Variant
+from engine.pipeline.verification import verify_model
 
 KEY = bench_key(3)
 CONFIG = profile("fast", views=3, view_size=192, landmark_views=0)
@@ -47,6 +48,16 @@ def test_what_the_views_see_decides_the_strength(small_plant: GaussianModel) -> 
     plain = moved(small_plant, Variant())
     seen = moved(small_plant, Variant(at_view=lambda m, k: m.with_(opacity_logits=part)))
     assert np.abs(seen).mean() > 1.15 * np.abs(plain).mean()
+
+
+@pytest.mark.parametrize("free", ["centers", "sizes"])
+def test_what_has_no_room_carries_no_grain(small_plant: GaussianModel, free: str) -> None:
+    own = Variant(free_centers=free == "centers", free_sizes=free == "sizes")
+    result = embed(small_plant, KEY, original_sha256="0" * 64, bits=16, config=CONFIG, variant=own)
+    opened = open_record(result.record.to_bytes(KEY), KEY)
+    assert np.array_equal(result.model.means, small_plant.means) == (free != "centers")
+    assert np.array_equal(result.model.log_scales, small_plant.log_scales) == (free != "sizes")
+    assert verify_model(result.model, opened).claim.layers["grain"] > 30
 
 
 def test_commitments_are_kept_and_decide_the_chips(small_plant: GaussianModel) -> None:
