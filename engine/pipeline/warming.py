@@ -14,6 +14,7 @@ from engine.numerics.similarity import transform_model
 from engine.pictures.alignment import align_image
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
+from engine.registration.sketch import SuspectIndex, make_sketch
 from engine.watermark.grain import Grain
 from engine.watermark.grain_evidence import gather_grain_evidence
 
@@ -70,6 +71,7 @@ def _registration(advance: _Advance) -> None:
         gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
         advance(share)
     Wholes(moved).find(Parts.of(model), found.similarity)
+    SuspectIndex(moved).resemblance(make_sketch(model))
     advance(1.0)
 
 

@@ -29,6 +29,7 @@ from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import verify_images, verify_model
 from engine.pipeline.warming import warm_up
 from engine.raster import render
+from engine.registration.sketch import SuspectIndex, make_sketch
 from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 
@@ -52,6 +53,7 @@ for work in ("embed", "model", "pictures"):
     elif work == "model":
         for suspect in (made.model, moved, merged):
             verify_model(suspect, opened)
+            SuspectIndex(suspect).resemblance(make_sketch(made.model))
     else:
         verify_images([picture], opened)
     print(work, sorted(name for name, _ in compiled() - before))
