@@ -76,7 +76,7 @@ def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool) -> Fl
     for c in range(3):
         planes = [expected[..., 0]] if c == 0 else [expected[..., 0], expected[..., c]]
         clean = _take_off_shape(residual[..., c], planes, usable)
-        weighted[..., c] = _whiten(clean, residual[..., c], expected[..., c] * usable, coverage)
+        weighted[..., c] = _whiten(clean, residual[..., c], expected[..., c], coverage)
     # The transpose of the change of colours, of the slope and of the mask: this is a cotangent.
     return np.ascontiguousarray((weighted @ _OPPONENT) * toned.slope * usable[..., None], dtype=np.float32)
 
