@@ -21,7 +21,7 @@ from engine.pictures.brightness_fit import Fit, fit_warp
 from engine.pictures.features import detect_keypoints, luma, match_within
 from engine.pictures.light import predict_brightness
 
-__all__ = ["Alignment", "align_either_hand", "align_image"]
+__all__ = ["Alignment", "align_either_hand", "align_image", "align_near"]
 
 KEYPOINTS = 2000
 """SIFT keypoints an image."""
@@ -77,6 +77,12 @@ def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment |
     if best is None or best.correlation < LEAST_CORRELATION:
         return None
     fit = fit_warp(grey, suspect_grey, best.matrix, levels=(4, 2, 1), homography=False) or best
+    return _laid_over(reference, suspect, fit)
+
+
+def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
+    """The suspect in the reference's pixels by a fit, bent where that fits better."""
+    grey, suspect_grey = luma(reference), luma(suspect)
     bent = fit_warp(grey, suspect_grey, fit.matrix, levels=(2, 1), homography=True)
     if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
         fit = bent
@@ -87,6 +93,13 @@ def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment |
     mask = _evidence_mask(grey, luma(warped), inside, fit)
     mirrored = bool(np.linalg.det(matrix[:2, :2]) < 0)
     return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation, mirrored)
+
+
+def align_near(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
+    """As `align_image` of a suspect that already lies over the render within a pixel or so: no hypotheses are sought."""
+    reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
+    fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
+    return None if fit is None or fit.correlation < LEAST_CORRELATION else _laid_over(reference, suspect, fit)
 
 
 def align_either_hand(reference_image: Float32, suspect_image: Float32) -> Alignment | None:

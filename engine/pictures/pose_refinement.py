@@ -1,6 +1,7 @@
 """Refine a camera on brightness: robust Gauss-Newton against fresh renders, coarse to fine (DESIGN 4.8).
 
-The model of the picture is suspect(x) = gain render(x; camera) + offset. A small motion of the camera moves
+The model of the picture is suspect(x) = gain render(x; camera) + offset alpha(x) + (1 - alpha(x)) behind(x), alpha the
+render's opacity, behind what the picture shows where that is clear (`background`). A small motion of the camera moves
 what a pixel shows by a flow that follows from its depth, and so changes its brightness by -gradient . flow:
 one render with depth gives all seven columns of the linearised problem. The residual is always that of an
 exact render, so where the iteration stops, depth edges and haze have not biased it; they only slow it down.
@@ -18,6 +19,7 @@ from numba import prange
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.jit import parallel_kernel, parallel_section
 from engine.numerics.resampling import smooth
+from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import PARAMETERS, moved
 from engine.pictures.features import luma
@@ -25,7 +27,7 @@ from engine.raster import render_depth
 
 __all__ = ["Refined", "refine_level"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 BLUR = 0.8
 """Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
 WIDEST_BLUR = 3.0
@@ -39,6 +41,8 @@ CLIPPED = 0.985
 """Brighter pixels of the picture say nothing about position."""
 FARTHEST = 2.0
 """A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
+FAR_MARGIN = 12
+"""Pixels around the model where the background is not looked for while the camera is still off by many."""
 LEAST_PIXELS = 400
 """Fewer usable pixels than this cannot carry nine unknowns."""
 ACCELERATE_BELOW = 0.5
@@ -65,7 +69,7 @@ class Refined:
 
 
 @parallel_kernel
-def _normal_equations(base, residual, gx, gy, depth, weight, focal, cx, cy, gain, spread, rows, flows):
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, rows, flows):
     height, width = base.shape
     for j in prange(height):
         column = np.zeros(9)
@@ -80,9 +84,9 @@ def _normal_equations(base, residual, gx, gy, depth, weight, focal, cx, cy, gain
             u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
             v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
             for k in range(7):
-                column[k] = -gain * focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
+                column[k] = -focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
             column[7] = base[j, i]
-            column[8] = 1.0
+            column[8] = cover[j, i]
             r = residual[j, i]
             w = weight[j, i] / (1.0 + (r / spread) ** 2)
             for k in range(9):
@@ -108,24 +112,31 @@ def refine_level(
     for iteration in range(iterations):
         image, alpha, depth = render_depth(model, camera)
         blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
-        seen, base = smooth(picture, blur), smooth(luma(image), blur)
-        weight = _weights(alpha, depth, seen)
+        behind = _behind(picture, alpha, step)
+        seen, base = smooth(picture - (1.0 - alpha) * behind, blur), smooth(luma(image), blur)
+        cover = smooth(alpha, blur)
+        weight = _weights(alpha, depth, picture)
         used = weight > 0
         if used.sum() < LEAST_PIXELS:
             return None
         unit = float(np.median(depth[used]))
         if iteration == 0:
             gain, offset = robust_line(base[used], seen[used])
-        residual = seen - np.float32(gain) * base - np.float32(offset)
+        toned = np.float32(gain) * base + np.float32(offset) * cover
+        residual = seen - toned
         spread = robust_scale(residual[used])
         outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
-        correlation = _correlation(base[used], seen[used])
-        gy, gx = np.gradient(base)
+        correlation = _correlation(toned[used], seen[used])
+        # The background stands still when the camera moves; what covers it moves.
+        gy, gx = np.gradient(toned)
+        by, bx = np.gradient(cover)
+        gy, gx = gy - by * behind, gx - bx * behind
         rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
         flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
         with parallel_section():
             _normal_equations(
                 base,
+                cover,
                 residual,
                 np.ascontiguousarray(gx),
                 np.ascontiguousarray(gy),
@@ -134,7 +145,6 @@ def refine_level(
                 camera.K[0, 0],
                 camera.K[0, 2],
                 camera.K[1, 2],
-                gain,
                 outlying,
                 rows,
                 flows,
@@ -183,6 +193,13 @@ class Acceleration:
                 move = motion - (moves + changes) @ mix
         self._motions, self._moves = [*self._motions, motion][-MEMORY:], [*self._moves, move][-MEMORY:]
         return move
+
+
+def _behind(picture: Float32, alpha: Float32, step: float) -> Float32:
+    """(H, W) what lies behind the model; nothing where it cannot be seen."""
+    margin = int(np.clip(2.0 * step, MARGIN, FAR_MARGIN)) if np.isfinite(step) else FAR_MARGIN
+    filled = fill_background(picture, alpha, margin)
+    return np.zeros_like(picture) if filled is None else filled
 
 
 def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:

@@ -8,7 +8,8 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pictures.alignment import align_either_hand
+from engine.pictures.alignment import align_either_hand, align_near
+from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
@@ -105,7 +106,7 @@ def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> Ev
     parts = []
     for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
-        view, reference, mark, signs = _reference_view(opened, camera)
+        view, reference, _, mark, signs = _reference_view(opened, camera)
         everywhere = np.ones(picture.shape[:2], dtype=bool)
         parts.append(gather_image_evidence(opened.layout, view, reference, picture, everywhere, mark, signs))
         clock.advance((number + 1) / len(opened.cameras))
@@ -134,21 +135,23 @@ def read_pictures(
     parts, notes = [], []
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
-        mirrored = False
         if camera is None:
             with clock.stage("find camera"):
                 found = _find(image, opened)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
-            camera, image, mirrored = found.camera, found.face(image), found.mirrored
-        with clock.stage("read picture"):
-            evidence, turned = _read_picture(image, camera, opened)
+            turned = found.mirrored
+            with clock.stage("read picture"):
+                evidence = _read_found(found.face(image), found.camera, opened)
+        else:
+            with clock.stage("read picture"):
+                evidence, turned = _read_picture(image, camera, opened)
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
         parts.append(evidence)
-        if mirrored != turned:
+        if turned:
             notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
     return add_evidence(parts) if parts else _nothing(opened), tuple(notes)
 
@@ -156,7 +159,7 @@ def read_pictures(
 def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> tuple[Evidence | None, bool]:
     """Evidence of one picture from a known camera, None where it does not fit that camera's view; and whether it was
     turned over to fit."""
-    view, reference, mark, signs = _reference_view(opened, camera)
+    view, reference, _, mark, signs = _reference_view(opened, camera)
     alignment = align_either_hand(reference, image)
     if alignment is None:
         return None, False
@@ -164,17 +167,35 @@ def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> tuple
     return gather_image_evidence(opened.layout, view, reference, *seen, mark, signs), alignment.mirrored
 
 
-def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float64]:
-    """Prepared view, clipped render of the reference, what the mark adds to it, and the signs of its chips."""
+def _read_found(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidence | None:
+    """Evidence of a picture whose camera was found, whatever it shows behind the model."""
+    view, reference, alpha, mark, signs = _reference_view(opened, camera)
+    behind = find_background(image, alpha)
+    through = None if behind is None else behind.through
+    alignment = align_near(reference, image if through is None else image - through)
+    if alignment is None:
+        return None
+    warped, mask = alignment.warped, alignment.mask
+    if behind is not None and through is not None:
+        mask = mask & behind.trusted
+        if np.array_equal(alignment.matrix, np.eye(3)):  # as its coder saw it
+            warped = image
+        else:
+            through = None
+    return gather_image_evidence(opened.layout, view, reference, warped, mask, mark, signs, through)
+
+
+def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float32, Float64]:
+    """Prepared view, clipped render of the reference and its opacity, what the mark adds, and the signs of its chips."""
     signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
     marked_sh = add_dc(opened.reference.sh, opened.layout.displace(signed))
     view = prepare_view(opened.reference, camera)
     position = camera.position.astype(np.float32)
-    plain, marked = (
-        np.clip(view.render(sh_colors(sh, opened.reference.means, position))[0], 0.0, 1.0)
-        for sh in (opened.reference.sh, marked_sh)
+    (plain, alpha), (marked, _) = (
+        view.render(sh_colors(sh, opened.reference.means, position)) for sh in (opened.reference.sh, marked_sh)
     )
-    return view, plain, marked - plain, np.sign(signed)
+    plain, marked = np.clip(plain, 0.0, 1.0), np.clip(marked, 0.0, 1.0)
+    return view, plain, alpha, marked - plain, np.sign(signed)
 
 
 def _find(image: Float32, opened: OpenedRecord) -> FoundCamera | None:

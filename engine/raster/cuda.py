@@ -44,7 +44,7 @@ def rasterize(
     """
     if importlib.util.find_spec("gsplat") is None:
         raise InputError("tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU")
-    fixed = RasterSettings(eps2d=settings.eps2d, near=settings.near)
+    fixed = RasterSettings(eps2d=settings.eps2d, near=settings.near, antialiased=settings.antialiased)
     if settings != fixed:
         raise InputError(f"gsplat's alpha limits and stop rule are fixed: expected {fixed}, got {settings}")
     import torch
@@ -67,6 +67,6 @@ def rasterize(
         sh_degree=degree,
         packed=False,
         backgrounds=behind[None],
-        rasterize_mode="classic",
+        rasterize_mode="antialiased" if settings.antialiased else "classic",
     )
     return image[0], alpha[0, ..., 0]

@@ -28,7 +28,7 @@ from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, TILE, RasterSet
 
 __all__ = ["LANE_SCRATCH", "RECORD", "pack_lens", "project"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 RECORD = 8
 """Floats per record."""
@@ -42,6 +42,8 @@ _LOG2_E = _f(math.log2(math.e))
 _MAX_VARIANCE = _f(MAX_SIGMA_PX**2)
 _TILES_PER_PIXEL = _f(1.0 / TILE)
 _LARGEST_EXPONENT = _f(126.0)
+_LEAST_SHARPNESS = _f(1e-6)
+"""Of the determinant without the low pass, in that with it: float32 has no better."""
 
 
 def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
@@ -49,7 +51,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 
     Rotation (9), translation (3), fx, fy, cx, cy, the four limits of x/z and y/z for the Jacobian
     (right, left, bottom, top), width, height, eps2d, near, log2 of the smallest alpha, tiles per row and
-    column.
+    column, 1 where opacity falls with the low pass.
     """
     R, t, K = camera.viewmat[:3, :3], camera.viewmat[:3, 3], camera.K
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -57,7 +59,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * w / fx, FRUSTUM_MARGIN * 0.5 * h / fy
     limits = [(w - cx) / fx + margin_x, -cx / fx - margin_x, (h - cy) / fy + margin_y, -cy / fy - margin_y]
     numbers = [*R.ravel(), *t, fx, fy, cx, cy, *limits, w, h, settings.eps2d, settings.near]
-    numbers += [settings.log2_alpha_skip, -(-w // TILE), -(-h // TILE)]
+    numbers += [settings.log2_alpha_skip, -(-w // TILE), -(-h // TILE), settings.antialiased]
     return np.array(numbers, dtype=np.float32)
 
 
@@ -165,6 +167,7 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
     right, left, bottom, top = lens[16], lens[17], lens[18], lens[19]
     width, height, eps2d, near, log2_skip = lens[20], lens[21], lens[22], lens[23], lens[24]
     last_column, last_row = lens[25] - _f(1.0), lens[26] - _f(1.0)
+    antialiased = lens[27] != _f(0.0)
     for part in prange(counts.shape[0]):
         own = scratch[part]
         begin = part * chunk
@@ -187,10 +190,14 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
             qw, qx, qy, qz, _ = unit_quats(quats, i)
             M = scale_columns(rotation(qw, qx, qy, qz), scale_lanes(log_scales, i))
             var_x, var_y, cov, det = covariance(row_times(a, M), row_times(b, M), eps2d)
+            if antialiased:
+                sharp = det - (var_x + var_y - eps2d) * eps2d  # the determinant without the low pass
+                l += log2(maximum(sharp / det, _f(_LEAST_SHARPNESS))) * _f(0.5)
             reach = (l - log2_skip) * _f(2.0 * math.log(2.0))  # alpha >= skip where the Mahalanobis^2 <= reach
             hx, hy = root(reach * var_x), root(reach * var_y)
             wanted &= bits_of(
-                (var_x <= _MAX_VARIANCE)
+                (reach >= _f(0.0))
+                & (var_x <= _MAX_VARIANCE)
                 & (var_y <= _MAX_VARIANCE)
                 & (det > _f(1e-12))
                 & (u + hx >= _f(0.5))

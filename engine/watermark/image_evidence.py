@@ -30,6 +30,7 @@ def gather_image_evidence(
     mask: Bool,
     mark_image: Float32,
     mark_signs: Float64,
+    through: Float32 | None = None,
 ) -> Evidence:
     """Evidence of one picture.
 
@@ -52,9 +53,11 @@ def gather_image_evidence(
         evidence this picture could have held (the power of a "not marked" answer): no part of y and weights.
     mark_signs : (C,) float64
         Sign of each chip's displacement in that mark.
+    through : (H, W, 3) float32, optional
+        What of the picture is not the model's but shines through it (`pictures.background`).
     """
     weights = layout.amplitudes
-    pull = _reader(layout, view, warped, mask)
+    pull = _reader(layout, view, warped, mask, through)
     pulled = pull(reference)
     y = _gathered(layout, pulled)
     limits = _limits(weights * y, len(layout.directions[0]))
@@ -97,16 +100,22 @@ def _gathered(layout: Layout, pulled: Float32) -> Float64:
     return np.asarray(SH_C0 * layout.gather(pulled))
 
 
-def _reader(layout: Layout, view: View, warped: Float32, mask: Bool) -> Callable[[Float32], Float32]:
+def _reader(
+    layout: Layout, view: View, warped: Float32, mask: Bool, through: Float32 | None
+) -> Callable[[Float32], Float32]:
     """Function from a render (H, W, 3) that the picture is held against to what it says of each Gaussian (N, 3)."""
     quality = find_quality(warped)
     spread = block_spread(_public_pattern(layout, view)) if quality else None
 
+    own = warped if through is None else warped - through
+
     def pull(known: Float32) -> Float32:
         if quality is not None and spread is not None:
-            exposed = match_exposure(known, warped, mask)
+            exposed = match_exposure(known, own, mask)
+            if through is not None:  # the coder saw both
+                exposed = np.clip(exposed + through, 0.0, 1.0)
             return _pulled(view, jpeg_cotangent(exposed, warped, mask, spread, quality))
-        return _pulled(view, image_cotangent(known, warped, mask))
+        return _pulled(view, image_cotangent(known, own, mask))
 
     return pull
 

@@ -51,6 +51,7 @@ def test_pixels_end() -> None:
         RasterSettings(eps2d=0.0),
         RasterSettings(eps2d=1.5, near=1.5),
         RasterSettings(alpha_clamp=0.5),
+        RasterSettings(antialiased=True),
         RasterSettings(alpha_skip=0.05, transmittance_stop=0.2),
     ],
 )
@@ -58,7 +59,7 @@ def test_settings(settings: RasterSettings) -> None:
     model = random_model(150, 5, 4)
     expected, _ = twin_image(model, camera(), settings=settings)
     assert_same_image(render(model, camera(), settings=settings), expected)
-    if settings.eps2d:
+    if settings.eps2d or settings.antialiased:
         assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
 
 

@@ -111,6 +111,9 @@ def rasterize(
         dx, dy = columns - centres[i, 0], rows - centres[i, 1]
         power = conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
         alpha = opacities[i] * torch.exp(-0.5 * power)
+        if settings.antialiased:
+            sharp = covariances[i] - settings.eps2d * torch.eye(2, dtype=torch.float64)
+            alpha = alpha * torch.sqrt(torch.clamp(torch.linalg.det(sharp) / torch.linalg.det(covariances[i]), min=1e-6))
         blended = (alpha >= settings.alpha_skip) & ~ended
         alpha = alpha.clamp_max(settings.alpha_clamp)
         after = transmittance * (1 - alpha)
