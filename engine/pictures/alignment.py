@@ -96,7 +96,7 @@ def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
 
 
 def align_near(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
-    """As `align_image` of a suspect that already lies over the render within a pixel or so: no hypotheses are sought."""
+    """As `align_image` of a suspect that lies over the render within a pixel or so: no hypotheses are sought."""
     reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
     fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
     return None if fit is None or fit.correlation < LEAST_CORRELATION else _laid_over(reference, suspect, fit)

@@ -1,66 +1,59 @@
 """Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
 
-1. Keypoints of the picture, matched to the landmarks of the record.
-2. PnP-RANSAC over a ladder of focal lengths; refined on the matches that agree.
-3. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
-4. Where that is not sure, the same for the picture turned over left to right, if more of it matches. Turned over upside
-   down is that and half a turn.
+1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths. Where
+   few agree, the same for the picture turned over left to right (turned over upside down is that and half a turn).
+2. Where no camera is well supported, outlines and edges of many views are held against both (`view_search`).
+3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
+4. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
 
-The picture of another scene fails at the number of agreeing matches, or at the correlation with the render.
-Nothing here sees a key or a chip.
+The picture of another scene fails at the correlation with the render. Nothing here sees a key or a chip.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Camera, Float32, Float64, GaussianModel, Int64
-from engine.pictures.camera_hypotheses import LADDER, Hypothesis, at_other_focal, fit_camera, hypothesize
-from engine.pictures.features import Keypoints, detect_keypoints, luma
-from engine.pictures.landmark_matching import match_landmarks, match_projected
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.resampling import smooth
+from engine.pictures.background import fill_background
+from engine.pictures.camera_hypotheses import LADDER
+from engine.pictures.features import Keypoints, luma
+from engine.pictures.keypoint_cameras import Look, keypoints_of, look_closer, resized
 from engine.pictures.landmarks import Landmarks
-from engine.pictures.pose_refinement import refine_level
+from engine.pictures.pose_refinement import Refined, refine_level
+from engine.pictures.view_search import ViewEdges, search_views
+from engine.raster import render_depth
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
-KEYPOINTS = 2000
-"""SIFT keypoints of the picture."""
-DETECTION_SIZE = 1000
-"""Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced."""
-RATIOS = (0.8, 0.85)
-"""Lowe's ratio of distances over the whole bank, and within each of its views. The first gives few matches, mostly
-right; the second many, mostly wrong."""
-VIEWS = 8
-"""Views of the bank in which the second kind is sought: those with most matches."""
-SAME_PLACE = 0.05
-"""Landmarks nearer to each other than this are one place, in radii of the bank."""
-TOLERANCE = 0.005
-"""Reprojection error of an inlier, in longer sides of the picture."""
-LEAST_START, LEAST_INLIERS = 6, 12
-"""Matches that must agree before the camera is roughly known, and keypoints that must agree with it then."""
 LEAST_CORRELATION = 0.75
 """Correlation of brightness with the render below which the picture shows something else."""
-COARSE_SIZE, FINE_SIZE = 1000, 2000
-"""Largest longer side of the first and of the last level of the refinement, pixels. Renders at another size than the
-picture's are not quite the reduced picture, so there is no level coarser than needed."""
-ITERATIONS = 12
-"""Renders of one level at most."""
-STEP = 0.005
-"""The refinement ends when its step is smaller, pixels."""
-GUIDED = (1.0, 1.0, 0.5)
-"""Tolerances of the rounds of guided matching, in those of the first."""
+SUPPORTED = 30
+"""Keypoints that agree on a camera which need no second opinion."""
+SIZES = (256, 640, 1600)
+"""Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
+ITERATIONS, QUICK_ITERATIONS = 12, 8
+"""Renders at most: of the last level, and of those before."""
+STEP, QUICK_STEP = 0.005, 0.05
+"""A level ends when its step is smaller, pixels."""
+THUMBNAIL = 128
+"""Longer side of the picture on which candidates without keypoints are refined first, pixels."""
+CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
+"""Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
+_EDGE = 0.05
+"""Steps of brightness from which an edge counts in full."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
     """How hard `find_camera` tries."""
 
-    sure_correlation: float = 0.98
-    """Correlation of brightness with the render above which a refinement that converged has not failed."""
+    sure_correlation: float = 0.9
+    """Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
     focals: tuple[float, ...] = LADDER
     """Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after."""
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
@@ -72,7 +65,7 @@ class FoundCamera:
     """The camera of a picture."""
 
     camera: Camera  # of the picture's size; square pixels, principal point in the centre
-    inliers: int  # matches that agree with the pose found from keypoints
+    inliers: int  # matches that agree with the pose found from keypoints; 0 where these did not help
     rms: float  # robust standard deviation of the brightness residual, 0..1
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
@@ -83,165 +76,148 @@ class FoundCamera:
         return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A camera of the picture's size that may be the one, and what speaks for it."""
+
+    camera: Camera
+    mirrored: bool
+    support: int  # keypoints that agree
+    worth: float = 0.0  # how well it explains the small picture
+    size: int = 0  # longer side of the picture it was refined on, pixels
+
+
 def find_camera(
-    landmarks: Landmarks, reference_model: GaussianModel, image: Float32, config: CameraConfig = CameraConfig()
+    landmarks: Landmarks,
+    reference_model: GaussianModel,
+    image: Float32,
+    config: CameraConfig = CameraConfig(),
+    edges: Callable[[], ViewEdges] | None = None,
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
-    `landmarks` are those of its record. InputError if the picture is not a finite (h, w, 3) image.
+    `landmarks` are those of its record, `edges` gives those of views of it (asked only where keypoints do not do).
+    InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
         raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite")
-    grey = luma(np.asarray(image, dtype=np.float32))
-    own = _Look.of(_keypoints(grey), landmarks)
-    best = _search(landmarks, reference_model, grey, own, config)
-    if best is not None and _is_sure(best, config):
-        return best
-    mirrored = _Look.of(own.keypoints.turned_over(grey.shape[1]), landmarks)
-    if mirrored.support <= own.support:
-        return best
-    other = _search(landmarks, reference_model, np.ascontiguousarray(grey[:, ::-1]), mirrored, config)
-    return _better(best, None if other is None else replace(other, mirrored=True))
+    finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
+    best = finder.best(finder.by_keypoints())
+    if edges is not None and (best is None or best.support < SUPPORTED):
+        best = finder.best([*([best] if best is not None else []), *finder.by_edges(edges())])
+    return None if best is None else finder.finish(best)
 
 
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """Keypoints of a picture, and the landmarks (indices) they may show: few, mostly right, then many, mostly wrong."""
+class _Finder:
+    """The search for the camera of one picture."""
 
-    keypoints: Keypoints
-    matches: Sequence[tuple[Int64, Int64]]
+    def __init__(self, landmarks: Landmarks, model: GaussianModel, image: Float32, config: CameraConfig) -> None:
+        self._landmarks, self._model, self._image, self._config = landmarks, model, image, config
+        grey = luma(image)
+        self._greys = (grey, np.ascontiguousarray(grey[:, ::-1]))  # as it is, and turned over
+        self._size = grey.shape[1], grey.shape[0]
+        self._keypoints = keypoints_of(grey)
 
-    @property
-    def support(self) -> int:
-        return len(self.matches[0][0])
+    def by_keypoints(self) -> Iterator[_Candidate]:
+        """What keypoints agree on; the mirror image is asked where few do."""
+        strongest = 0
+        for mirrored in (False, True):
+            if mirrored and strongest >= SUPPORTED:
+                return
+            look = Look.of(self._seen(mirrored), self._landmarks, self._size)
+            for number, start in enumerate(look.hypotheses(self._config.focals)):
+                strongest = max(strongest, start.support)
+                yield _Candidate(start.camera, mirrored, start.support)
+                if number == 0:
+                    for other in look.at_other_focals(start, self._config.other_focals):
+                        yield _Candidate(other.camera, mirrored, other.support)
 
-    @classmethod
-    def of(cls, keypoints: Keypoints, landmarks: Landmarks) -> _Look:
-        """What these keypoints match."""
-        return cls(keypoints, match_landmarks(keypoints, landmarks, RATIOS, SAME_PLACE * _radius(landmarks), VIEWS))
+    def by_edges(self, edges: ViewEdges) -> list[_Candidate]:
+        """What outlines and edges speak for, refined on a thumbnail."""
+        found = []
+        for mirrored in (False, True):
+            image = np.ascontiguousarray(self._image[:, ::-1]) if mirrored else self._image
+            found += [(score, mirrored, camera) for score, camera in search_views(edges, image, CANDIDATES)]
+        found.sort(key=lambda each: -each[0])
+        tried = []
+        for _, mirrored, camera in found[:CLOSER]:
+            closer = look_closer(self._model, self._seen(mirrored), self._size, camera)
+            if closer is not None:
+                tried.append(_Candidate(closer.camera, mirrored, closer.support))
+                if closer.support >= SUPPORTED:
+                    return tried
+        for _, mirrored, camera in found[:CANDIDATES]:
+            refined = self._refined(camera, mirrored, THUMBNAIL, QUICK_ITERATIONS, QUICK_STEP)
+            if refined is not None:
+                worth = self._worth(refined, mirrored)
+                tried.append(_Candidate(self._full(refined.camera), mirrored, 0, worth))
+        return sorted(tried, key=lambda candidate: (-candidate.support, -candidate.worth))[:FINALISTS]
 
-
-def _keypoints(grey: Float32) -> Keypoints:
-    height, width = grey.shape
-    shrink = min(1.0, DETECTION_SIZE / max(height, width))
-    small = _resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
-    found = detect_keypoints(small, KEYPOINTS)
-    enlarged = found.points * (width / small.shape[1], height / small.shape[0])
-    return Keypoints(enlarged, found.descriptors)
-
-
-def _search(
-    landmarks: Landmarks, reference_model: GaussianModel, grey: Float32, look: _Look, config: CameraConfig
-) -> FoundCamera | None:
-    """The camera of a picture (h, w) as it is, or turned over."""
-    height, width = grey.shape
-    starts = _hypotheses(look.keypoints, landmarks, look.matches, (width, height), config.focals)
-    best: FoundCamera | None = None
-    for start in starts:
-        best = _better(best, _refine(reference_model, grey, start))
-        if best is not None and _is_sure(best, config):
-            break
-    if best is not None and not _is_sure(best, config):
-        for start in _at_other_focals(look.keypoints, landmarks, max(starts, key=lambda h: h.support), config):
-            best = _better(best, _refine(reference_model, grey, start))
-            if best is not None and _is_sure(best, config):
+    def best(self, candidates: Iterable[_Candidate]) -> _Candidate | None:
+        """The candidate that explains a small picture best, refined on it; the first that is sure ends the search."""
+        best = None
+        for candidate in candidates:
+            # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
+            size = SIZES[candidate.support >= SUPPORTED]
+            refined = self._refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
+            if refined is None:
+                continue
+            worth = self._worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
+            if best is None or worth > best.worth:
+                best = replace(candidate, camera=self._full(refined.camera), worth=worth, size=size)
+            if refined.correlation > self._config.sure_correlation and candidate.support >= SUPPORTED:
                 break
-    return best
+        return best
+
+    def finish(self, candidate: _Candidate) -> FoundCamera | None:
+        """The camera refined up to the picture's own size; None where that does not look like the picture."""
+        own = max(self._greys[0].shape)
+        camera, refined = candidate.camera, None
+        for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
+            last = size >= min(own, SIZES[-1])
+            limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
+            refined = self._refined(camera, candidate.mirrored, size, *limits)
+            if refined is None or refined.correlation < LEAST_CORRELATION:
+                return None
+            camera = self._full(refined.camera)
+        assert refined is not None
+        told = (refined.rms, refined.correlation, refined.step)
+        return FoundCamera(camera, candidate.support, *told, mirrored=candidate.mirrored)
+
+    def _seen(self, mirrored: bool) -> Keypoints:
+        return self._keypoints.turned_over(self._size[0]) if mirrored else self._keypoints
+
+    def _refined(self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float) -> Refined | None:
+        grey = self._greys[mirrored]
+        small = camera.with_side(min(size, max(grey.shape)))
+        return refine_level(self._model, resized(grey, small.width, small.height), small, iterations, step)
+
+    def _full(self, camera: Camera) -> Camera:
+        """The same camera at the picture's size: square pixels and a central principal point, which rounding of a
+        level's size may have bent."""
+        height, width = self._greys[0].shape
+        K = camera.resized(width, height).K
+        focal = float(np.sqrt(K[0, 0] * K[1, 1]))
+        centered = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+        return Camera(camera.viewmat, centered, width, height)
+
+    def _worth(self, refined: Refined, mirrored: bool) -> float:
+        """How much likelier the render makes the picture, times how well its edges are the picture's."""
+        camera = refined.camera
+        picture = resized(self._greys[mirrored], camera.width, camera.height)
+        image, alpha, _ = render_depth(self._model, camera)
+        behind = fill_background(picture, alpha)
+        composed = luma(image) + (0.0 if behind is None else (1.0 - alpha) * behind)
+        shown, seen = (_edges(smooth(np.asarray(each, dtype=np.float32), 1.0)) for each in (composed, picture))
+        both = float(np.sqrt(np.square(shown).sum() * np.square(seen).sum()))
+        return refined.gain * max(float((shown * seen).sum()) / max(both, 1e-9), 0.0)
 
 
-def _better(first: FoundCamera | None, second: FoundCamera | None) -> FoundCamera | None:
-    if first is None or second is None:
-        return first or second
-    return second if second.correlation > first.correlation else first
-
-
-def _is_sure(found: FoundCamera, config: CameraConfig) -> bool:
-    return found.step < STEP and found.correlation > config.sure_correlation
-
-
-def _hypotheses(
-    keypoints: Keypoints,
-    landmarks: Landmarks,
-    matches: Sequence[tuple[Int64, Int64]],
-    size: tuple[int, int],
-    focals: tuple[float, ...],
-) -> list[Hypothesis]:
-    """The camera that most keypoints agree with, from each set of matches; by falling support."""
-    tolerance = TOLERANCE * max(size)
-    found = []
-    for keypoint, landmark in matches:
-        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
-        start = hypothesize(points, pixels, *size, tolerance, LEAST_START, focals)
-        guided = None if start is None else _guided(keypoints, landmarks, start, tolerance)
-        if guided is not None and guided.support >= LEAST_INLIERS:
-            found.append(guided)
-    return sorted(found, key=lambda hypothesis: -hypothesis.support)
-
-
-def _guided(keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, tolerance: float) -> Hypothesis | None:
-    """A hypothesis fitted to all that matches where it projects, which is more than stood out at first."""
-    for factor in GUIDED:
-        keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, 3.0 * factor * tolerance)
-        points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
-        fitted = fit_camera(points, pixels, hypothesis.camera, factor * tolerance)
-        if fitted is None:
-            return None
-        hypothesis = fitted
-    return hypothesis
-
-
-def _at_other_focals(
-    keypoints: Keypoints, landmarks: Landmarks, hypothesis: Hypothesis, config: CameraConfig
-) -> Iterator[Hypothesis]:
-    """Cameras of other focal lengths with which the keypoints agree about as well."""
-    tolerance = TOLERANCE * max(hypothesis.camera.width, hypothesis.camera.height)
-    keypoint, landmark = match_projected(keypoints, landmarks, hypothesis.camera, tolerance)
-    points, pixels = landmarks.points[landmark].astype(np.float64), keypoints.points[keypoint]
-    for factor in config.other_focals:
-        other = at_other_focal(points, pixels, hypothesis, factor, 0.5 * tolerance)
-        if other is not None:
-            yield other
-
-
-def _refine(model: GaussianModel, grey: Float32, hypothesis: Hypothesis) -> FoundCamera | None:
-    """Refine on brightness, coarse to fine; None when a level does not look like the picture."""
-    camera = hypothesis.camera
-    height, width = grey.shape
-    largest = min(max(width, height), FINE_SIZE)
-    size = min(COARSE_SIZE, largest)
-    while True:
-        shrink = size / max(width, height)
-        shape = max(16, round(width * shrink)), max(16, round(height * shrink))
-        refined = refine_level(model, _resized(grey, *shape), camera.resized(*shape), ITERATIONS, STEP)
-        if refined is None or refined.correlation < LEAST_CORRELATION:
-            return None
-        camera = _square(refined.camera.resized(width, height))
-        if size == largest:
-            return FoundCamera(camera, hypothesis.support, refined.rms, refined.correlation, refined.step)
-        size = min(2 * size, largest)
-
-
-def _square(camera: Camera) -> Camera:
-    """Square pixels and a central principal point, which rounding of a level's size may have bent."""
-    focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    K = np.array([[focal, 0.0, camera.width / 2], [0.0, focal, camera.height / 2], [0.0, 0.0, 1.0]])
-    return Camera(camera.viewmat, K, camera.width, camera.height)
-
-
-def _resized(grey: Float32, width: int, height: int) -> Float32:
-    import cv2
-
-    if (height, width) == grey.shape:
-        return grey
-    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _radius(landmarks: Landmarks) -> float:
-    """Median distance of the landmarks from their middle, scene units."""
-    if len(landmarks) == 0:
-        return 0.0
-    points: Float64 = landmarks.points.astype(np.float64)
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+def _edges(grey: Float32) -> Float32:
+    """(2, H, W) gradient of brightness, strong ones counted alike."""
+    gy, gx = np.gradient(grey)
+    gradient = np.stack([np.asarray(gy), np.asarray(gx)])
+    return np.asarray(gradient / np.sqrt(np.square(gradient).sum(axis=0) + _EDGE**2), dtype=np.float32)

@@ -43,7 +43,7 @@ FARTHEST = 2.0
 """A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
 FAR_MARGIN = 12
 """Pixels around the model where the background is not looked for while the camera is still off by many."""
-LEAST_PIXELS = 400
+LEAST_PIXELS = 150
 """Fewer usable pixels than this cannot carry nine unknowns."""
 ACCELERATE_BELOW = 0.5
 """Steps below this are taken for linear, pixels of the level."""
@@ -59,13 +59,19 @@ class Refined:
     """A camera of the level's size and how well its render explains the picture.
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1. `step`: root mean square flow of the last motion, pixels of the level.
+    used, -1..1. `step`: root mean square flow of the last motion, pixels of the level. `pixels`: how many were used.
     """
 
     camera: Camera
     rms: float
     correlation: float
     step: float
+    pixels: int
+
+    @property
+    def gain(self) -> float:
+        """How much likelier the render makes the picture than a flat colour does, as a logarithm."""
+        return -0.5 * self.pixels * float(np.log(max(1.0 - max(self.correlation, 0.0) ** 2, 1e-9)))
 
 
 @parallel_kernel
@@ -161,7 +167,7 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
-    return Refined(camera, spread, correlation, step)
+    return Refined(camera, spread, correlation, step, int(used.sum()))
 
 
 class Acceleration:

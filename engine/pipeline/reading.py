@@ -1,7 +1,8 @@
 """From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
+from engine.pictures.view_search import ViewEdges, describe_views, thinned
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
+from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import View, prepare_view, render, sh_colors
@@ -31,6 +34,10 @@ RENDER_SIZE = 512
 enough, and soon."""
 REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
+EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
+"""Views in which a picture without keypoints is sought, and their shape."""
+MOST_SEEN = 30_000
+"""Gaussians that are enough to look at a model from afar."""
 LEAST_CORRELATION = 0.75
 """Correlation of brightness below which a view shows something else: as `find_camera` demands."""
 
@@ -133,11 +140,12 @@ def read_pictures(
     if cameras is not None and len(cameras) != len(images):
         raise InputError(f"{len(images)} pictures but {len(cameras)} cameras")
     parts, notes = [], []
+    edges = cache(lambda: describe_views(*_many_views(opened.reference)))
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
-                found = _find(image, opened)
+                found = _find(image, opened, edges)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
@@ -186,7 +194,7 @@ def _read_found(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidenc
 
 
 def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float32, Float64]:
-    """Prepared view, clipped render of the reference and its opacity, what the mark adds, and the signs of its chips."""
+    """Prepared view, clipped render of the reference, its opacity, what the mark adds, and the signs of its chips."""
     signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
     marked_sh = add_dc(opened.reference.sh, opened.layout.displace(signed))
     view = prepare_view(opened.reference, camera)
@@ -198,10 +206,15 @@ def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32
     return view, plain, alpha, marked - plain, np.sign(signed)
 
 
-def _find(image: Float32, opened: OpenedRecord) -> FoundCamera | None:
+def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:
+    """A model to look at from afar, and from where."""
+    return thinned(model, MOST_SEEN), make_rig(model, EDGE_VIEWS, *EDGE_SIZE)
+
+
+def _find(image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges]) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")
-    return find_camera(opened.landmarks, opened.reference, image)
+    return find_camera(opened.landmarks, opened.reference, image, edges=edges)
 
 
 def _nothing(opened: OpenedRecord) -> Evidence:

@@ -123,7 +123,9 @@ def background(kind: str, rng: np.random.Generator, size: tuple[int, int]) -> Fl
     if kind == "photo" and PHOTOS.is_dir():
         photo = Image.open(rng.choice(sorted(PHOTOS.glob("*.*"))))  # type: ignore[arg-type]  # an array of paths
         side = max(width / photo.width, height / photo.height)
-        photo = photo.resize((round(photo.width * side) + 1, round(photo.height * side) + 1)).crop((0, 0, width, height))
+        photo = photo.resize((round(photo.width * side) + 1, round(photo.height * side) + 1)).crop(
+            (0, 0, width, height)
+        )
         return np.asarray(photo.convert("RGB"), dtype=np.float32) / 255.0
     if kind in ("gradient", "photo"):
         top, bottom = rng.random((2, 3)).astype(np.float32)

@@ -1,0 +1,134 @@
+"""Cameras that the keypoints of a picture and the landmarks of a model agree on (DESIGN 4.8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Camera, Float32, Float64, GaussianModel, Int64
+from engine.pictures.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
+from engine.pictures.features import Keypoints, detect_keypoints
+from engine.pictures.landmark_matching import match_landmarks, match_projected
+from engine.pictures.landmarks import Landmarks, make_landmarks
+
+__all__ = ["Look", "keypoints_of", "look_closer", "resized"]
+
+KEYPOINTS = 2000
+"""SIFT keypoints of the picture."""
+DETECTION_SIZE = 1000
+"""Longer side of the picture keypoints are detected in, pixels; larger pictures are reduced."""
+RATIOS = (0.8, 0.85)
+"""Lowe's ratio of distances over the whole bank, and within each of its views. The first gives few matches, mostly
+right; the second many, mostly wrong."""
+VIEWS = 8
+"""Views of the bank in which the second kind is sought: those with most matches."""
+SAME_PLACE = 0.05
+"""Landmarks nearer to each other than this are one place, in radii of the bank."""
+TOLERANCE = 0.005
+"""Reprojection error of an inlier, in longer sides of the picture."""
+LEAST_START, LEAST_INLIERS = 6, 12
+"""Matches that must agree before the camera is roughly known, and keypoints that must agree with it then."""
+GUIDED, GUIDED_FAR = (1.0, 1.0, 0.5), (4.0, 2.0, 1.0, 0.5)
+"""Tolerances of the rounds of guided matching, in that of an inlier: from matches, and from a view that looks alike."""
+CLOSER_SIZE = 640
+"""Longer side of the render whose keypoints a picture is matched to from a view that looks alike, pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Keypoints of a picture, and the landmarks (indices) they may show: few, mostly right, then many, mostly wrong."""
+
+    keypoints: Keypoints
+    landmarks: Landmarks
+    size: tuple[int, int]  # width and height of the picture
+    matches: Sequence[tuple[Int64, Int64]]
+
+    @classmethod
+    def of(cls, keypoints: Keypoints, landmarks: Landmarks, size: tuple[int, int]) -> Look:
+        """What these keypoints match."""
+        radius = SAME_PLACE * _radius(landmarks)
+        return cls(keypoints, landmarks, size, match_landmarks(keypoints, landmarks, RATIOS, radius, VIEWS))
+
+    @property
+    def tolerance(self) -> float:
+        """Reprojection error of an inlier, pixels."""
+        return TOLERANCE * max(self.size)
+
+    def hypotheses(self, focals: tuple[float, ...]) -> list[Hypothesis]:
+        """The camera that most keypoints agree with, from each set of matches; by falling support. The focal lengths
+        tried are in widths of the picture."""
+        found = []
+        for keypoint, landmark in self.matches:
+            points = self.landmarks.points[landmark].astype(np.float64)
+            pixels = self.keypoints.points[keypoint]
+            start = hypothesize(points, pixels, *self.size, self.tolerance, LEAST_START, focals)
+            guided = None if start is None else self.guided(start.camera)
+            if guided is not None and guided.support >= LEAST_INLIERS:
+                found.append(guided)
+        return sorted(found, key=lambda hypothesis: -hypothesis.support)
+
+    def guided(self, camera: Camera, factors: tuple[float, ...] = GUIDED) -> Hypothesis | None:
+        """A camera fitted to all that matches where it projects, which is more than stood out at first."""
+        fitted = None
+        for factor in factors:
+            points, pixels = self._projected(camera, 3.0 * factor * self.tolerance)
+            fitted = fit_camera(points, pixels, camera, factor * self.tolerance) if len(points) > 3 else None
+            if fitted is None:
+                return None
+            camera = fitted.camera
+        return fitted
+
+    def at_other_focals(self, hypothesis: Hypothesis, factors: Sequence[float]) -> Iterator[Hypothesis]:
+        """Cameras of other focal lengths with which the keypoints agree about as well."""
+        points, pixels = self._projected(hypothesis.camera, self.tolerance)
+        for factor in factors:
+            other = at_other_focal(points, pixels, hypothesis, factor, 0.5 * self.tolerance)
+            if other is not None:
+                yield other
+
+    def _projected(self, camera: Camera, radius: float) -> tuple[Float64, Float64]:
+        """Landmarks (M, 3) and the keypoints (M, 2) that look like them within so many pixels of their projections."""
+        keypoint, landmark = match_projected(self.keypoints, self.landmarks, camera, radius)
+        return self.landmarks.points[landmark].astype(np.float64), self.keypoints.points[keypoint]
+
+
+def look_closer(
+    model: GaussianModel, keypoints: Keypoints, size: tuple[int, int], camera: Camera
+) -> Hypothesis | None:
+    """The camera that a picture's keypoints and a render from nearly there agree on; None where too few do."""
+    found = None
+    for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike
+        bank = make_landmarks(model, [camera.with_side(CLOSER_SIZE)])
+        closer = Look(keypoints, bank, size, ()).guided(camera, factors) if len(bank) else None
+        if closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
+            return found
+        found, camera = closer, closer.camera
+    return found
+
+
+def keypoints_of(grey: Float32) -> Keypoints:
+    """Keypoints of a picture's brightness (H, W), 0..1, of any size."""
+    height, width = grey.shape
+    shrink = min(1.0, DETECTION_SIZE / max(height, width))
+    small = resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
+    found = detect_keypoints(small, KEYPOINTS)
+    return Keypoints(found.points * (width / small.shape[1], height / small.shape[0]), found.descriptors)
+
+
+def resized(grey: Float32, width: int, height: int) -> Float32:
+    """An image (H, W) at another size, reduced by areas."""
+    import cv2
+
+    if (height, width) == grey.shape:
+        return grey
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _radius(landmarks: Landmarks) -> float:
+    """Median distance of the landmarks from their middle, scene units."""
+    if len(landmarks) == 0:
+        return 0.0
+    points: Float64 = landmarks.points.astype(np.float64)
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
