@@ -22,6 +22,8 @@ MARGIN = 3
 """Pixels around anything more opaque that are not trusted: the camera may be off, and viewers blur."""
 FINEST = 4
 """Pixels of a cell of the finest level: noise of single pixels is not what lies behind."""
+AROUND = 16
+"""Pixels of a cell of the surroundings by which it is judged whether the background can be guessed at all."""
 LEAST_SHARE = 0.003
 """Share of clear pixels below which nothing is known of what lies behind."""
 _TRUST = 0.05
@@ -47,17 +49,20 @@ def find_background(picture: Float32, alpha: Float32) -> Background | None:
     if filled is None or float(np.abs(filled).mean()) < _BLACK:
         return None
     # How far cells are off what their surroundings say: nothing over a plain colour, much over a photograph.
-    rough = fill_background(np.square(smooth(picture - filled, FINEST)).mean(axis=2), alpha)
+    around = fill_background(picture, alpha, finest=AROUND)
+    assert around is not None
+    rough = fill_background(np.square(smooth(picture - around, FINEST)).mean(axis=2), alpha)
     assert rough is not None
     clear = 1.0 - alpha
     trusted = clear * np.sqrt(np.maximum(rough, 0.0)) < _TOLERATED
     return Background(clear[..., None] * filled, trusted & (alpha > CLEAR))
 
 
-def fill_background(picture: Float32, alpha: Float32, margin: int = MARGIN) -> Float32 | None:
+def fill_background(picture: Float32, alpha: Float32, margin: int = MARGIN, finest: int = FINEST) -> Float32 | None:
     """(H, W) or (H, W, C) what lies behind the reference, of the picture's shape; None where too little is clear.
 
-    `alpha` (H, W) is the opacity of the reference's render in the picture's pixels, right within `margin` pixels.
+    `alpha` (H, W) is the opacity of the reference's render in the picture's pixels, right within `margin` pixels;
+    nothing smaller than `finest` pixels is told apart.
     """
     import cv2
 
@@ -70,7 +75,7 @@ def fill_background(picture: Float32, alpha: Float32, margin: int = MARGIN) -> F
     # Sums and counts of clear pixels, coarser and coarser; then down again, each cell mixed with what is around it.
     sums, counts = planes * clear[..., None], clear
     levels: list[tuple[Float32, Float32]] = []
-    step = FINEST
+    step = finest
     while True:
         shape = max(1, round(alpha.shape[1] / step)), max(1, round(alpha.shape[0] / step))
         sums, counts = (cv2.resize(each, shape, interpolation=cv2.INTER_AREA) for each in (sums, counts))

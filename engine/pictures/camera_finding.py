@@ -26,7 +26,7 @@ from engine.pictures.keypoint_cameras import Look, keypoints_of, look_closer, re
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
 from engine.pictures.view_search import ViewEdges, search_views
-from engine.raster import render_depth
+from engine.raster import RasterSettings, render_depth
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
@@ -44,6 +44,10 @@ THUMBNAIL = 128
 """Longer side of the picture on which candidates without keypoints are refined first, pixels."""
 CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
 """Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
+PLAIN, ANTIALIASED = RasterSettings(), RasterSettings(antialiased=True)
+"""How viewers draw: most as we do, some as they are told to."""
+CLEARLY = 1.03
+"""How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
 _EDGE = 0.05
 """Steps of brightness from which an edge counts in full."""
 
@@ -70,6 +74,7 @@ class FoundCamera:
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
     mirrored: bool = False  # it is the camera of the picture turned over left to right
+    drawn: RasterSettings = PLAIN  # how the reference is drawn most like it
 
     def face(self, image: Float32) -> Float32:
         """The picture (h, w, 3) as this camera sees it: turned over left to right if it was mirrored."""
@@ -184,16 +189,23 @@ class _Finder:
                 return None
             camera = self._full(refined.camera)
         assert refined is not None
+        drawn = PLAIN
+        softer = self._refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, ANTIALIASED)
+        if softer is not None and softer.gain > CLEARLY * refined.gain:
+            refined, drawn, camera = softer, ANTIALIASED, self._full(softer.camera)
         told = (refined.rms, refined.correlation, refined.step)
-        return FoundCamera(camera, candidate.support, *told, mirrored=candidate.mirrored)
+        return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)
 
     def _seen(self, mirrored: bool) -> Keypoints:
         return self._keypoints.turned_over(self._size[0]) if mirrored else self._keypoints
 
-    def _refined(self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float) -> Refined | None:
+    def _refined(
+        self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float, drawn: RasterSettings = PLAIN
+    ) -> Refined | None:
         grey = self._greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))
-        return refine_level(self._model, resized(grey, small.width, small.height), small, iterations, step)
+        picture = resized(grey, small.width, small.height)
+        return refine_level(self._model, picture, small, iterations, step, drawn)
 
     def _full(self, camera: Camera) -> Camera:
         """The same camera at the picture's size: square pixels and a central principal point, which rounding of a

@@ -94,9 +94,7 @@ class Look:
         return self.landmarks.points[landmark].astype(np.float64), self.keypoints.points[keypoint]
 
 
-def look_closer(
-    model: GaussianModel, keypoints: Keypoints, size: tuple[int, int], camera: Camera
-) -> Hypothesis | None:
+def look_closer(model: GaussianModel, keypoints: Keypoints, size: tuple[int, int], camera: Camera) -> Hypothesis | None:
     """The camera that a picture's keypoints and a render from nearly there agree on; None where too few do."""
     found = None
     for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike

@@ -23,7 +23,7 @@ from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import PARAMETERS, moved
 from engine.pictures.features import luma
-from engine.raster import render_depth
+from engine.raster import RasterSettings, render_depth
 
 __all__ = ["Refined", "refine_level"]
 
@@ -105,18 +105,23 @@ def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, c
 
 
 def refine_level(
-    model: GaussianModel, picture: Float32, camera: Camera, iterations: int, tolerance: float
+    model: GaussianModel,
+    picture: Float32,
+    camera: Camera,
+    iterations: int,
+    tolerance: float,
+    settings: RasterSettings = RasterSettings(),
 ) -> Refined | None:
     """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
     the picture.
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
-    the motion's root mean square flow is below `tolerance` pixels.
+    the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders.
     """
     gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
     memory = Acceleration()
     for iteration in range(iterations):
-        image, alpha, depth = render_depth(model, camera)
+        image, alpha, depth = render_depth(model, camera, settings=settings)
         blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
         behind = _behind(picture, alpha, step)
         seen, base = smooth(picture - (1.0 - alpha) * behind, blur), smooth(luma(image), blur)

@@ -20,7 +20,7 @@ from engine.errors import InputError
 from engine.model import Bool, Float32
 from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures.light import fit_colors
-from engine.pictures.tone_curve import robust_regression
+from engine.pictures.tone_curve import Toned, robust_regression
 
 __all__ = ["image_cotangent"]
 
@@ -53,19 +53,19 @@ _DOUBTS = 1.0
 """Standard errors by which less must survive than everything: noise leaves few details that tell."""
 
 
-def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool) -> Float32:
+def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool, toned: Toned | None = None) -> Float32:
     """(H, W, 3) weighted residual of a picture, to be pulled back by the rasterizer's VJP; zero outside the mask.
 
     `reference_image` is the render of the unmarked reference, `warped` the picture in the same pixels, both 0..1;
-    `mask` (H, W) are the pixels that carry evidence: all zeros when it holds too little to fit anything. InputError if
-    the shapes differ.
+    `mask` (H, W) are the pixels that carry evidence: all zeros when it holds too little to fit anything. `toned` is the
+    reference in the picture's colours, fitted here where it is not given. InputError if the shapes differ.
     """
     if reference_image.shape != warped.shape or reference_image.shape[:2] != mask.shape:
         raise InputError(f"shapes differ: {reference_image.shape}, {warped.shape}, mask {mask.shape}")
     if mask.sum() < _LEAST_PIXELS:
         return np.zeros_like(reference_image, dtype=np.float32)
     reference = np.clip(reference_image, 0.0, 1.0).astype(np.float32)
-    toned = fit_colors(reference, warped, mask)
+    toned = fit_colors(reference, warped, mask) if toned is None else toned
     usable = mask & (toned.slope.min(axis=2) > _LEAST_SLOPE)
     if usable.sum() < _LEAST_PIXELS:
         return np.zeros_like(reference)

@@ -9,46 +9,31 @@ standard deviations of what they say anywhere. The best become cameras, to be re
 Nothing here sees a key or a chip.
 """
 
-# mypy: allow-untyped-defs
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_section
 from engine.numerics.resampling import smooth
+from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views
 from engine.raster import render_depth
 
 __all__ = ["ViewEdges", "describe_views", "search_views", "thinned"]
 
-_KERNEL_VERSION = 1
-SIDE = 96
-"""Longer side of the picture that is searched, and of the views, pixels."""
 POINTS = 72
 """Points of a view: half on its silhouette, half inside."""
 APART = 2.0
 """Least distance of two points of a view, pixels."""
-BINS = 8
-"""Directions of edges told apart, in half a turn."""
 REACH, NEAR_REACH = 2, 1
 """Pixels an edge may be off, in the search, and when the best of it are looked at again."""
-ROLLS = 24
-"""Rolls tried in a whole turn."""
 RADII = tuple(0.125 * SIDE * 1.25**k for k in range(11))
 """Sizes tried: how far, root mean square, the points lie from their middle, pixels."""
-BEYOND = SIDE // 4
-"""Pixels by which the middle of the model may lie outside the picture."""
-LEAST_INSIDE = 0.35
-"""Share of a view's points that must lie in the picture."""
 LARGER = np.float32(0.3)
 """Power of the size by which a find counts more: a small view finds edges that fit in any large one."""
 AGAIN = 1500
 """Finds that are looked at again, in finer steps of roll, size and place."""
-_PAD = 2 * SIDE
-"""Pixels of nothing kept around the picture: points of a view may lie so far outside."""
 _SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
 """Radians, share of the size, and pixels within which two finds of a view are one."""
 
@@ -114,7 +99,7 @@ def search_views(edges: ViewEdges, picture: Float32, count: int) -> list[tuple[f
     shape = len(edges.cameras), ROLLS, len(RADII)
     scores, found = np.empty(shape, dtype=np.float32), np.empty((*shape, 2), dtype=np.int64)
     with parallel_section():
-        _score(
+        score_views(
             maps,
             inside,
             edges.places,
@@ -131,7 +116,7 @@ def search_views(edges: ViewEdges, picture: Float32, count: int) -> list[tuple[f
     fine, poses = np.empty(len(finds), dtype=np.float32), np.zeros((len(finds), 4))
     sharp, within = _whole(*_responses(small, NEAR_REACH))
     with parallel_section():
-        _look_again(sharp, within, edges.places, edges.directions, finds[:, 0], starts, fine, poses)
+        look_again(sharp, within, edges.places, edges.directions, finds[:, 0], starts, fine, poses)
     fine *= (poses[:, 1] / SIDE).astype(np.float32) ** LARGER
     cameras = []
     for best in _distinct(finds[:, 0], poses, fine, count):
@@ -199,14 +184,14 @@ def _reduced(picture: Float32) -> tuple[Float32, float]:
 
 def _responses(picture: Float32, reach: int) -> tuple[Float32, Float32]:
     """What the picture says for each direction of an edge at each place, and 1 inside it: (BINS, 2, 2, h, w) and (2, 2,
-    h, w), the odd and even rows and columns apart, padded by `_PAD` pixels."""
+    h, w), the odd and even rows and columns apart, padded by `PAD` pixels."""
     import cv2
 
     size, turns = _gradient(picture)
     weight = size / (size + 0.5 * np.quantile(size, 0.8) + 0.004)
     height, width = size.shape
-    padded = np.zeros((BINS + 1, height + height % 2 + 2 * _PAD, width + width % 2 + 2 * _PAD), dtype=np.float32)
-    inner = (slice(_PAD, _PAD + height), slice(_PAD, _PAD + width))
+    padded = np.zeros((BINS + 1, height + height % 2 + 2 * PAD, width + width % 2 + 2 * PAD), dtype=np.float32)
+    inner = (slice(PAD, PAD + height), slice(PAD, PAD + width))
     window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     for b in range(BINS):
         alike = np.maximum(np.cos(2.0 * (turns - np.pi * b / BINS)), 0.0)
@@ -223,75 +208,6 @@ def _whole(maps: Float32, inside: Float32) -> tuple[Float32, Float32]:
     height, width = 2 * maps.shape[3], 2 * maps.shape[4]
     whole = maps.transpose(0, 3, 1, 4, 2).reshape(BINS, height, width)
     return np.ascontiguousarray(whole), np.ascontiguousarray(inside.transpose(2, 0, 3, 1).reshape(height, width))
-
-
-@parallel_kernel
-def _look_again(maps, inside, places, directions, views, starts, scores, poses):
-    points = directions.shape[1]
-    for f in prange(views.shape[0]):
-        view = views[f]
-        best = np.float32(-1e9)
-        for turn in range(-2, 3):
-            angle = starts[f, 0] + turn * (np.pi / ROLLS / 2.0)
-            c, s = np.cos(angle), np.sin(angle)
-            for grow in range(-2, 3):
-                radius = starts[f, 1] * (1.0 + 0.055 * grow)
-                for dy in range(-2, 3):
-                    for dx in range(-2, 3):
-                        said, counted = 0.0, 0.0
-                        for p in range(points):
-                            x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
-                            column = int(np.floor(c * x - s * y + 0.5)) + _PAD + int(starts[f, 2]) + dx
-                            row = int(np.floor(s * x + c * y + 0.5)) + _PAD + int(starts[f, 3]) + dy
-                            if row < 0 or column < 0 or row >= maps.shape[1] or column >= maps.shape[2]:
-                                continue
-                            bin = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-                            said += maps[bin, row, column]
-                            counted += inside[row, column]
-                        if counted >= LEAST_INSIDE * points and said / np.sqrt(counted) > best:
-                            best = said / np.sqrt(counted)
-                            poses[f, 0], poses[f, 1] = angle, radius
-                            poses[f, 2], poses[f, 3] = starts[f, 2] + dx, starts[f, 3] + dy
-        scores[f] = best
-
-
-@parallel_kernel
-def _score(maps, inside, places, directions, radii, size, scores, found):
-    views, points = directions.shape
-    rows, columns = (size[0] + 2 * BEYOND) // 2, (size[1] + 2 * BEYOND) // 2
-    for job in prange(views * ROLLS):
-        view, roll = job // ROLLS, job % ROLLS
-        angle = 2.0 * np.pi * roll / ROLLS
-        c, s = np.cos(angle), np.sin(angle)
-        said = np.empty((rows, columns), dtype=np.float32)
-        counted = np.empty((rows, columns), dtype=np.float32)
-        for k in range(radii.shape[0]):
-            said[:] = np.float32(0.0)
-            counted[:] = np.float32(0.0)
-            for p in range(points):
-                x, y = places[view, p, 0] * radii[k], places[view, p, 1] * radii[k]
-                column = int(np.floor(c * x - s * y + 0.5)) + _PAD - BEYOND
-                row = int(np.floor(s * x + c * y + 0.5)) + _PAD - BEYOND
-                bin = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-                if row < 0 or column < 0:
-                    continue
-                top, left = row // 2, column // 2
-                if top + rows > maps.shape[3] or left + columns > maps.shape[4]:
-                    continue
-                one, edge = maps[bin, row % 2, column % 2], inside[row % 2, column % 2]
-                for j in range(rows):
-                    for i in range(columns):
-                        said[j, i] += one[top + j, left + i]
-                        counted[j, i] += edge[top + j, left + i]
-            best = np.float32(-1e9)
-            for j in range(rows):
-                for i in range(columns):
-                    if counted[j, i] >= LEAST_INSIDE * points:
-                        value = said[j, i] / np.sqrt(counted[j, i])
-                        if value > best:
-                            best = value
-                            found[view, roll, k, 0], found[view, roll, k, 1] = 2 * i - BEYOND, 2 * j - BEYOND
-            scores[view, roll, k] = best
 
 
 def _distinct(views: Int64, poses: Float64, scores: Float32, count: int) -> list[int]:

@@ -20,7 +20,7 @@ from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
-from engine.raster import View, prepare_view, render, sh_colors
+from engine.raster import RasterSettings, View, prepare_view, render, sh_colors
 from engine.registration.registering import Registration
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import add_evidence, gather_image_evidence
@@ -151,7 +151,7 @@ def read_pictures(
                 continue
             turned = found.mirrored
             with clock.stage("read picture"):
-                evidence = _read_found(found.face(image), found.camera, opened)
+                evidence = _read_found(found.face(image), found, opened)
         else:
             with clock.stage("read picture"):
                 evidence, turned = _read_picture(image, camera, opened)
@@ -175,9 +175,9 @@ def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> tuple
     return gather_image_evidence(opened.layout, view, reference, *seen, mark, signs), alignment.mirrored
 
 
-def _read_found(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidence | None:
+def _read_found(image: Float32, found: FoundCamera, opened: OpenedRecord) -> Evidence | None:
     """Evidence of a picture whose camera was found, whatever it shows behind the model."""
-    view, reference, alpha, mark, signs = _reference_view(opened, camera)
+    view, reference, alpha, mark, signs = _reference_view(opened, found.camera, found.drawn)
     behind = find_background(image, alpha)
     through = None if behind is None else behind.through
     alignment = align_near(reference, image if through is None else image - through)
@@ -193,11 +193,13 @@ def _read_found(image: Float32, camera: Camera, opened: OpenedRecord) -> Evidenc
     return gather_image_evidence(opened.layout, view, reference, warped, mask, mark, signs, through)
 
 
-def _reference_view(opened: OpenedRecord, camera: Camera) -> tuple[View, Float32, Float32, Float32, Float64]:
+def _reference_view(
+    opened: OpenedRecord, camera: Camera, settings: RasterSettings = RasterSettings()
+) -> tuple[View, Float32, Float32, Float32, Float64]:
     """Prepared view, clipped render of the reference, its opacity, what the mark adds, and the signs of its chips."""
     signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
     marked_sh = add_dc(opened.reference.sh, opened.layout.displace(signed))
-    view = prepare_view(opened.reference, camera)
+    view = prepare_view(opened.reference, camera, settings)
     position = camera.position.astype(np.float32)
     (plain, alpha), (marked, _) = (
         view.render(sh_colors(sh, opened.reference.means, position)) for sh in (opened.reference.sh, marked_sh)

@@ -8,10 +8,15 @@ import numpy as np
 
 from engine import raster
 from engine.compress.cells import split_cells
-from engine.model import GaussianModel
+from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
 from engine.numerics.similarity import transform_model
 from engine.pictures.alignment import align_image
+from engine.pictures.camera_finding import find_camera
+from engine.pictures.features import luma
+from engine.pictures.landmarks import make_landmarks
+from engine.pictures.pose_refinement import refine_level
+from engine.pictures.view_search import describe_views, search_views
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
 from engine.registration.sketch import SuspectIndex, make_sketch
@@ -79,4 +84,14 @@ def _alignment(advance: _Advance) -> None:
     rng = np.random.default_rng(0)
     picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
     align_image(picture, picture[3:, 5:])
+    advance(0.3)
+    n = 300
+    centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
+    quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
+    model = GaussianModel(centers, np.full((n, 3), -2.0, np.float32), quats, np.full(n, 3.0, np.float32), levels)
+    camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 100.0, 96, 96)
+    seen = np.clip(raster.render(model, camera), 0.0, 1.0)
+    find_camera(make_landmarks(model, [camera]), model, seen, edges=lambda: describe_views(model, [camera]))
+    search_views(describe_views(model, [camera]), seen, 1)
+    refine_level(model, luma(seen), camera, 1, 1.0)
     advance(1.0)

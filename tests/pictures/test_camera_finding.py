@@ -12,13 +12,15 @@ from PIL import Image
 from engine.errors import InputError
 from engine.formats import read_model
 from engine.model import Camera, GaussianModel, look_at
-from engine.pictures import camera_finding
+from engine.pictures import camera_finding, keypoint_cameras
 from engine.pictures.camera_finding import CameraConfig, find_camera
 from engine.pictures.camera_hypotheses import fit_camera, hypothesize
 from engine.pictures.camera_motion import moved, normalized, point_columns, project
 from engine.pictures.landmarks import Landmarks, lift, make_landmarks
 from engine.pictures.pose_refinement import Acceleration, refine_level
-from engine.raster import render, render_depth
+from engine.pictures.view_search import describe_views, thinned
+from engine.raster import RasterSettings, render, render_depth
+from tests.pictures.rolling import rolled
 from tests.threads import with_one_and_two_threads
 
 pytestmark = pytest.mark.slow
@@ -144,8 +146,8 @@ def test_a_picture_that_is_recognised_is_not_turned_over(
     plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: list[int] = []
-    match = camera_finding.match_landmarks
-    monkeypatch.setattr(camera_finding, "match_landmarks", lambda *a: looks.append(1) or match(*a))
+    match = keypoint_cameras.match_landmarks
+    monkeypatch.setattr(keypoint_cameras, "match_landmarks", lambda *a: looks.append(1) or match(*a))
     picture = jpeg(render(plant, around(plant, 17.0, 30.0, 1.2, 0.75)), 80)
     assert find_camera(bank, plant, picture) is not None
     assert len(looks) == 1
@@ -286,5 +288,44 @@ def test_acceleration_leaves_long_steps_alone() -> None:
 
 
 def test_knobs_are_within_reason() -> None:
-    assert camera_finding.LEAST_START <= camera_finding.LEAST_INLIERS
+    assert keypoint_cameras.LEAST_START <= keypoint_cameras.LEAST_INLIERS < camera_finding.SUPPORTED
     assert camera_finding.LEAST_CORRELATION < CameraConfig().sure_correlation < 1.0
+
+
+@pytest.mark.parametrize("roll", [0.0, 90.0, 180.0])
+@pytest.mark.parametrize("background", ["white", "gradient"])
+def test_neither_background_nor_roll_matters(
+    plant: GaussianModel, bank: Landmarks, roll: float, background: str
+) -> None:
+    """Over black the refinement would not even keep the true camera here."""
+    true = rolled(around(plant, 100.0, 25.0, 1.2, 1.1), np.radians(roll))
+    image, alpha, _ = render_depth(plant, true)
+    down = np.linspace(0.9, 0.2, 360, dtype=np.float32)[:, None, None]
+    behind = np.ones(3) if background == "white" else down * np.float32([1.0, 0.8, 0.5])
+    found = find_camera(bank, plant, jpeg(image + (1.0 - alpha[..., None]) * behind, 80))
+    assert found is not None
+    assert reprojection(plant, true, found.camera) < 0.05
+
+
+def test_how_the_viewer_draws_is_told_from_the_picture(plant: GaussianModel, bank: Landmarks) -> None:
+    true = around(plant, 100.0, 25.0, 1.5, 1.4)
+    for settings in (RasterSettings(), RasterSettings(antialiased=True)):
+        found = find_camera(bank, plant, jpeg(render(plant, true, settings=settings), 80))
+        assert found is not None
+        assert found.drawn == settings
+
+
+def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel) -> None:
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    true = rolled(around(plant, 47.0, 33.0, 1.2, 1.1), np.radians(-100.0))
+    image, alpha, _ = render_depth(plant, true)
+    picture = jpeg(image + 0.6 * (1.0 - alpha[..., None]), 80)
+    assert find_camera(none, plant, picture) is None
+    views = [around(plant, 24.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(15)]
+    seen = describe_views(thinned(plant, 30_000), views)
+    for mirrored in (False, True):
+        shown = np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
+        found = find_camera(none, plant, shown, edges=lambda: seen)
+        assert found is not None
+        assert found.mirrored is mirrored
+        assert reprojection(plant, true, found.camera) < 0.05

@@ -113,7 +113,8 @@ def rasterize(
         alpha = opacities[i] * torch.exp(-0.5 * power)
         if settings.antialiased:
             sharp = covariances[i] - settings.eps2d * torch.eye(2, dtype=torch.float64)
-            alpha = alpha * torch.sqrt(torch.clamp(torch.linalg.det(sharp) / torch.linalg.det(covariances[i]), min=1e-6))
+            kept = torch.linalg.det(sharp) / torch.linalg.det(covariances[i])
+            alpha = alpha * torch.sqrt(torch.clamp(kept, min=1e-6))
         blended = (alpha >= settings.alpha_skip) & ~ended
         alpha = alpha.clamp_max(settings.alpha_clamp)
         after = transmittance * (1 - alpha)

@@ -36,7 +36,7 @@ VIEWERS = {
     "spark": "@sparkjsdev/spark@2.2.0",
     "three": "three@0.187.0",  # what Spark builds on
 }
-"""Fetched from the npm registry once."""
+"""Fetched from the npm registry once; of the first only the style sheet is needed, for its interface."""
 TURNED = np.diag([-1.0, -1.0, 1.0])
 """Both viewers show a model turned by half a turn about z: it was captured with y down."""
 
@@ -118,7 +118,8 @@ def studio(models: Path) -> Iterator[Studio]:
     """A browser for the model files of a folder."""
     from playwright.sync_api import sync_playwright
 
-    roots = {"pages": Path(__file__).parent / "pages", "packages": PACKAGES, "models": models}
+    viewer = ROOT / "service/web/viewer"  # SuperSplat's, as the page has it; its style sheet is fetched
+    roots = {"pages": Path(__file__).parent / "pages", "viewer": viewer, "packages": PACKAGES, "models": models}
     handler = functools.partial(_Files, roots)
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -13,9 +13,10 @@ from PIL import Image
 
 from engine.formats import write_model
 from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.pictures.camera_motion import project
 from engine.pipeline.rigs import UP, direction, measure_extent
 from engine.raster import render_depth
-from engine.pictures.camera_motion import project
+from tests.pictures.rolling import rolled
 from tests.viewers.shooting import Studio
 
 PHOTOS = Path(__file__).parents[3] / "shared/data/posed/lund_door/images"
@@ -67,13 +68,6 @@ def random_camera(
     lean = {"upright": 0.0, "tilted": rng.uniform(-15.0, 15.0), "quarter": rng.choice([-90.0, 90.0]), "over": 180.0}
     camera = look_at(eye, target, UP, focal, width, height)
     return rolled(camera, np.radians(lean[roll])), float(distance)
-
-
-def rolled(camera: Camera, angle: float) -> Camera:
-    """The camera turned about its axis, radians."""
-    turn = np.eye(4)
-    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return Camera(turn @ camera.viewmat, camera.K, camera.width, camera.height)
 
 
 def coverage(model: GaussianModel, camera: Camera) -> tuple[float, float]:
@@ -161,6 +155,3 @@ def deliver(model: GaussianModel, folder: Path, name: str) -> str:
     """The model as a file of the folder: its name."""
     write_model(model, folder / name)
     return name
-
-
-__all__ = ["Taken", "background", "coverage", "deliver", "filed", "random_camera", "rolled", "take"]
