@@ -32,8 +32,9 @@ __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
 LEAST_CORRELATION = 0.75
 """Correlation of brightness with the render below which the picture shows something else."""
-SUPPORTED = 30
-"""Keypoints that agree on a camera which need no second opinion."""
+SUPPORTED, ENOUGH = 30, 60
+"""Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
+render from nearly there, so that no further view is tried."""
 SIZES = (256, 640, 1600)
 """Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
 ITERATIONS, QUICK_ITERATIONS = 12, 8
@@ -89,7 +90,13 @@ class _Candidate:
     mirrored: bool
     support: int  # keypoints that agree
     worth: float = 0.0  # how well it explains the small picture
+    correlation: float = 0.0  # of render and small picture
     size: int = 0  # longer side of the picture it was refined on, pixels
+
+    @property
+    def sure(self) -> bool:
+        """Whether no other needs to be looked for: what repeats itself finds keypoints that agree on a wrong camera."""
+        return self.support >= SUPPORTED and self.correlation > LEAST_CORRELATION
 
 
 def find_camera(
@@ -111,7 +118,7 @@ def find_camera(
         raise InputError("the picture holds values that are not finite")
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
     best = finder.best(finder.by_keypoints())
-    if edges is not None and (best is None or best.support < SUPPORTED):
+    if edges is not None and (best is None or not best.sure):
         best = finder.best([*([best] if best is not None else []), *finder.by_edges(edges())])
     return None if best is None else finder.finish(best)
 
@@ -149,17 +156,28 @@ class _Finder:
         found.sort(key=lambda each: -each[0])
         tried = []
         for _, mirrored, camera in found[:CLOSER]:
-            closer = look_closer(self._model, self._seen(mirrored), self._size, camera)
+            closer = self._closer(camera, mirrored)
             if closer is not None:
-                tried.append(_Candidate(closer.camera, mirrored, closer.support))
-                if closer.support >= SUPPORTED:
+                tried.append(closer)
+                if closer.support >= ENOUGH:
                     return tried
         for _, mirrored, camera in found[:CANDIDATES]:
             refined = self._refined(camera, mirrored, THUMBNAIL, QUICK_ITERATIONS, QUICK_STEP)
             if refined is not None:
                 worth = self._worth(refined, mirrored)
                 tried.append(_Candidate(self._full(refined.camera), mirrored, 0, worth))
-        return sorted(tried, key=lambda candidate: (-candidate.support, -candidate.worth))[:FINALISTS]
+        tried.sort(key=lambda candidate: (-candidate.support, -candidate.worth))
+        finalists = tried[:FINALISTS]
+        for rough in finalists:  # once refined, a view may look alike enough
+            closer = self._closer(rough.camera, rough.mirrored) if not rough.support else None
+            if closer is not None:
+                finalists = [*finalists, closer]
+        return finalists
+
+    def _closer(self, camera: Camera, mirrored: bool) -> _Candidate | None:
+        """What the picture's keypoints and those of a render from this camera agree on."""
+        closer = look_closer(self._model, self._seen(mirrored), self._size, camera)
+        return None if closer is None else _Candidate(closer.camera, mirrored, closer.support)
 
     def best(self, candidates: Iterable[_Candidate]) -> _Candidate | None:
         """The candidate that explains a small picture best, refined on it; the first that is sure ends the search."""
@@ -172,7 +190,13 @@ class _Finder:
                 continue
             worth = self._worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
             if best is None or worth > best.worth:
-                best = replace(candidate, camera=self._full(refined.camera), worth=worth, size=size)
+                best = replace(
+                    candidate,
+                    camera=self._full(refined.camera),
+                    worth=worth,
+                    correlation=refined.correlation,
+                    size=size,
+                )
             if refined.correlation > self._config.sure_correlation and candidate.support >= SUPPORTED:
                 break
         return best
