@@ -329,3 +329,11 @@ def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel)
         assert found is not None
         assert found.mirrored is mirrored
         assert reprojection(plant, true, found.camera) < 0.05
+
+
+def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel) -> None:
+    """Some view always fits best; what it shows decides."""
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    tiles = np.random.default_rng(0).random((9, 12, 3)).astype(np.float32)
+    seen = describe_views(thinned(plant, 30_000), [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
+    assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), edges=lambda: seen) is None
