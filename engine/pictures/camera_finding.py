@@ -30,8 +30,9 @@ from engine.raster import RasterSettings, render_depth
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
-LEAST_CORRELATION = 0.75
-"""Correlation of brightness with the render below which the picture shows something else."""
+LEAST_CORRELATION, SURE_CORRELATION = 0.75, 0.9
+"""Correlation of brightness with the render below which the picture shows something else, and above which a camera that
+enough keypoints agree on is the one."""
 SUPPORTED, ENOUGH = 30, 60
 """Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
 render from nearly there, so that no further view is tried."""
@@ -57,8 +58,6 @@ _EDGE = 0.05
 class CameraConfig:
     """How hard `find_camera` tries."""
 
-    sure_correlation: float = 0.9
-    """Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
     focals: tuple[float, ...] = LADDER
     """Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after."""
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
@@ -119,7 +118,7 @@ def find_camera(
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
     best = finder.best(finder.by_keypoints())
     if edges is not None and (best is None or not best.sure):
-        best = finder.best([*([best] if best is not None else []), *finder.by_edges(edges())])
+        best = finder.best(finder.by_edges(edges()), best)
     return None if best is None else finder.finish(best)
 
 
@@ -179,9 +178,9 @@ class _Finder:
         closer = look_closer(self._model, self._seen(mirrored), self._size, camera)
         return None if closer is None else _Candidate(closer.camera, mirrored, closer.support)
 
-    def best(self, candidates: Iterable[_Candidate]) -> _Candidate | None:
-        """The candidate that explains a small picture best, refined on it; the first that is sure ends the search."""
-        best = None
+    def best(self, candidates: Iterable[_Candidate], best: _Candidate | None = None) -> _Candidate | None:
+        """The candidate that explains a small picture best, refined on it; the first that is sure ends the search.
+        `best` is the best so far."""
         for candidate in candidates:
             # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
             size = SIZES[candidate.support >= SUPPORTED]
@@ -197,13 +196,13 @@ class _Finder:
                     correlation=refined.correlation,
                     size=size,
                 )
-            if refined.correlation > self._config.sure_correlation and candidate.support >= SUPPORTED:
+            if refined.correlation > SURE_CORRELATION and candidate.support >= SUPPORTED:
                 break
         return best
 
     def finish(self, candidate: _Candidate) -> FoundCamera | None:
         """The camera refined up to the picture's own size; None where that does not look like the picture."""
-        own = max(self._greys[0].shape)
+        own = max(self._size)
         camera, refined = candidate.camera, None
         for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
             last = size >= min(own, SIZES[-1])
@@ -234,7 +233,7 @@ class _Finder:
     def _full(self, camera: Camera) -> Camera:
         """The same camera at the picture's size: square pixels and a central principal point, which rounding of a
         level's size may have bent."""
-        height, width = self._greys[0].shape
+        width, height = self._size
         K = camera.resized(width, height).K
         focal = float(np.sqrt(K[0, 0] * K[1, 1]))
         centered = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])

@@ -30,7 +30,7 @@ __all__ = ["Place", "Sighting", "place_by_looking"]
 
 VIEW_SIZE = (640, 480)
 """As the landmarks were made."""
-RECOGNITION = CameraConfig(sure_correlation=0.9, other_focals=())
+RECOGNITION = CameraConfig(other_focals=())
 """The focal length of a render is known, so no other is tried."""
 VIEWS = 6
 """Views with one side up; then the model is turned over and looked at again."""
