@@ -69,8 +69,12 @@ class Blobs:
         target = into / name.replace("/", "-")
         if not target.exists():
             part = target.with_suffix(".part")
+            try:
+                stream = obstore.get(self.store, name).stream(min_chunk_size=_CHUNK)
+            except FileNotFoundError:
+                raise Problem("not-found", f"the blob {name} is gone") from None
             with part.open("wb") as file:
-                for chunk in obstore.get(self.store, name).stream(min_chunk_size=_CHUNK):
+                for chunk in stream:
                     file.write(chunk)
             part.replace(target)
         return target

@@ -46,6 +46,15 @@ class Service:
         """Path where a step can read a blob, if there is one."""
         return str(self.blobs.local(sha256, run.folder)) if sha256 else None
 
+    def local_or_gone(self, sha256: str, run: Run) -> str:
+        """The same of a blob that others rely on, too; "" where it is gone, so that whoever reads it can say so."""
+        try:
+            return self.local(sha256, run) or ""
+        except Problem as problem:
+            if problem.kind != "not-found":
+                raise
+            return ""
+
     def candidates(self, rows: Iterable[Any], run: Run) -> list[dict[str, Any]]:
         """Rows of the table `assets` as tasks take them; their owner keys go through a pipe only.
 
@@ -63,8 +72,7 @@ class Service:
             found.append(
                 {
                     "asset": row.id,
-                    "record": self.local(row.record_sha256, run),
-                    "sketch": self.local(row.sketch_sha256, run),
+                    "record": self.local_or_gone(row.record_sha256, run),
                     "key": key.secret.hex(),
                     "logged": logged[row.id],
                 }

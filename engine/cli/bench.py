@@ -38,7 +38,9 @@ def bench(
     trials: Annotated[
         int | None,
         typer.Option(
-            "--trials", min=1, help="Screenshots (50), epochs (500), wrong keys (100,000) or innocent copies (10,000)."
+            "--trials",
+            min=1,
+            help="Screenshots (50), epochs (500), wrong keys (100,000), innocent copies (10,000) or assets (1,000).",
         ),
     ] = None,
     size: Annotated[tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")] = (

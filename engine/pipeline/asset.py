@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from engine.catalogue.entry import SeenPoints, see_points
 from engine.compress.hvq import Stage
 from engine.model import GaussianModel
 from engine.pictures.landmarks import Landmarks, make_landmarks
@@ -44,6 +45,7 @@ class Asset:
     digest: bytes  # of that
     views: ViewSet  # of the delivered model
     landmarks: Landmarks | None
+    seen: SeenPoints | None
     pruned: dict[str, Any]  # for the report
 
     @cached_property
@@ -52,9 +54,13 @@ class Asset:
         return settle_grain(self.views, self.settings, self.variant)
 
 
-def bank_of(model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock) -> Landmarks | None:
-    """The bank by which the camera of a screenshot is found; regular views of the unmarked model."""
+def bank_of(
+    model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock
+) -> tuple[Landmarks | None, SeenPoints | None]:
+    """The bank by which the camera of a screenshot is found, from regular views of the unmarked model; and what an
+    index of many assets keeps of it."""
     if config.landmark_views == 0:
-        return None
+        return None, None
     rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
-    return make_landmarks(model, rig, clock.advance)
+    landmarks = make_landmarks(model, rig, clock.advance)
+    return landmarks, see_points(landmarks, rig)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.catalogue.entry import SeenPoints
 from engine.compress.hvq import Stage, group_means
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
@@ -49,6 +50,7 @@ class Embedding:
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
     report: dict[str, Any]  # measurements for people and machines (`embed --json`)
+    seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
 def embed(
@@ -178,7 +180,7 @@ def _prepare(
         digest = reference_digest(reference)
         views = ground.views_of(delivered, clock)
     with clock.stage("landmarks"):
-        landmarks = bank_of(delivered, original.extent, settings, clock)
+        landmarks, seen = bank_of(delivered, original.extent, settings, clock)
     return Asset(
         original=original,
         original_sha256=original_sha256,
@@ -192,6 +194,7 @@ def _prepare(
         digest=digest,
         views=views,
         landmarks=landmarks,
+        seen=seen,
         pruned=pruned,
     )
 
@@ -264,7 +267,7 @@ def _mark(
         "seconds": clock.total,
         "seconds_by_stage": clock.seconds,
     }
-    return Embedding(marked, record, settings, report)
+    return Embedding(marked, record, settings, report, asset.seen)
 
 
 def _plan(asset: Asset, secret: bytes) -> Plan:

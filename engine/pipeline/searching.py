@@ -2,7 +2,7 @@
 
 1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not; of a
    model it is three, both layers of the mark together and each alone.
-2. Of many records only those are asked whose geometry the suspect resembles; sketches are blind to chips.
+2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
 5. Every reading is judged with all tries counted; the answer that tells most stands first.
@@ -26,7 +26,6 @@ from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.reading import read_gaussians, read_pictures, read_renders
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration, register
-from engine.registration.sketch import ALIKE, Sketch, SuspectIndex
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.derivation import Derivation
 from engine.watermark.layers import LAYERS
@@ -41,7 +40,6 @@ __all__ = [
     "Verification",
     "count_tries",
     "readings",
-    "resembling",
     "search",
     "verify",
 ]
@@ -189,10 +187,6 @@ def verify(
 class Candidate(Protocol):
     """A record that may explain a suspect."""
 
-    @property
-    def sketch(self) -> Sketch | None:
-        """Of the model that was published; None where the suspect is to be registered to it in any case."""
-
     def open(self) -> OpenedRecord:
         """The record; RecordError where it cannot be used."""
 
@@ -240,21 +234,6 @@ class Search(Generic[C]):
     def best(self) -> Outcome[C] | None:
         """The outcome that tells most, the first among equals; None where nobody was asked."""
         return max(self.outcomes, key=lambda outcome: outcome.worth, default=None)
-
-
-def resembling(model: GaussianModel, candidates: Sequence[C], progress: Progress) -> list[tuple[C, bool]]:
-    """All candidates, the most alike first, equals in their order, and whether the suspect may derive from each."""
-    if not candidates:
-        return []
-    progress("screen", 0.0)
-    index = SuspectIndex(model)
-    alike: dict[Sketch | None, int] = {None: ALIKE}
-    for number, candidate in enumerate(candidates, start=1):
-        if candidate.sketch is not None and candidate.sketch not in alike:  # copies of one asset share a sketch
-            alike[candidate.sketch] = index.resemblance(candidate.sketch)
-        progress("screen", number / len(candidates))
-    ranked = sorted(candidates, key=lambda candidate: -alike[candidate.sketch])
-    return [(candidate, alike[candidate.sketch] >= ALIKE) for candidate in ranked]
 
 
 def search(

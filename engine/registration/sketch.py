@@ -32,7 +32,7 @@ from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, descr
 from engine.registration.kernels import degrees_of_agreement
 from engine.registration.locating import LOOSE, turns
 
-__all__ = ["ALIKE", "Sketch", "SuspectIndex", "make_sketch"]
+__all__ = ["ALIKE", "LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
 
 ALIKE = 6
 """Agreeing partners from which a suspect may derive from a model. On seven real scenes under the attacks of
@@ -41,6 +41,8 @@ attribute's spread, at least 15."""
 
 POINTS = 2048
 """Gaussians in a sketch: 60 kB."""
+SUSPECT_POINTS = 8192
+"""Gaussians of a suspect that are looked up in an index: what was put into a foreign scene shares its regions."""
 POOL = 100_000
 """At most twice as many Gaussians are weighed for a sketch: a matter of time alone."""
 REGIONS = 8
@@ -63,7 +65,7 @@ _BUCKETS = 1 << 20
 _MIX = np.array([73856093, 19349663, 83492791, 49979687, 67867979, 32452843], dtype=np.int32)
 """Looks are told apart by a hash; two looks in one bucket count as one."""
 
-_ERRORS = np.array([0.08, 0.08, 0.2, 0.12, 0.12, 0.12], dtype=np.float32)
+LOOK_ERRORS = np.array([0.08, 0.08, 0.2, 0.12, 0.12, 0.12], dtype=np.float32)
 """Expected errors of the looks, which a derivative's may differ by: rounding, noise, a mark, a slight tint."""
 _BOX, _LIMIT2 = 3.0, 16.0
 """Search radius per look and in all, in those errors."""
@@ -120,11 +122,7 @@ class Sketch:
 
 def make_sketch(model: GaussianModel) -> Sketch:
     """The sketch of a model with at least one Gaussian; the same model gives the same sketch."""
-    # The faint half is what pruning takes first.
-    rows = np.flatnonzero(model.opacity_logits >= np.median(model.opacity_logits))
-    rows = rows[:: max(1, len(rows) // POOL)]
-    rarity = _rarity(invariant_features(model, rows, 0))
-    rows = rows[np.sort(by_region(model.means[rows], rarity, POINTS, REGIONS))]
+    rows = _telling(model, POINTS)
     looks = invariant_features(model, rows, 0).astype(np.float32)
     sizes = log_sizes(model, rows).astype(np.float32)
     return Sketch(model.means[rows], looks, sizes, model.quats[rows], describe(model, PLACES))
@@ -135,15 +133,25 @@ class SuspectIndex:
 
     def __init__(self, model: GaussianModel) -> None:
         self.model = model
-        looks = invariant_features(model, slice(None), 0).astype(np.float32) / _ERRORS
+        looks = invariant_features(model, slice(None), 0).astype(np.float32) / LOOK_ERRORS
         self._rows = _uncrowded(looks)
         self._grid = WhitenedGrid(
-            looks[self._rows], _no_turn(len(self._rows)), quat_weight=0.0, hard=len(_ERRORS), soft_cap=0.0
+            looks[self._rows], _no_turn(len(self._rows)), quat_weight=0.0, hard=len(LOOK_ERRORS), soft_cap=0.0
         )
 
     @cached_property
     def _crowd(self) -> Crowd:
         return Crowd(describe(self.model, SUSPECT_PLACES, LADDER_STEPS))
+
+    @cached_property
+    def telling_looks(self) -> Float32:
+        """(P, 6) looks of Gaussians among which are those that a sketch of this model, or of a part, would hold."""
+        return invariant_features(self.model, _telling(self.model, SUSPECT_POINTS), 0).astype(np.float32)
+
+    @property
+    def place_features(self) -> Float32:
+        """(Q, FEATURES) what lies about places all over this model."""
+        return self._crowd.suspect.features
 
     def resemblance(self, sketch: Sketch) -> int:
         """How many of a sketch's Gaussians, 0 to MOST_PAIRS - 1, have partners here that agree with one of them, or how
@@ -154,7 +162,7 @@ class SuspectIndex:
         return max(votes, int(min(agreement(sketch.coarse, self._crowd) / NATS, MOST_PAIRS - 1)))
 
     def _votes(self, sketch: Sketch) -> int:
-        near = self._grid.query(sketch.looks / _ERRORS, _no_turn(len(sketch)), box=_BOX, limit2=_LIMIT2)
+        near = self._grid.query(sketch.looks / LOOK_ERRORS, _no_turn(len(sketch)), box=_BOX, limit2=_LIMIT2)
         found = np.flatnonzero(near.index >= 0)
         if len(found) < 2:
             return 0
@@ -172,6 +180,15 @@ class SuspectIndex:
                 )
             best = max(best, int(degrees.max()))
         return best
+
+
+def _telling(model: GaussianModel, count: int) -> Int64:
+    """At most `count` rows, ascending, of the rarest looks in every region of the visible half: the faint one is what
+    pruning takes first."""
+    rows = np.flatnonzero(model.opacity_logits >= np.median(model.opacity_logits))
+    rows = rows[:: max(1, len(rows) // POOL)]
+    rarity = _rarity(invariant_features(model, rows, 0))
+    return np.asarray(rows[np.sort(by_region(model.means[rows], rarity, count, REGIONS))])
 
 
 def _uncrowded(points: Float32) -> Int64:

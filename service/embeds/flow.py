@@ -8,12 +8,13 @@ import sqlalchemy as sa
 from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
+from service.screening import screen
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
 
-SCREENED = 32
-"""Registered assets that resemble an upload and are looked for in it, at most; each takes about a second."""
+SCREENED = 256
+"""Copies of assets that an upload resembles and that are looked for in it, at most; each takes about half a second."""
 
 
 def embed_flow(service: Service) -> Flow:
@@ -25,12 +26,13 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
     """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest."""
     asked = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
-    rows = _to_screen(service, run.job)
+    model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
+    rows = _to_screen(service, run, model)
     return service.do_task(
         run,
         "embed",
         {
-            "model": service.local(asked["model"], run),
+            **model,
             "cameras": service.local(asked["cameras"], run),
             "key": owner.secret.hex(),
             "bits": asked["bits"] or 32,
@@ -38,9 +40,8 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "registered_at": run.job.created_at[:19] + "+00:00",
             "drawn": _drawn(service, run.job),
             "candidates": service.candidates(rows, run),
-            "limit": SCREENED,
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
-            **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format", "spz_frame")},
+            **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
     )
 
@@ -50,15 +51,16 @@ def _drawn(service: Service, job: Job) -> str:
     return service.master.mac("drawn for a record", job.id)
 
 
-def _to_screen(service: Service, job: Job) -> list[Any]:
+def _to_screen(service: Service, run: Run, model: dict[str, Any]) -> list[Any]:
     """Assets whose mark the upload may carry, those of others first: nobody hides one behind copies of his own.
 
     An asset made from this very file is left out: the file is its unmarked original.
     """
-    query = sa.select(assets).where(assets.c.original_sha256 != job.request["model"])
-    foreign = sa.case((assets.c.tenant == job.tenant, 1), else_=0)
+    query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
     with service.db.read() as connection:
-        return list(connection.execute(query.order_by(foreign, assets.c.registered_at.desc())))
+        rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
+    alike = screen(service, run, model, rows)
+    return sorted(alike, key=lambda row: row.tenant == run.job.tenant)[:SCREENED]
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:

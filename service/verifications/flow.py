@@ -10,6 +10,7 @@ from service.db.schema import assets
 from service.http.budgets import spend
 from service.jobs.port import Flow, Run, State, Step
 from service.problems import Problem
+from service.screening import screen
 
 
 def verify_flow(service: Service) -> Flow:
@@ -33,22 +34,28 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
         rows = connection.execute(query).all()
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
-    known = service.candidates(rows, run)
+    suspect = {
+        "model": service.local(asked["model"], run),
+        "images": [service.local(digest, run) for digest in asked["images"]],
+        "spz_frame": asked["spz_frame"],
+    }
+    originals = {row.original_sha256 for row in rows}
+    chosen = rows if len(originals) == 1 else screen(service, run, suspect, rows, likely=True)
+    known = service.candidates(chosen or rows[:1], run)
     if not known:
         raise Problem("conflict", "the owner key of every asset in question was erased: import it again")
     return service.do_task(
         run,
         "verify",
         {
-            "model": service.local(asked["model"], run),
-            "images": [service.local(digest, run) for digest in asked["images"]],
+            **suspect,
             "cameras": service.local(asked["cameras"], run),
             "candidates": known,
             "stop_at_first": True,
             "suspect_seen": asked.get("suspect_seen"),
-            **{name: asked[name] for name in ("false_claim_rate", "route", "spz_frame")},
+            **{name: asked[name] for name in ("false_claim_rate", "route")},
         },
-    )
+    ) | {"screened": len(rows) if len(rows) > 1 else 0}
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:

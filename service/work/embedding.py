@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from engine.catalogue.entry import Entry
 from engine.formats import encode_model
 from engine.formats.writing import loss_note
 from engine.pipeline.embedding import embed
@@ -38,7 +39,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     loaded = load_model(request)
     kind = request.get("format") or loaded.format
     read_seconds = time.perf_counter() - began
-    found = find_marks(loaded.model, load_candidates(request), int(request.get("limit") or 0), progress)
+    found = find_marks(loaded.model, load_candidates(request), progress)
     screen_seconds = time.perf_counter() - began - read_seconds
     if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
         return {"screening": found}
@@ -57,14 +58,13 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     )
     started = time.perf_counter()
     progress("write", 0.0)
-    files = {"model": f"model.{kind}", "record": "model.record", "preview": "preview.png", "sketch": "sketch.bin"}
+    files = {"model": f"model.{kind}", "record": "model.record", "preview": "preview.png", "sketch": "entry.bin"}
     record, model = made.record.to_bytes(key), encode_model(made.model, kind)
     (folder / files["record"]).write_bytes(record)
     (folder / files["model"]).write_bytes(model)
     progress("picture", 0.0)
     drawing = time.perf_counter()
-    # Of what is published: a sketch says nothing that the public does not know.
-    (folder / files["sketch"]).write_bytes(make_sketch(made.model).to_bytes())
+    (folder / files["sketch"]).write_bytes(Entry(make_sketch(made.model), made.seen).to_bytes())
     draw_preview(folder / files["preview"], loaded.model, made.model)
     ended = time.perf_counter()
     report = made.report | {

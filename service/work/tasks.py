@@ -23,8 +23,10 @@ TASKS: Mapping[str, Task] = {
     "convert": _task("files", "convert"),
     "dispute": _task("disputes", "settle_dispute"),
     "embed": _task("embedding", "embed_mark"),
+    "index": _task("screening", "index"),
     "inspect": _task("files", "inspect"),
     "picture": _task("files", "look_at_picture"),
+    "screen": _task("screening", "screen"),
     "verify": _task("verification", "verify_suspect"),
 }
 
@@ -32,6 +34,6 @@ TASKS: Mapping[str, Task] = {
 def preload() -> None:
     """Import what every task needs, and load its compiled kernels: a process in waiting starts at once."""
     from engine.pipeline.warming import warm_up
-    from service.work import disputes, embedding, files, verification  # noqa: F401
+    from service.work import disputes, embedding, files, screening, verification  # noqa: F401
 
     warm_up("everything")

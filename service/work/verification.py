@@ -1,7 +1,7 @@
-"""Task `verify`: whose mark does a suspect carry, of all the records that may explain it?
+"""Task `verify`: whose mark does a suspect carry, of the records that may explain it?
 
-1. Read the suspect.                                    3. Look for one record's mark after the other.
-2. Choose the records: geometry alone, no key.          4. Report the best, what was checked, and where the mark is.
+1. Read the suspect.                              3. Report the best, what was checked, and where the mark is.
+2. Look for one record's mark after the other.
 """
 
 import time
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from engine.pipeline.searching import Outcome, Search, Suspect, resembling, search
+from engine.pipeline.searching import Outcome, Search, Suspect, search
 from engine.pipeline.verification import VerifyConfig
 from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex
@@ -35,11 +35,9 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
     progress("read", 0.0)
     suspect, subject = _read(request)  # 1
     read = time.perf_counter()
-    chosen = _choose(suspect, candidates, progress)  # 2
-    seconds = {"read": read - began, "screen": time.perf_counter() - read}
-    found = search(suspect, chosen, config, progress, stop_at_first=bool(request.get("stop_at_first")))  # 3
+    found = search(suspect, candidates, config, progress, stop_at_first=bool(request.get("stop_at_first")))  # 2
     best = found.best
-    reply = _report(found)  # 4
+    reply = _report(found)  # 3
     started = time.perf_counter()
     if best is not None and best.opened is not None and best.found is not None:
         progress("picture", 0.0)
@@ -47,10 +45,11 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
         reply["files"] = draw_evidence(folder, best.opened, best.found, suspect.model, picture)
     return reply | {
         "subject": subject,
-        "screened": len(candidates) if suspect.model is not None and len(candidates) > 1 else 0,
         "tried": [_brief(outcome) for outcome in found.outcomes],
         "seconds": time.perf_counter() - began,
-        "seconds_by_stage": seconds | found.seconds_by_stage | {"picture": time.perf_counter() - started},
+        "seconds_by_stage": {"read": read - began}
+        | found.seconds_by_stage
+        | {"picture": time.perf_counter() - started},
     }
 
 
@@ -65,14 +64,6 @@ def _read(request: Mapping[str, Any]) -> tuple[Suspect, dict[str, Any]]:
     cameras = load_cameras(request.get("cameras"), count=len(paths))
     suspect = Suspect(None, load_pictures(paths), cameras)
     return suspect, {"format": "pictures", "gaussians": None, "pictures": len(suspect.pictures)}
-
-
-def _choose(suspect: Suspect, candidates: list[Candidate], progress: Progress) -> list[Candidate]:
-    """Records to try. Of a model: those it resembles, or the one it resembles most; of pictures: all."""
-    if suspect.model is None or len(candidates) == 1:
-        return candidates
-    ranked = resembling(suspect.model, candidates, progress)
-    return [candidate for candidate, alike in ranked if alike] or [candidate for candidate, _ in ranked[:1]]
 
 
 def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:

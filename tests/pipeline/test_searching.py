@@ -9,11 +9,9 @@ import pytest
 
 from engine.errors import InputError, MalformedRecordError
 from engine.evaluate.marked_scene import MarkedScene
-from engine.model import GaussianModel
 from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.searching import Suspect, count_tries, resembling, search
+from engine.pipeline.searching import Suspect, count_tries, search
 from engine.pipeline.verification import VerifyConfig, verify_model
-from engine.registration.sketch import Sketch, SuspectIndex, make_sketch
 from engine.watermark.claim import Verdict
 
 MODEL = VerifyConfig(route="model")
@@ -25,7 +23,6 @@ class Kept:
 
     name: str
     record: OpenedRecord | None
-    sketch: Sketch | None = None
 
     def open(self) -> OpenedRecord:
         if self.record is None:
@@ -81,32 +78,3 @@ def test_it_may_stop_at_the_first_mark_but_counts_all(scene: MarkedScene, other:
     assert [outcome.candidate.name for outcome in found.outcomes] == ["right"]
     assert found.tries == 6
     assert search(Suspect(scene.marked), [], MODEL, silent).best is None
-
-
-def test_those_that_look_alike_come_first_and_a_sketch_is_compared_once(
-    scene: MarkedScene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng = np.random.default_rng(0)
-    count = len(scene.marked)
-    foreign: GaussianModel = scene.marked.with_(
-        means=rng.uniform(-1, 1, (count, 3)), log_scales=rng.uniform(-7, -3, (count, 3))
-    )
-    own, strange = make_sketch(scene.marked), make_sketch(foreign)
-    asked = [Kept("strange", None, strange), Kept("a", None, own), Kept("unsketched", None), Kept("b", None, own)]
-    compared: list[Sketch] = []
-    resemblance = SuspectIndex.resemblance
-
-    def counted(index: SuspectIndex, sketch: Sketch) -> int:
-        compared.append(sketch)
-        return resemblance(index, sketch)
-
-    monkeypatch.setattr(SuspectIndex, "resemblance", counted)
-    ranked = resembling(scene.marked, asked, silent)
-    assert [(candidate.name, alike) for candidate, alike in ranked] == [
-        ("a", True),
-        ("b", True),
-        ("unsketched", True),
-        ("strange", False),
-    ]
-    assert compared == [strange, own]
-    assert resembling(scene.marked, [], silent) == []

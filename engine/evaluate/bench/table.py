@@ -9,7 +9,7 @@ from typing import Any, Literal
 from engine.errors import InputError
 from engine.evaluate.study import Cell
 
-TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000}
+TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000, "assets": 1_000}
 """What `--trials` counts in different benches, and how many unless told otherwise."""
 
 
@@ -81,6 +81,12 @@ BENCHES = {
         "buyers who put their copies together: who is named, and whether an innocent is",
         "truth:measure_collusion",
         ("innocents",),
+    ),
+    "screening": Bench(
+        "which of many assets is it? ranks, seconds, bytes",
+        "screening:measure_screening",
+        ("assets",),
+        scenes="together",
     ),
     "removal": Bench("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
     "retrain": Bench("claims from fresh models trained on renders of the marked one", "training:measure_retraining"),

@@ -1,0 +1,190 @@
+"""The index over all assets (DESIGN 4.8): which of them does a suspect come from, the likeliest first?
+
+A model votes by its rarest Gaussians, which survive cutting and converting, and by places all over it, which survive
+merging and training anew; the assets that come first are compared with it properly (`sketch.resemblance`). A picture
+votes by keypoints, as it is and turned over, and what counts is how many votes for one view of an asset agree.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.catalogue.entry import Entry
+from engine.catalogue.neighbours import Growing, Neighbours
+from engine.catalogue.view_agreement import agreement_of_views
+from engine.model import Float32, Float64, Int64
+from engine.pictures.features import detect_keypoints, luma
+from engine.registration.sketch import LOOK_ERRORS, Sketch, SuspectIndex
+
+__all__ = ["Catalogue"]
+
+LOOKS = 512
+"""Gaussians of a sketch that the index knows."""
+PLACE_SPREAD = np.array([0.2, 0.2, 0.2, 0.2, 0.15, 0.12, 0.27, 0.05, 0.05, 0.05] * 2, dtype=np.float32)
+"""By which features of places are measured: their spread over seven real scenes."""
+FIELDS = {"looks": (len(LOOK_ERRORS), "Flat"), "places": (len(PLACE_SPREAD), "Flat"), "seen": (128, "SQ4")}
+"""Length of vectors, and how FAISS keeps them where they are many: in 24, 80 and 64 bytes."""
+TEACHERS = 200
+"""Assets from which the lists are learnt: more teach nothing new."""
+KEYPOINTS = 1500
+"""Of a picture, the strongest."""
+VIEWS = 1 << 14
+"""More than an asset has: views of all assets are numbered through."""
+LOUDEST = 400
+"""Views whose votes are looked at for agreement."""
+
+
+class Sketches:
+    """Sketches as bytes, one behind the other: those of a file stay on disk until they are asked for."""
+
+    def __init__(self, data: npt.NDArray[np.uint8] | None = None, ends: Iterable[int] = ()) -> None:
+        self._data = np.zeros(0, np.uint8) if data is None else data
+        self._ends = list(ends)
+        self._added: list[bytes] = []
+
+    def add(self, sketch: Sketch) -> None:
+        """One more."""
+        self._added.append(sketch.to_bytes())
+
+    def __getitem__(self, number: int) -> Sketch:
+        if number >= len(self._ends):
+            return Sketch.from_bytes(self._added[number - len(self._ends)])
+        begin = self._ends[number - 1] if number else 0
+        return Sketch.from_bytes(self._data[begin : self._ends[number]].tobytes())
+
+    def save(self, path: Path) -> list[int]:
+        """Where each ends in the file, bytes."""
+        with path.open("wb") as file:
+            self._data.tofile(file)
+            file.writelines(self._added)
+        ends = list(self._ends)
+        for each in self._added:
+            ends.append((ends[-1] if ends else 0) + len(each))
+        return ends
+
+
+class Catalogue:
+    """Assets by name, in the order they came."""
+
+    def __init__(
+        self, names: Iterable[str], fields: dict[str, Neighbours], views: Int64, places: Float32, sketches: Sketches
+    ) -> None:
+        self.names = list(names)
+        self._number = {name: number for number, name in enumerate(self.names)}
+        self._fields, self._sketches = fields, sketches
+        self._views, self._places = Growing(views), Growing(places)  # (N,) and (N, 2) of the field "seen"
+
+    @classmethod
+    def build(cls, names: Sequence[str], load: Callable[[str], Entry]) -> Catalogue:
+        """The index of many assets; each entry is loaded once, those of TEACHERS twice."""
+        chosen = np.random.default_rng(0).permutation(len(names))[:TEACHERS]
+        vectors = [_vectors(load(names[i])) for i in np.sort(chosen)]
+        fields = {}
+        for field, (length, codec) in FIELDS.items():
+            sample = np.concatenate([np.zeros((0, length), np.float32), *(each[field] for each in vectors)])
+            expected = len(sample) * len(names) // max(1, len(vectors))
+            fields[field] = Neighbours.learnt(sample, expected, codec)
+        made = cls([], fields, np.zeros(0, np.int64), np.zeros((0, 2), np.float32), Sketches())
+        for name in names:
+            made.add(name, load(name))
+        return made
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def add(self, name: str, entry: Entry) -> None:
+        """One more asset."""
+        number = len(self.names)
+        self.names.append(name)
+        self._number[name] = number
+        self._sketches.add(entry.sketch)
+        for field, vectors in _vectors(entry).items():
+            self._fields[field].add(number, vectors)
+        if entry.seen is not None:
+            self._views.append(VIEWS * number + entry.seen.views.astype(np.int64))
+            self._places.append(entry.seen.places)
+
+    @property
+    def unseen(self) -> list[str]:
+        """Assets that no picture can speak for: without landmarks."""
+        seen = np.bincount(self._fields["seen"].owner, minlength=len(self))
+        return [name for name, points in zip(self.names, seen, strict=True) if not points]
+
+    def sketch(self, name: str) -> Sketch:
+        """Of an asset that is here."""
+        return self._sketches[self._number[name]]
+
+    def like_model(self, suspect: SuspectIndex) -> list[str]:
+        """Assets that a model may come from, the likeliest of either way of asking in turn."""
+        by_looks = self._sums("looks", suspect.telling_looks / LOOK_ERRORS)
+        by_places = self._sums("places", suspect.place_features / PLACE_SPREAD)
+        orders = [np.argsort(-votes, kind="stable")[: (votes > 0).sum()] for votes in (by_places, by_looks)]
+        most = max(len(order) for order in orders)
+        padded = [np.append(order, np.full(most - len(order), -1)) for order in orders]
+        turns = (int(number) for pair in zip(*padded, strict=True) for number in pair if number >= 0)
+        return [self.names[number] for number in dict.fromkeys(turns)]
+
+    def like_pictures(self, pictures: Sequence[Float32]) -> list[tuple[str, float]]:
+        """The assets that pictures (h, w, 3), 0..1, of one and the same may show, the likeliest first, and how loud
+        the votes are that agree."""
+        total = np.zeros(len(self))
+        for picture in pictures:
+            keypoints = detect_keypoints(luma(picture), KEYPOINTS)
+            hands = keypoints, keypoints.turned_over(picture.shape[1])
+            total += np.maximum(*(self._agreement(hand.points, hand.descriptors) for hand in hands))
+        order = np.argsort(-total, kind="stable")[: (total > 0).sum()]
+        return [(self.names[number], float(total[number])) for number in order]
+
+    def _sums(self, field: str, queries: Float32) -> Float64:
+        near = self._fields[field]
+        return near.by_asset(near.votes(queries), len(self))
+
+    def _agreement(self, points: Float64, descriptors: npt.NDArray[np.uint8]) -> Float64:
+        """(assets,) of the view of each that agrees best."""
+        votes = self._fields["seen"].votes(descriptors.astype(np.float32))
+        best = np.zeros(len(self))
+        if not len(votes.row):
+            return best
+        view = self._views.whole[votes.row]
+        names, of = np.unique(view, return_inverse=True)
+        loud = np.zeros(len(names), dtype=bool)
+        loud[np.argsort(-np.bincount(of, votes.gain), kind="stable")[:LOUDEST]] = True
+        mine = loud[of]
+        seen, agree = agreement_of_views(
+            view[mine],
+            points[votes.query[mine]],
+            self._places.whole[votes.row[mine]].astype(np.float64),
+            votes.gain[mine],
+        )
+        np.maximum.at(best, seen // VIEWS, agree)
+        return best
+
+    def save(self, folder: Path) -> None:
+        """Into an empty folder."""
+        for field, near in self._fields.items():
+            near.save(folder / field)
+        np.savez(folder / "views.npz", views=self._views.whole, places=self._places.whole)
+        ends = self._sketches.save(folder / "sketches.bin")
+        (folder / "assets.json").write_text(json.dumps({"names": self.names, "ends": ends}))
+
+    @classmethod
+    def load(cls, folder: Path, *, growing: bool = False) -> Catalogue:
+        """What `save` wrote; most of it stays on disk until it is looked at, unless assets are to be added."""
+        fields = {field: Neighbours.load(folder / field, growing=growing) for field in FIELDS}
+        plain = json.loads((folder / "assets.json").read_text())
+        sketches = Sketches(np.memmap(folder / "sketches.bin", np.uint8, "r"), plain["ends"]) if plain["ends"] else None
+        with np.load(folder / "views.npz") as kept:
+            return cls(plain["names"], fields, kept["views"], kept["places"], sketches or Sketches())
+
+
+def _vectors(entry: Entry) -> dict[str, Float32]:
+    """What each field of the index knows of an asset."""
+    sketch = entry.sketch
+    rows = np.linspace(0, len(sketch) - 1, min(LOOKS, len(sketch))).astype(np.int64)
+    seen = np.zeros((0, 128), np.float32) if entry.seen is None else entry.seen.descriptors.astype(np.float32)
+    return {"looks": sketch.looks[rows] / LOOK_ERRORS, "places": sketch.coarse.features / PLACE_SPREAD, "seen": seen}

@@ -1,0 +1,86 @@
+"""What the index keeps of an asset: a sketch of its model, and how its surface looks from all sides."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError
+from engine.model import Camera, Float32
+from engine.pictures.camera_motion import project
+from engine.pictures.landmarks import Landmarks
+from engine.registration.sketch import Sketch
+
+__all__ = ["Entry", "SeenPoints", "see_points"]
+
+PER_VIEW = 60
+"""Most points of a view: 48 views of 132 bytes a point make 390 kB."""
+MOST_POINTS = 1 << 16
+"""More are no entry of ours."""
+
+_MAGIC = b"M3DGSEN1"
+_PREFIX = struct.Struct("<8sII")
+_POINT = np.dtype([("descriptor", "u1", 128), ("view", "<u2"), ("place", "<u2", 2)])
+_STEPS = 16.0
+"""Places are kept in sixteenths of a pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """P landmarks where views showed them: `descriptors` (P, 128), `views` (P,) and `places` (P, 2) x, y in the view's
+    pixels."""
+
+    descriptors: npt.NDArray[np.uint8]
+    views: npt.NDArray[np.int32]
+    places: Float32
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One asset."""
+
+    sketch: Sketch
+    seen: SeenPoints | None  # None where the asset has no landmarks
+
+    def to_bytes(self) -> bytes:
+        """The same entry gives the same bytes."""
+        sketch, seen = self.sketch.to_bytes(), self.seen
+        points = np.empty(0 if seen is None else len(seen), dtype=_POINT)
+        if seen is not None:
+            points["descriptor"], points["view"] = seen.descriptors, seen.views
+            points["place"] = np.clip(np.round(_STEPS * seen.places), 0, 65535)
+        return _PREFIX.pack(_MAGIC, len(sketch), len(points)) + sketch + points.tobytes()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Entry:
+        """The entry that `to_bytes` stored, or a sketch alone, as it was stored before; FormatError if it is none."""
+        if len(data) < _PREFIX.size or data[: len(_MAGIC)] != _MAGIC:
+            return cls(Sketch.from_bytes(data), None)
+        _, length, count = _PREFIX.unpack_from(data)
+        end = _PREFIX.size + length
+        if count > MOST_POINTS or len(data) != end + count * _POINT.itemsize:
+            raise FormatError("this is no entry of an index")
+        sketch = Sketch.from_bytes(data[_PREFIX.size : end])
+        if not count:
+            return cls(sketch, None)
+        points = np.frombuffer(data, dtype=_POINT, offset=end, count=count)
+        places = points["place"].astype(np.float32) / np.float32(_STEPS)
+        return cls(sketch, SeenPoints(points["descriptor"].copy(), points["view"].astype(np.int32), places))
+
+
+def see_points(landmarks: Landmarks, cameras: Sequence[Camera]) -> SeenPoints:
+    """The strongest landmarks of every view, where it showed them; `cameras` are those they were made from."""
+    rows = [np.flatnonzero(landmarks.views == view)[:PER_VIEW] for view in range(len(cameras))]
+    places = [
+        project(landmarks.points[mine].astype(np.float64), camera) for mine, camera in zip(rows, cameras, strict=True)
+    ]
+    chosen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
+    where = np.concatenate(places).astype(np.float32) if places else np.zeros((0, 2), np.float32)
+    return SeenPoints(landmarks.descriptors[chosen], landmarks.views[chosen], where)

@@ -1,0 +1,58 @@
+"""Tasks `screen` and `index`: which registered assets may a suspect come from? No owner key comes near them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from engine.catalogue.catalogue import Catalogue
+from engine.catalogue.entry import Entry
+from engine.catalogue.screening import screen_model, screen_pictures
+from engine.errors import FormatError
+from engine.registration.sketch import SuspectIndex
+from service.work.inputs import load_model, load_pictures
+from service.work.process import Progress
+
+LIKELY_MODELS, LIKELY_PICTURES = 1, 5
+"""Assets that are worth a look where none is alike: a picture may show too little for the index, and enough to read."""
+
+
+def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Contract: docs/SERVICE.md."""
+    catalogue, damaged = _open(request)
+    progress("screen", 0.1)
+    among = set(request["among"])
+    if request.get("model") is not None:
+        found = screen_model(catalogue, SuspectIndex(load_model(request).model), among)
+        few, unknown = LIKELY_MODELS, damaged
+    else:
+        found = screen_pictures(catalogue, load_pictures(request["images"]), among)
+        few, unknown = LIKELY_PICTURES, damaged + catalogue.unseen
+    progress("screen", 1.0)
+    alike = [each.name for each in found if each.alike]
+    likely = [each.name for each in found if not each.alike][:few]
+    return {"alike": alike, "likely": likely, "unknown": [name for name in unknown if name in among]}
+
+
+def index(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Contract: docs/SERVICE.md."""
+    progress("index", 0.0)
+    catalogue, damaged = _open(request)
+    (folder / "catalogue").mkdir()
+    catalogue.save(folder / "catalogue")
+    return {"folder": "catalogue", "assets": len(catalogue), "damaged": damaged}
+
+
+def _open(request: Mapping[str, Any]) -> tuple[Catalogue, list[str]]:
+    """The kept index with the entries that it lacks; and those that could not be read."""
+    entries, damaged = {}, []
+    for name, path in request["entries"].items():
+        try:
+            entries[name] = Entry.from_bytes(Path(path).read_bytes())
+        except (FormatError, OSError):
+            damaged.append(name)  # it must not hide the others
+    if not request["catalogue"]:
+        return Catalogue.build(list(entries), entries.__getitem__), damaged
+    catalogue = Catalogue.load(Path(request["catalogue"]), growing=bool(entries))
+    for name, entry in entries.items():
+        catalogue.add(name, entry)
+    return catalogue, damaged

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.catalogue.entry import PER_VIEW, Entry, see_points
+from engine.errors import FormatError
+from engine.pictures.camera_motion import project
+from engine.pictures.landmarks import Landmarks
+from engine.pipeline.rigs import make_rig
+from engine.registration.sketch import make_sketch
+from tests.registration.registration_cases import scene as clusters
+
+
+@pytest.fixture(scope="module")
+def entry() -> Entry:
+    model = clusters(0, 400)
+    rng = np.random.default_rng(0)
+    points, views = rng.uniform(-0.2, 0.2, (300, 3)).astype(np.float32), np.repeat(np.arange(3), 100).astype(np.int32)
+    landmarks = Landmarks(points, rng.integers(0, 256, (300, 128), np.uint8), views)
+    return Entry(make_sketch(model), see_points(landmarks, make_rig(model, 3, 640, 480)))
+
+
+def test_the_strongest_of_each_view_are_kept_where_it_showed_them() -> None:
+    model = clusters(0, 400)
+    cameras = make_rig(model, 2, 640, 480)
+    points = model.means[:200]
+    views = np.repeat([0, 1], 100).astype(np.int32)
+    landmarks = Landmarks(points, np.arange(200 * 128).reshape(200, 128).astype(np.uint8), views)
+    seen = see_points(landmarks, cameras)
+    kept = np.concatenate([np.arange(PER_VIEW), 100 + np.arange(PER_VIEW)])
+    np.testing.assert_array_equal(seen.descriptors, landmarks.descriptors[kept])
+    for view, camera in enumerate(cameras):
+        mine = seen.views == view
+        np.testing.assert_allclose(seen.places[mine], project(points[kept[mine]].astype(float), camera), atol=1e-3)
+
+
+def test_bytes_and_back(entry: Entry) -> None:
+    again = Entry.from_bytes(entry.to_bytes())
+    assert entry.seen is not None
+    assert again.seen is not None
+    np.testing.assert_allclose(again.sketch.looks, entry.sketch.looks, atol=0.01)
+    np.testing.assert_array_equal(again.seen.descriptors, entry.seen.descriptors)
+    np.testing.assert_allclose(again.seen.places, entry.seen.places.clip(0), atol=1 / 32)
+    bare = Entry.from_bytes(Entry(entry.sketch, None).to_bytes())
+    assert bare.seen is None
+    assert Entry.from_bytes(entry.sketch.to_bytes()).seen is None, "as entries were before pictures were indexed"
+
+
+@pytest.mark.parametrize("cut", [0, 3, 15, 40, -1, -132])
+def test_what_is_no_entry_is_refused(entry: Entry, cut: int) -> None:
+    with pytest.raises(FormatError):
+        Entry.from_bytes(entry.to_bytes()[:cut])
+
+
+def test_counts_that_lie_are_refused(entry: Entry) -> None:
+    data = bytearray(entry.to_bytes())
+    data[8:16] = b"\xff" * 8
+    with pytest.raises(FormatError):
+        Entry.from_bytes(bytes(data))
