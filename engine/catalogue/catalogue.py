@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from engine.catalogue.entry import Entry
 from engine.catalogue.neighbours import Growing, Neighbours
-from engine.catalogue.view_agreement import agreement_of_views
 from engine.model import Float32, Float64, Int64
 from engine.pictures.features import detect_keypoints, luma
+from engine.pictures.view_agreement import agreement_of_views
 from engine.registration.sketch import LOOK_ERRORS, Sketch, SuspectIndex
 
 __all__ = ["Catalogue"]
@@ -155,7 +155,7 @@ class Catalogue:
         loud = np.zeros(len(names), dtype=bool)
         loud[np.argsort(-np.bincount(of, votes.gain), kind="stable")[:LOUDEST]] = True
         mine = loud[of]
-        seen, agree = agreement_of_views(
+        seen, agree, _ = agreement_of_views(
             view[mine],
             points[votes.query[mine]],
             self._places.whole[votes.row[mine]].astype(np.float64),

@@ -1,8 +1,10 @@
 """Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
 
-1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths. Where
-   few agree, the same for the picture turned over left to right (turned over upside down is that and half a turn).
-2. Where no camera is well supported, outlines and edges of many views are held against both (`view_search`).
+1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths, then a
+   render from there matched once more. Where few agree, the same for the picture turned over left to right (turned
+   over upside down is that and half a turn).
+2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines and edges of
+   many views are held against both hands (`view_search`).
 3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
 4. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
 
@@ -11,7 +13,7 @@ The picture of another scene fails at the correlation with the render. Nothing h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +28,7 @@ from engine.pictures.keypoint_cameras import Look, keypoints_of, look_closer, re
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
 from engine.pictures.view_search import ViewEdges, search_views
+from engine.pictures.voted_views import vote_for_views
 from engine.raster import RasterSettings, render_depth
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
@@ -46,6 +49,8 @@ THUMBNAIL = 128
 """Longer side of the picture on which candidates without keypoints are refined first, pixels."""
 CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
 """Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
+VOTED = 4
+"""Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
 PLAIN, ANTIALIASED = RasterSettings(), RasterSettings(antialiased=True)
 """How viewers draw: most as we do, some as they are told to."""
 CLEARLY = 1.03
@@ -104,12 +109,13 @@ def find_camera(
     image: Float32,
     config: CameraConfig = CameraConfig(),
     edges: Callable[[], ViewEdges] | None = None,
+    bank: Sequence[Camera] = (),
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
-    `landmarks` are those of its record, `edges` gives those of views of it (asked only where keypoints do not do).
-    InputError if the picture is not a finite (h, w, 3) image.
+    `landmarks` are those of its record and `bank` the views they were seen from, where known; `edges` gives those of
+    views of it (asked only where keypoints do not do). InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
         raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
@@ -117,6 +123,8 @@ def find_camera(
         raise InputError("the picture holds values that are not finite")
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
     best = finder.best(finder.by_keypoints())
+    if bank and (best is None or not best.sure):
+        best = finder.best(finder.by_votes(bank), best)
     if edges is not None and (best is None or not best.sure):
         best = finder.best(finder.by_edges(edges()), best)
     return None if best is None else finder.finish(best)
@@ -142,9 +150,26 @@ class _Finder:
             for number, start in enumerate(look.hypotheses(self._config.focals)):
                 strongest = max(strongest, start.support)
                 yield _Candidate(start.camera, mirrored, start.support)
+                closer = self._closer(start.camera, mirrored)  # landmarks agree on cameras a little off, too
+                if closer is not None:
+                    yield closer
                 if number == 0:
                     for other in look.at_other_focals(start, self._config.other_focals):
                         yield _Candidate(other.camera, mirrored, other.support)
+
+    def by_votes(self, bank: Sequence[Camera]) -> Iterator[_Candidate]:
+        """What keypoints speak for together of which hardly one stands out."""
+        found = []
+        for mirrored in (False, True):
+            voted = vote_for_views(self._seen(mirrored), self._landmarks, bank, self._size)
+            found += [(view, mirrored) for view in voted[:VOTED]]
+        found.sort(key=lambda each: -each[0].loudness)
+        for view, mirrored in found[:VOTED]:
+            look = Look(self._seen(mirrored), self._landmarks, self._size, ())
+            agreed = look.agreed(view.keypoints, view.landmarks, self._config.focals)
+            closer = self._closer(view.camera if agreed is None else agreed.camera, mirrored)
+            if closer is not None:
+                yield closer
 
     def by_edges(self, edges: ViewEdges) -> list[_Candidate]:
         """What outlines and edges speak for, refined on a thumbnail."""
@@ -183,9 +208,11 @@ class _Finder:
         `best` is the best so far."""
         for candidate in candidates:
             # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
-            size = SIZES[candidate.support >= SUPPORTED]
-            refined = self._refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
-            if refined is None:
+            for size in SIZES[candidate.support >= SUPPORTED : 2]:
+                refined = self._refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
+                if refined is not None:  # of what is thin or small, too little may be left in the smaller one
+                    break
+            else:
                 continue
             worth = self._worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
             if best is None or worth > best.worth:

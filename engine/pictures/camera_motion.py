@@ -8,7 +8,7 @@ import numpy as np
 
 from engine.model import Camera, Float64
 
-__all__ = ["PARAMETERS", "moved", "normalized", "point_columns", "project"]
+__all__ = ["PARAMETERS", "moved", "normalized", "point_columns", "project", "swung"]
 
 PARAMETERS = 7
 
@@ -28,6 +28,20 @@ def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
     K[0, 0] *= np.exp(motion[6])
     K[1, 1] *= np.exp(motion[6])
     return Camera(viewmat, K, camera.width, camera.height)
+
+
+def swung(view: Camera, middle: Float64, place: Float64, turn: float, scale: float, shape: tuple[int, ...]) -> Camera:
+    """A view's camera turned about its axis by `turn` radians, its lens longer by `scale`, and swung round so that
+    what it shows at `middle` appears at `place`, pixels, of a picture of this shape."""
+    height, width = shape[:2]
+    focal = view.K[0, 0] * scale
+    roll = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    was = np.array([*((middle - view.K[:2, 2]) / view.K[0, 0]), 1.0])
+    now = np.array([*((place - (width / 2, height / 2)) / focal), 1.0])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = _between(roll @ was, now) @ roll
+    K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return Camera(viewmat @ view.viewmat, K, width, height)
 
 
 def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:
@@ -53,3 +67,11 @@ def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:
     horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a]
     vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b]
     return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)  # (P, 2, 7)
+
+
+def _between(a: Float64, b: Float64) -> Float64:
+    """(3, 3) the shortest rotation from one direction to another, less than half a turn apart."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    v = np.cross(a, b)
+    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + a @ b))

@@ -59,15 +59,16 @@ class Look:
     def hypotheses(self, focals: tuple[float, ...]) -> list[Hypothesis]:
         """The camera that most keypoints agree with, from each set of matches; by falling support. The focal lengths
         tried are in widths of the picture."""
-        found = []
-        for keypoint, landmark in self.matches:
-            points = self.landmarks.points[landmark].astype(np.float64)
-            pixels = self.keypoints.points[keypoint]
-            start = hypothesize(points, pixels, *self.size, self.tolerance, LEAST_START, focals)
-            guided = None if start is None else self.guided(start.camera)
-            if guided is not None and guided.support >= LEAST_INLIERS:
-                found.append(guided)
+        found = [guided for pairs in self.matches if (guided := self.agreed(*pairs, focals)) is not None]
         return sorted(found, key=lambda hypothesis: -hypothesis.support)
+
+    def agreed(self, keypoints: Int64, landmarks: Int64, focals: tuple[float, ...]) -> Hypothesis | None:
+        """The camera that most of these pairs (indices) agree with, and then enough of all keypoints."""
+        points = self.landmarks.points[landmarks].astype(np.float64)
+        pixels = self.keypoints.points[keypoints]
+        start = hypothesize(points, pixels, *self.size, self.tolerance, LEAST_START, focals)
+        guided = None if start is None else self.guided(start.camera)
+        return guided if guided is not None and guided.support >= LEAST_INLIERS else None
 
     def guided(self, camera: Camera, factors: tuple[float, ...] = GUIDED) -> Hypothesis | None:
         """A camera fitted to all that matches where it projects, which is more than stood out at first."""

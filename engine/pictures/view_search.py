@@ -17,6 +17,7 @@ import numpy as np
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_section
 from engine.numerics.resampling import smooth
+from engine.pictures.camera_motion import swung
 from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views
 from engine.raster import render_depth
 
@@ -123,7 +124,7 @@ def search_views(edges: ViewEdges, picture: Float32, count: int) -> list[tuple[f
         view, (turn, radius, x, y) = finds[best, 0], poses[best]
         scale = radius * factor / edges.spreads[view]
         place = (np.array([x, y]) + 0.5) * factor
-        camera = _camera(edges.cameras[view], edges.middles[view], place, turn, scale, picture.shape)
+        camera = swung(edges.cameras[view], edges.middles[view], place, turn, scale, picture.shape)
         cameras.append((float(fine[best]), camera))
     return cameras
 
@@ -223,25 +224,3 @@ def _distinct(views: Int64, poses: Float64, scores: Float32, count: int) -> list
         if not alike.any():
             chosen.append(int(find))
     return chosen
-
-
-def _camera(view: Camera, middle: Float64, place: Float64, turn: float, scale: float, shape: tuple[int, ...]) -> Camera:
-    """The view's camera turned about its axis by `turn` radians, its lens longer by `scale`, and swung round so that
-    what it shows at `middle` appears at `place`, pixels, of a picture of this shape."""
-    height, width = shape[:2]
-    focal = view.K[0, 0] * scale
-    roll = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    was = np.array([*((middle - view.K[:2, 2]) / view.K[0, 0]), 1.0])
-    now = np.array([*((place - (width / 2, height / 2)) / focal), 1.0])
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = _between(roll @ was, now) @ roll
-    K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    return Camera(viewmat @ view.viewmat, K, width, height)
-
-
-def _between(a: Float64, b: Float64) -> Float64:
-    """(3, 3) the shortest rotation from one direction to another, less than half a turn apart."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    v = np.cross(a, b)
-    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + a @ b))

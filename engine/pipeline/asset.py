@@ -17,16 +17,13 @@ from engine.pipeline.choosing import Choice
 from engine.pipeline.groundwork import Groundwork
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import Extent, make_rig
+from engine.pipeline.rigs import LANDMARK_SIZE, Extent, make_rig
 from engine.pipeline.scenes import ViewSet
 from engine.pipeline.settling import Grained, settle_grain
 from engine.pipeline.variant import Variant
 from engine.records.header import Arrays
 
-__all__ = ["LANDMARK_SIZE", "Asset", "bank_of"]
-
-LANDMARK_SIZE = (640, 480)
-"""Pixels of a view of the landmark bank."""
+__all__ = ["Asset", "bank_of"]
 
 
 @dataclass(frozen=True, eq=False)

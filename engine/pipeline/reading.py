@@ -17,7 +17,7 @@ from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_search import ViewEdges, describe_views, thinned
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import make_rig
+from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.strength import add_dc
 from engine.raster import RasterSettings, View, prepare_view, render, sh_colors
@@ -141,11 +141,12 @@ def read_pictures(
         raise InputError(f"{len(images)} pictures but {len(cameras)} cameras")
     parts, notes = [], []
     edges = cache(lambda: describe_views(*_many_views(opened.reference)))
+    bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
-                found = _find(image, opened, edges)
+                found = _find(image, opened, edges, bank())
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
@@ -213,10 +214,19 @@ def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:
     return thinned(model, MOST_SEEN), make_rig(model, EDGE_VIEWS, *EDGE_SIZE)
 
 
-def _find(image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges]) -> FoundCamera | None:
+def _bank_views(opened: OpenedRecord) -> list[Camera]:
+    """Where the record's landmarks were seen from: the views of an unpruned model to the last digit."""
+    if opened.landmarks is None or not len(opened.landmarks):
+        return []
+    return make_rig(opened.reference, int(opened.landmarks.views.max()) + 1, *LANDMARK_SIZE)
+
+
+def _find(
+    image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges], bank: Sequence[Camera]
+) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")
-    return find_camera(opened.landmarks, opened.reference, image, edges=edges)
+    return find_camera(opened.landmarks, opened.reference, image, edges=edges, bank=bank)
 
 
 def _nothing(opened: OpenedRecord) -> Evidence:

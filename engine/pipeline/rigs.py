@@ -19,6 +19,9 @@ GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 FIELD_OF_VIEW = 0.85
 """Horizontal field of view of generated views, radians (about 49 degrees: a phone's main lens)."""
 
+LANDMARK_SIZE = (640, 480)
+"""Pixels of a view of the landmark bank."""
+
 ROOM_EMPTINESS = 0.03
 """A model is a room when less than this share of its visible area lies within 45 % of its radius."""
 

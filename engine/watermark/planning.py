@@ -136,7 +136,8 @@ def make_plan(
 
 def _surprise(missed: Float64, directions: Float64, exponent: float) -> Float64:
     """(M, R) factors on amplitudes: how badly the colour is guessed along each carrier, against what is usual."""
-    off = np.sqrt(np.einsum("ri,mij,rj->mr", directions, missed, directions))
+    # Of a model in one colour nothing is missed, and rounding may make that less than nothing.
+    off = np.sqrt(np.maximum(np.einsum("ri,mij,rj->mr", directions, missed, directions), 0.0))
     usual = np.maximum(np.median(off, axis=0), 1e-12)
     return np.asarray(np.clip(off / usual, *SURPRISE) ** exponent)
 

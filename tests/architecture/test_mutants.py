@@ -23,11 +23,13 @@ def test_every_mutation_is_a_program_and_its_tests_exist() -> None:
     table = read_table()
     assert len(table) > 75
     assert {mutant.part for mutant in table} == {
+        "catalogue",
         "compress",
         "registration",
         "watermark",
         "pipeline",
         "records",
+        "service",
         "pictures",
         "statistics",
         "numerics",

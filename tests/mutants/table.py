@@ -21,7 +21,9 @@ class Mutant:
     @property
     def part(self) -> str:
         """What its score counts for: statistics, or the folder of the engine."""
-        return "statistics" if self.path.stem == "statistics" else self.path.parts[1]
+        if self.path.stem == "statistics":
+            return "statistics"
+        return self.path.parts[1] if self.path.parts[0] == "engine" else self.path.parts[0]
 
 
 def read_table() -> list[Mutant]:

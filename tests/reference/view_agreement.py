@@ -1,4 +1,4 @@
-"""Votes that agree, one pair and one vote at a time: what `engine.catalogue.view_agreement` does in a kernel."""
+"""Votes that agree, one pair and one vote at a time: what `engine.pictures.view_agreement` does in a kernel."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from engine.catalogue.view_agreement import APART, LARGEST, MOST, SMALLEST, TOLERANCE
 from engine.model import Float64, Int64
+from engine.pictures.view_agreement import APART, LARGEST, MOST, SMALLEST, TOLERANCE
 
 
 def agreement_slowly(view: Int64, spots: Float64, places: Float64, gain: Float64) -> tuple[Int64, Float64]:
@@ -27,7 +27,7 @@ def _best(spots: Float64, places: Float64, gain: Float64) -> float:
         carried = (w[j] - w[i]) / (z[j] - z[i]) * (z - z[i]) + w[i]
         used: set[tuple[str, float, float]] = set()
         total = 0.0
-        for k in np.flatnonzero(np.abs(carried - w) <= TOLERANCE):
+        for k in np.flatnonzero(np.abs(carried - w) <= TOLERANCE * min(1.0, dw / dz) ** 0.5):
             who = {(kind, p.real // 3, p.imag // 3) for kind, p in (("spot", z[k]), ("place", w[k]))}
             if not used & who:
                 used |= who

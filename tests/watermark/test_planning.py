@@ -27,6 +27,15 @@ def test_amplitudes_have_the_common_median_and_are_positive() -> None:
     assert (plan.layout.amplitudes > 0).all()
 
 
+def test_where_nothing_is_missed_amplitudes_are_usual() -> None:
+    """A model in one colour: what its neighbours do not tell is nothing, or by rounding less than nothing."""
+    stages, impact = scene()
+    missed = np.tile(-1e-20 * np.eye(3), (len(stages[0].codebook), 1, 1))
+    plan = make_plan(stages, impact, PlanConfig(), missed=missed)
+    assert np.isfinite(plan.layout.amplitudes).all()
+    assert (plan.layout.amplitudes > 0).all()
+
+
 def test_views_get_about_the_same_energy() -> None:
     stages, impact = scene()
     energy = make_plan(stages, impact).energies.sum(axis=1)

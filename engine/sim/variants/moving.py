@@ -20,12 +20,11 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel, Int64
 from engine.pictures.landmarks import make_landmarks
-from engine.pipeline.asset import LANDMARK_SIZE
 from engine.pipeline.derivation import derivation_of_model
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
-from engine.pipeline.rigs import GOLDEN_ANGLE, make_rig
+from engine.pipeline.rigs import GOLDEN_ANGLE, LANDMARK_SIZE, make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.variant import Variant
 from engine.pipeline.verification import Verification, verify_images, verify_model

@@ -6,11 +6,13 @@ there. A picture of the asset puts many votes into one view of 48, in their plac
 
 # mypy: allow-untyped-defs
 
+import math
+
 import numba
 import numpy as np
 
 from engine.model import Float64, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, parallel_kernel, parallel_section
 
 __all__ = ["agreement_of_views"]
 
@@ -21,15 +23,45 @@ MOST = 64
 APART = 8.0
 """Least distance of the two votes that say how a view was turned, sized and shifted, pixels."""
 TOLERANCE = 20.0
-"""How far a place may lie from where it should be, pixels of a view of 640: another view point moves what is nearer."""
+"""How far a place may lie from where it should be, pixels of a view of 640: another view point moves what is nearer.
+Less where the picture shows a part of the view, large: by the square root of how much larger."""
 SMALLEST, LARGEST = 0.1, 10.0
 """Sizes of the picture in the view."""
 
 
+@inlined
+def _reach(a, b):
+    """Squared error that is allowed, pixels of the view."""
+    return TOLERANCE * TOLERANCE * min(1.0, math.sqrt(a * a + b * b))
+
+
+@inlined
+def _fitted(carried, begin, end, x, y, u, v, gain):
+    """Moves a map (4,) to the one that carries what it carries with the least squares of errors."""
+    a, b, c, d = carried
+    tolerance = _reach(a, b)
+    total, mx, my, mu, mv, square, along, across = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(begin, end):
+        off_u, off_v = a * x[k] - b * y[k] + c - u[k], b * x[k] + a * y[k] + d - v[k]
+        if off_u * off_u + off_v * off_v <= tolerance:
+            g = gain[k]
+            total += g
+            mx, my, mu, mv = mx + g * x[k], my + g * y[k], mu + g * u[k], mv + g * v[k]
+            square += g * (x[k] * x[k] + y[k] * y[k])
+            along += g * (u[k] * x[k] + v[k] * y[k])
+            across += g * (v[k] * x[k] - u[k] * y[k])
+    square -= (mx * mx + my * my) / total
+    along -= (mu * mx + mv * my) / total
+    across -= (mv * mx - mu * my) / total
+    a, b = along / square, across / square
+    carried[0], carried[1] = a, b
+    carried[2], carried[3] = (mu - a * mx + b * my) / total, (mv - b * mx - a * my) / total
+
+
 @parallel_kernel
-def _agreements(starts, x, y, u, v, spot, place, gain, best):
+def _agreements(starts, x, y, u, v, spot, place, gain, best, maps):
     """best (V,) of each slice of votes: the loudest sum that one map of (x, y) to (u, v) carries over, each spot and
-    each place counted once."""
+    each place counted once; and those maps (V, 4)."""
     for n in numba.prange(len(starts) - 1):
         begin, end = starts[n], starts[n + 1]
         most = 0.0
@@ -42,12 +74,13 @@ def _agreements(starts, x, y, u, v, spot, place, gain, best):
                 if there < SMALLEST * SMALLEST * here or there > LARGEST * LARGEST * here:
                     continue
                 a, b = (du * dx + dv * dy) / here, (dv * dx - du * dy) / here
+                tolerance = _reach(a, b)
                 total = 0.0
                 spots, places = np.uint64(0), np.uint64(0)
                 for k in range(begin, end):
                     off_u = a * (x[k] - x[i]) - b * (y[k] - y[i]) + u[i] - u[k]
                     off_v = b * (x[k] - x[i]) + a * (y[k] - y[i]) + v[i] - v[k]
-                    if off_u * off_u + off_v * off_v > TOLERANCE * TOLERANCE:
+                    if off_u * off_u + off_v * off_v > tolerance:
                         continue
                     one = np.uint64(1)
                     mine, its = one << np.uint64(spot[k]), one << np.uint64(place[k])
@@ -56,12 +89,18 @@ def _agreements(starts, x, y, u, v, spot, place, gain, best):
                     spots |= mine
                     places |= its
                     total += gain[k]
-                most = max(most, total)
+                if total > most:
+                    most = total
+                    maps[n, 0], maps[n, 1] = a, b
+                    maps[n, 2], maps[n, 3] = u[i] - a * x[i] + b * y[i], v[i] - b * x[i] - a * y[i]
         best[n] = most
+        if most > 0.0:
+            _fitted(maps[n], begin, end, x, y, u, v, gain)
 
 
-def agreement_of_views(view: Int64, spots: Float64, places: Float64, gain: Float64) -> tuple[Int64, Float64]:
-    """The views (V,) that were voted for, ascending, and how much of the votes for each agrees (V,).
+def agreement_of_views(view: Int64, spots: Float64, places: Float64, gain: Float64) -> tuple[Int64, Float64, Float64]:
+    """The views (V,) that were voted for, ascending, how much of the votes for each agrees (V,), and the maps (V, 4)
+    that they agree on: a, b, c, d of u = a x - b y + c, v = b x + a y + d.
 
     Parameters
     ----------
@@ -79,10 +118,10 @@ def agreement_of_views(view: Int64, spots: Float64, places: Float64, gain: Float
     begin = np.append(np.unique(view[order], return_index=True)[1], len(order)).astype(np.int64)
     x, y = np.ascontiguousarray(spots[order].T)
     u, v = np.ascontiguousarray(places[order].T)
-    best = np.zeros(len(names))
+    best, maps = np.zeros(len(names)), np.zeros((len(names), 4))
     with parallel_section():
-        _agreements(begin, x, y, u, v, _numbered(x, y, begin), _numbered(u, v, begin), gain[order], best)
-    return names, best
+        _agreements(begin, x, y, u, v, _numbered(x, y, begin), _numbered(u, v, begin), gain[order], best, maps)
+    return names, best, maps
 
 
 def _numbered(x: Float64, y: Float64, starts: Int64) -> Int64:

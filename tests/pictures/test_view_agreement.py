@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.catalogue.view_agreement import MOST, agreement_of_views
 from engine.model import Float64, Int64
+from engine.pictures.view_agreement import MOST, agreement_of_views
 from tests.reference.view_agreement import agreement_slowly
 
 
@@ -29,8 +29,11 @@ def test_the_kernel_says_what_the_slow_twin_says(seed: int, count: int) -> None:
 
 def test_what_lies_as_it_lay_is_louder_than_what_does_not() -> None:
     view, spots, places, gain = votes(4, 200)
-    names, best = agreement_of_views(view, spots, places, gain)
+    names, best, maps = agreement_of_views(view, spots, places, gain)
     assert names[np.argmax(best)] == 7
+    a, b, c, d = maps[np.argmax(best)]
+    assert abs(complex(a, b) - 0.6 * np.exp(2j)) < 0.05
+    assert abs(complex(c, d) - (300 + 200j)) < 25
     assert best.max() > 3 * np.sort(best)[-2]
 
 
@@ -38,7 +41,7 @@ def test_many_keypoints_on_one_place_count_once() -> None:
     rng = np.random.default_rng(0)
     spots = np.concatenate([[[0.0, 0.0]], 300 + rng.uniform(0, 20, (40, 2))])
     places = np.concatenate([[[0.0, 0.0]], np.full((40, 2), 301.0)])
-    _, best = agreement_of_views(np.zeros(41, np.int64), spots, places, np.ones(41))
+    _, best, _ = agreement_of_views(np.zeros(41, np.int64), spots, places, np.ones(41))
     assert best[0] == 2.0
 
 
@@ -47,5 +50,5 @@ def test_only_so_many_votes_of_a_view_are_looked_at() -> None:
     spots = rng.permutation(
         np.stack(np.meshgrid(np.arange(0, 300, 10.0), np.arange(0, 300, 10.0)), axis=2).reshape(-1, 2)
     )
-    _, best = agreement_of_views(np.zeros(len(spots), np.int64), spots, spots, np.ones(len(spots)))
+    _, best, _ = agreement_of_views(np.zeros(len(spots), np.int64), spots, spots, np.ones(len(spots)))
     assert best[0] == MOST
