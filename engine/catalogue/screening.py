@@ -14,6 +14,7 @@ __all__ = ["Likeness", "screen_model", "screen_pictures"]
 COMPARED = 32
 """Assets whose sketches are compared with a model, 5 to 15 ms each; as many again while there are alike ones among
 them, so that nobody hides an asset behind near copies of it."""
+MOST_COMPARED = 256
 SHOWN = 1.0
 """Agreeing votes from which a picture shows an asset. Among 1,258 assets those of strangers reached 0.7."""
 
@@ -31,7 +32,7 @@ def screen_model(catalogue: Catalogue, suspect: SuspectIndex, among: Container[s
     """The likeliest assets that a model comes from, of those in question (all where None), the likeliest first."""
     names = [name for name in catalogue.like_model(suspect) if among is None or name in among]
     found: list[Likeness] = []
-    for begin in range(0, len(names), COMPARED):
+    for begin in range(0, min(len(names), MOST_COMPARED), COMPARED):
         votes = [(name, suspect.resemblance(catalogue.sketch(name))) for name in names[begin : begin + COMPARED]]
         found += [Likeness(name, float(count), count >= ALIKE) for name, count in votes]
         if max(count for _, count in votes) < ALIKE:

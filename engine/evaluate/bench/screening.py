@@ -125,10 +125,11 @@ def _inserted(piece: GaussianModel, host: GaussianModel, rng: np.random.Generato
 def _pictures(model: GaussianModel, rng: np.random.Generator) -> Iterator[Float32]:
     """JPEG 80 files of any view, roll and background, a quarter of them mirrored."""
     extent = measure_extent(model)
+    flat = extent.axes[1] <= 0.2 * max(extent.axes[0], extent.axes[2])  # seen from the air, as it was captured
     for _ in range(PICTURES):
         width, height = SIZES[int(rng.integers(len(SIZES)))]
         lens = np.radians(rng.uniform(30.0, 75.0))
-        toward = direction(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 60.0)))
+        toward = direction(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(20.0, 75.0) if flat else rng.uniform(-5.0, 60.0)))
         distance = extent.radius / np.sin(0.5 * lens) / np.exp(rng.uniform(np.log(0.6), np.log(2.0)))
         target = extent.center + 0.2 * extent.radius * rng.normal(size=3)
         roll = rng.uniform(-np.pi, np.pi)
