@@ -199,8 +199,8 @@ class _Finder:
         return finalists
 
     def _closer(self, camera: Camera, mirrored: bool) -> _Candidate | None:
-        """What the picture's keypoints and those of a render from this camera agree on."""
-        closer = look_closer(self._model, self._seen(mirrored), self._size, camera)
+        """What the picture and a render from this camera agree on."""
+        closer = look_closer(self._model, self._greys[mirrored], camera)
         return None if closer is None else _Candidate(closer.camera, mirrored, closer.support)
 
     def best(self, candidates: Iterable[_Candidate], best: _Candidate | None = None) -> _Candidate | None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import Camera, Float32, Float64, GaussianModel, Int64
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
 from engine.pictures.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.pictures.features import Keypoints, detect_keypoints
 from engine.pictures.landmark_matching import match_landmarks, match_projected
 from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.raster import render_depth
 
 __all__ = ["Look", "keypoints_of", "look_closer", "resized"]
 
@@ -34,6 +35,10 @@ GUIDED, GUIDED_FAR = (1.0, 1.0, 0.5), (4.0, 2.0, 1.0, 0.5)
 """Tolerances of the rounds of guided matching, in that of an inlier: from matches, and from a view that looks alike."""
 CLOSER_SIZE = 640
 """Longer side of the render whose keypoints a picture is matched to from a view that looks alike, pixels."""
+GLANCE, VISIBLE = 160, 0.3
+"""Longer side of the render that tells where in the picture the model is, pixels, and the opacity that counts."""
+SURROUNDINGS = 0.15
+"""Margin around it, in its longer side: the camera is not quite right yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,24 +100,85 @@ class Look:
         return self.landmarks.points[landmark].astype(np.float64), self.keypoints.points[keypoint]
 
 
-def look_closer(model: GaussianModel, keypoints: Keypoints, size: tuple[int, int], camera: Camera) -> Hypothesis | None:
-    """The camera that a picture's keypoints and a render from nearly there agree on; None where too few do."""
+def look_closer(model: GaussianModel, grey: Float32, camera: Camera) -> Hypothesis | None:
+    """The camera that a picture's brightness (H, W) and a render from nearly there agree on; None where too few
+    keypoints do.
+
+    They are sought where the render shows the model, and around: those of what lies behind would outnumber its own.
+    """
     found = None
     for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike
-        bank = make_landmarks(model, [camera.with_side(CLOSER_SIZE)])
-        closer = Look(keypoints, bank, size, ()).guided(camera, factors) if len(bank) else None
+        window = Window.around(model, camera)
+        if window is None:
+            return found
+        near = window.of(camera)
+        part = resized(grey[window.rows, window.columns], near.width, near.height)
+        bank = make_landmarks(model, [near.with_side(CLOSER_SIZE)])
+        seen = keypoints_of(part, window.shown)
+        closer = Look(seen, bank, (near.width, near.height), ()).guided(near, factors) if len(bank) else None
         if closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
             return found
-        found, camera = closer, closer.camera
+        camera = window.back(closer.camera)
+        found = replace(closer, camera=camera)
     return found
 
 
-def keypoints_of(grey: Float32) -> Keypoints:
-    """Keypoints of a picture's brightness (H, W), 0..1, of any size."""
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The part of a picture that shows a model and its surroundings, and by how much it is enlarged."""
+
+    rows: slice
+    columns: slice
+    picture: Camera  # of the whole
+    factor: float
+    shown: Bool  # (h, w) of the part, much reduced: the model, and what is near
+
+    @classmethod
+    def around(cls, model: GaussianModel, camera: Camera) -> Window | None:
+        """Where a camera sees the model; None where it does not."""
+        import cv2
+
+        small = camera.with_side(GLANCE)
+        seen = render_depth(model, small)[1] > VISIBLE
+        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        if not len(rows):
+            return None
+        low, high = np.array([rows[0], columns[0]]), np.array([rows[-1], columns[-1]]) + 1
+        margin = int(np.ceil(SURROUNDINGS * (high - low).max()))
+        near = cv2.dilate(seen.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+        low, high = np.maximum(low - margin, 0), np.minimum(high + margin, seen.shape)
+        shown = near[low[0] : high[0], low[1] : high[1]]
+        scale = np.array([camera.height / small.height, camera.width / small.width])
+        (top, left), (bottom, right) = np.floor(low * scale).astype(int), np.ceil(high * scale).astype(int)
+        factor = max(1.0, CLOSER_SIZE / max(bottom - top, right - left))
+        return cls(slice(int(top), int(bottom)), slice(int(left), int(right)), camera, float(factor), shown)
+
+    def of(self, camera: Camera) -> Camera:
+        """The camera of this part of its picture."""
+        K = camera.K.copy()
+        K[:2, 2] -= self.columns.start, self.rows.start
+        K[:2] *= self.factor
+        width, height = (round(self.factor * (part.stop - part.start)) for part in (self.columns, self.rows))
+        return Camera(camera.viewmat, K, width, height)
+
+    def back(self, camera: Camera) -> Camera:
+        """The camera of the whole picture, of this part's."""
+        K = self.picture.K.copy()
+        K[0, 0] = K[1, 1] = camera.K[0, 0] / self.factor
+        return Camera(camera.viewmat, K, self.picture.width, self.picture.height)
+
+
+def keypoints_of(grey: Float32, shown: Bool | None = None) -> Keypoints:
+    """Keypoints of a picture's brightness (H, W), 0..1, of any size; `shown` (h, w) of any size allows them."""
+    import cv2
+
     height, width = grey.shape
     shrink = min(1.0, DETECTION_SIZE / max(height, width))
     small = resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
-    found = detect_keypoints(small, KEYPOINTS)
+    mask = None
+    if shown is not None:
+        mask = cv2.resize(shown.astype(np.uint8), small.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    found = detect_keypoints(small, KEYPOINTS, mask)
     return Keypoints(found.points * (width / small.shape[1], height / small.shape[0]), found.descriptors)
 
 

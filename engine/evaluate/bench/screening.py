@@ -129,7 +129,9 @@ def _pictures(model: GaussianModel, rng: np.random.Generator) -> Iterator[Float3
     for _ in range(PICTURES):
         width, height = SIZES[int(rng.integers(len(SIZES)))]
         lens = np.radians(rng.uniform(30.0, 75.0))
-        toward = direction(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(20.0, 75.0) if flat else rng.uniform(-5.0, 60.0)))
+        toward = direction(
+            rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(20.0, 75.0) if flat else rng.uniform(-5.0, 60.0))
+        )
         distance = extent.radius / np.sin(0.5 * lens) / np.exp(rng.uniform(np.log(0.6), np.log(2.0)))
         target = extent.center + 0.2 * extent.radius * rng.normal(size=3)
         roll = rng.uniform(-np.pi, np.pi)

@@ -1,0 +1,71 @@
+"""A closer look at where the model is: small in a picture full of other things."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from skimage import data
+
+from engine.formats import read_model
+from engine.model import Camera, Float32, GaussianModel
+from engine.pictures.camera_motion import moved, project
+from engine.pictures.features import luma
+from engine.pictures.keypoint_cameras import Window, look_closer
+from engine.pipeline.rigs import make_rig
+from engine.raster import render_depth
+from tests.scenes import PLANT
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return read_model(PLANT).model
+
+
+def small_view(model: GaussianModel, zoom: float) -> Camera:
+    """A view of 1,000 by 800 pixels with the model left of the middle."""
+    base = make_rig(model, 1, 1000, 800, jitter=np.full((1, 4), 0.3))[0]
+    aside = moved(base, np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, np.log(zoom)]), 1.0)
+    return aside
+
+
+def busy(model: GaussianModel, camera: Camera) -> Float32:
+    """(H, W) the view over a wall of bricks, whose keypoints are the stronger ones."""
+    image, alpha, _ = render_depth(model, camera)
+    bricks = np.tile(data.brick().astype(np.float32) / np.float32(255.0), (2, 2))[: camera.height, : camera.width]
+    return luma(image) + (1.0 - alpha) * bricks
+
+
+def test_the_window_holds_the_model_and_goes_back(plant: GaussianModel) -> None:
+    camera = small_view(plant, 0.4)
+    window = Window.around(plant, camera)
+    assert window is not None
+    _, alpha, _ = render_depth(plant, camera)
+    rows, columns = np.nonzero(alpha > 0.6)
+    assert window.rows.start <= rows.min() <= rows.max() < window.rows.stop
+    assert window.columns.start <= columns.min() <= columns.max() < window.columns.stop
+    near = window.of(camera)
+    points = plant.means[::500].astype(np.float64)
+    corner = np.array([window.columns.start, window.rows.start])
+    np.testing.assert_allclose(project(points, near), window.factor * (project(points, camera) - corner), atol=1e-6)
+    again = window.back(near)
+    np.testing.assert_allclose(again.K, camera.K)
+    assert (again.width, again.height) == (1000, 800)
+
+
+def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
+    camera = small_view(plant, 1.0)
+    away = moved(camera, np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
+    assert Window.around(plant, away) is None
+    assert look_closer(plant, busy(plant, camera), away) is None
+
+
+@pytest.mark.parametrize("zoom", [0.4, 0.55])
+def test_a_small_model_among_other_things_is_found_from_nearly_there(plant: GaussianModel, zoom: float) -> None:
+    true = small_view(plant, zoom)
+    grey = busy(plant, true)
+    rough = moved(true, np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03]), 2.0)
+    found = look_closer(plant, grey, rough)
+    assert found is not None
+    assert found.support >= 30
+    points = plant.means[::500].astype(np.float64)
+    assert np.median(np.linalg.norm(project(points, found.camera) - project(points, true), axis=1)) < 1.0
