@@ -36,6 +36,9 @@ __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 LEAST_CORRELATION, SURE_CORRELATION = 0.75, 0.9
 """Correlation of brightness with the render below which the picture shows something else, and above which a camera that
 enough keypoints agree on is the one."""
+LEAST_DETAIL = 0.7
+"""The same of what the render's opacity does not explain: something else in one colour, in the shape of a view, came to
+0.47, pictures of the asset to 0.80 and more."""
 SUPPORTED, ENOUGH = 30, 60
 """Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
 render from nearly there, so that no further view is tried."""
@@ -235,7 +238,7 @@ class _Finder:
             last = size >= min(own, SIZES[-1])
             limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
             refined = self._refined(camera, candidate.mirrored, size, *limits)
-            if refined is None or refined.correlation < LEAST_CORRELATION:
+            if refined is None or refined.correlation < LEAST_CORRELATION or refined.detail < LEAST_DETAIL:
                 return None
             camera = self._full(refined.camera)
         assert refined is not None

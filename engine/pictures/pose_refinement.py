@@ -59,12 +59,14 @@ class Refined:
     """A camera of the level's size and how well its render explains the picture.
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1. `step`: root mean square flow of the last motion, pixels of the level. `pixels`: how many were used.
+    used, -1..1; `detail` the same of what a flat colour of the render's opacity does not explain. `step`: root mean
+    square flow of the last motion, pixels of the level. `pixels`: how many were used.
     """
 
     camera: Camera
     rms: float
     correlation: float
+    detail: float
     step: float
     pixels: int
 
@@ -138,6 +140,7 @@ def refine_level(
         spread = robust_scale(residual[used])
         outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
         correlation = _correlation(toned[used], seen[used])
+        detail = _correlation(*(_beyond(each[used], cover[used]) for each in (toned, seen)))
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
@@ -172,7 +175,7 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
-    return Refined(camera, spread, correlation, step, int(used.sum()))
+    return Refined(camera, spread, correlation, detail, step, int(used.sum()))
 
 
 class Acceleration:
@@ -223,6 +226,11 @@ def _correlation(a: Float32, b: Float32) -> float:
     a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
     both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
     return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
+
+
+def _beyond(values: Float32, cover: Float32) -> Float32:
+    """(M,) values without their best multiple of the cover."""
+    return values - cover * np.float32(np.sum(values * cover) / max(float(np.sum(cover * cover)), 1e-12))
 
 
 def _symmetric(upper: Float64) -> Float64:

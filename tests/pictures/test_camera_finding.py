@@ -267,3 +267,15 @@ def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel) -> N
     tiles = np.random.default_rng(0).random((9, 12, 3)).astype(np.float32)
     seen = describe_views(thinned(plant, 30_000), [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
     assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), edges=lambda: seen) is None
+
+
+def test_the_shape_of_a_view_in_one_colour_is_no_picture_of_it(plant: GaussianModel) -> None:
+    """Soft edges correlate with those of any render; what lies within them does not."""
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    views = [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)]
+    _, alpha, _ = render_depth(plant, views[1])
+    seen = describe_views(thinned(plant, 30_000), views)
+    flat = np.repeat(0.6 * alpha[..., None], 3, axis=2).astype(np.float32)
+    assert find_camera(none, plant, flat, edges=lambda: seen) is None
+    found = find_camera(none, plant, render(plant, views[1]), edges=lambda: seen)
+    assert found is not None, "the view itself is"
