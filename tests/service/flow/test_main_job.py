@@ -193,16 +193,24 @@ def test_a_stranger_cannot_mark_it_again(bob: Client, marked: dict[str, Any]) ->
     assert bob.get("/v1/assets").json()["items"] == []
 
 
-def test_its_owner_can(alice: Client, marked: dict[str, Any]) -> None:
+@pytest.fixture(scope="module")
+def again(alice: Client, marked: dict[str, Any]) -> dict[str, Any]:
+    """Alice's marked model, marked once more."""
     key = alice.post("/v1/keys", json={}).json()["id"]
     job = alice.embed(marked["model"], key_id=key)
     assert job["state"] == "succeeded"
-    assert marked["asset_id"] in job["result"]["already_carries"]
+    return dict(job["result"])
 
 
-def test_a_dispute_is_settled_and_signed(alice: Client, bob: Client, marked: dict[str, Any]) -> None:
+def test_its_owner_can(marked: dict[str, Any], again: dict[str, Any]) -> None:
+    assert marked["asset_id"] in again["already_carries"]
+
+
+def test_a_dispute_is_settled_and_signed(
+    alice: Client, bob: Client, marked: dict[str, Any], again: dict[str, Any]
+) -> None:
     """Two assets of hers, the second made from the first one's marked model: the first came first."""
-    newest = alice.get("/v1/assets").json()["items"][0]["id"]
+    newest = again["asset_id"]
     assert newest != marked["asset_id"]
     asked = {"asset_a": newest, "asset_b": marked["asset_id"]}
     assert bob.post("/v1/disputes", json=asked).status_code == 404
