@@ -16,6 +16,7 @@ from engine.pictures.camera_finding import find_camera
 from engine.pictures.features import luma
 from engine.pictures.landmarks import make_landmarks
 from engine.pictures.pose_refinement import refine_level
+from engine.pictures.view_agreement import agreement_of_views
 from engine.pictures.view_search import describe_views, search_views
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
@@ -93,5 +94,6 @@ def _alignment(advance: _Advance) -> None:
     seen = np.clip(raster.render(model, camera), 0.0, 1.0)
     find_camera(make_landmarks(model, [camera]), model, seen, edges=lambda: describe_views(model, [camera]))
     search_views(describe_views(model, [camera]), seen, 1)
+    agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
     advance(1.0)
