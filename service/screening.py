@@ -22,7 +22,7 @@ from service.jobs.port import Run
 __all__ = ["screen"]
 
 MOST_MISSING = 32
-"""Assets that the kept index may lack; each costs every screening 20 ms."""
+"""Assets that the kept index may lack: every screening reads their entries anew."""
 OUTGROWN = 8
 """An index is learnt anew from all entries when it holds so many times the assets from which it was."""
 
@@ -89,7 +89,7 @@ def _write(
     shutil.move(run.folder / made["folder"], path)
     for old in before:
         shutil.rmtree(old, ignore_errors=True)
-    return _kept(folder)[0] or path, set(json.loads((path / "assets.json").read_text())["names"])
+    return path, set(json.loads((path / "assets.json").read_text())["names"])
 
 
 def _paths(service: Service, run: Run, entries: Mapping[str, str], known: set[str]) -> dict[str, str]:

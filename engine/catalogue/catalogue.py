@@ -30,7 +30,7 @@ PLACE_SPREAD = np.array([0.2, 0.2, 0.2, 0.2, 0.15, 0.12, 0.27, 0.05, 0.05, 0.05]
 FIELDS = {"looks": (len(LOOK_ERRORS), "Flat"), "places": (len(PLACE_SPREAD), "Flat"), "seen": (128, "SQ4")}
 """Length of vectors, and how FAISS keeps them where they are many: in 24, 80 and 64 bytes."""
 TEACHERS = 200
-"""Assets from which the lists are learnt: more teach nothing new."""
+"""Assets from which the lists are learnt, at most."""
 KEYPOINTS = 1500
 """Of a picture, the strongest."""
 VIEWS = 1 << 14

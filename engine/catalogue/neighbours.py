@@ -28,7 +28,7 @@ PER_LIST = 39
 MOST_LISTS, PROBES = 2048, 16
 """Lists that vectors are sorted into, and how many of them are searched."""
 LESSONS = 8
-"""Rounds in which the middles are learnt; twice as many change no rank."""
+"""Rounds in which the middles are learnt."""
 
 
 @dataclass(frozen=True, eq=False)

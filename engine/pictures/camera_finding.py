@@ -112,13 +112,13 @@ def find_camera(
     image: Float32,
     config: CameraConfig = CameraConfig(),
     edges: Callable[[], ViewEdges] | None = None,
-    bank: Sequence[Camera] = (),
+    bank: Callable[[], Sequence[Camera]] | None = None,
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
-    `landmarks` are those of its record and `bank` the views they were seen from, where known; `edges` gives those of
-    views of it (asked only where keypoints do not do). InputError if the picture is not a finite (h, w, 3) image.
+    `landmarks` are those of its record; `bank` gives the views they were seen from, and `edges` those of views of it
+    (asked only where keypoints do not do). InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
         raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
@@ -126,8 +126,8 @@ def find_camera(
         raise InputError("the picture holds values that are not finite")
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
     best = finder.best(finder.by_keypoints())
-    if bank and (best is None or not best.sure):
-        best = finder.best(finder.by_votes(bank), best)
+    if bank is not None and (best is None or not best.sure):
+        best = finder.best(finder.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):
         best = finder.best(finder.by_edges(edges()), best)
     return None if best is None else finder.finish(best)

@@ -146,7 +146,7 @@ def read_pictures(
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
-                found = _find(image, opened, edges, bank())
+                found = _find(image, opened, edges, bank)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
@@ -222,7 +222,7 @@ def _bank_views(opened: OpenedRecord) -> list[Camera]:
 
 
 def _find(
-    image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges], bank: Sequence[Camera]
+    image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges], bank: Callable[[], Sequence[Camera]]
 ) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")

@@ -81,7 +81,7 @@ def test_a_camera_is_found_by_votes_where_no_match_stands_out(monkeypatch: pytes
     picture = np.clip(render(plant, true), 0.0, 1.0)
     monkeypatch.setattr(keypoint_cameras.Look, "hypotheses", lambda look, focals: [])
     assert find_camera(landmarks, plant, picture) is None
-    found = find_camera(landmarks, plant, picture, bank=cameras)
+    found = find_camera(landmarks, plant, picture, bank=lambda: cameras)
     assert found is not None
     points = landmarks.points[landmarks.views == 0].astype(np.float64)
     assert np.median(np.linalg.norm(project(points, found.camera) - project(points, true), axis=1)) < 0.05
