@@ -7,13 +7,13 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration
 from engine.watermark.claim import Claim, ClaimConfig, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.layers import layered_z, only
+from engine.watermark.layers import SCATTERED, layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import decode_paper
 from engine.watermark.power import measured_change
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
-from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail
+from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
 ROUTES = ("auto", "model", "render", "image")
 LEAST_PIECE = 64
@@ -60,8 +60,14 @@ def judge(
     registration: Registration | None = None,
     notes: tuple[str, ...] = (),
     derivation: Derivation = NOT_FOUND,
+    scattered: Evidence | None = None,
 ) -> Claim:
-    """The claim that this evidence supports."""
+    """The claim that this evidence supports, or the same pictures read by their scatter, where that says more.
+
+    All of it must be counted in `tries`.
+    """
+    rate = ClaimConfig.at(config.rate_for(opened.attested))
+    tries = max(tries, config.tries or 1)
     spreading = opened.spreading_of(len(evidence.y))
     transform = None
     if registration is not None:
@@ -83,7 +89,12 @@ def judge(
             notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")
     tint = opened.layout.chips
     layered = layered_z(evidence, spreading.signs(opened.message), tint)
-    asked = only(evidence, layered.strongest, tint)
+    asked, heard = only(evidence, layered.strongest, tint), dict(layered.z)
+    if scattered is not None:
+        other = layered_z(scattered, spreading.signs(opened.message), tint)
+        heard |= {name + SCATTERED: z for name, z in other.z.items()}
+        if other.best > max(layered.best, z_threshold(rate.doubt_rate, tries)):
+            asked = only(scattered, other.strongest, tint)
     claim = decide(
         asked.y,
         asked.weights,
@@ -91,14 +102,14 @@ def judge(
         spreading.bit_of,
         spreading.chips,
         opened.message,
-        tries=max(tries, config.tries or 1),
-        config=ClaimConfig.at(config.rate_for(opened.attested)),
+        tries=tries,
+        config=rate,
         route=route,
         copy=opened.copy,
         derivation=derivation,
         transform=transform,
         notes=notes,
-        layers=layered.z if len(evidence.y) > tint else None,
+        layers=heard if len(heard) > 1 and opened.grain.there else None,
         change=_change(evidence, tint),
     )
     if config.decoder == "paper":

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.pictures.alignment import align_either_hand, align_near
 from engine.pictures.background import find_background
@@ -17,15 +17,14 @@ from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_search import ViewEdges, describe_views, thinned
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
+from engine.pipeline.reference_views import ReferenceViews
 from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
 from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.strength import add_dc
-from engine.raster import RasterSettings, View, prepare_view, render, sh_colors
+from engine.raster import render
 from engine.registration.registering import Registration
 from engine.watermark.grain_evidence import gather_grain_evidence
-from engine.watermark.image_evidence import add_evidence, gather_image_evidence
+from engine.watermark.image_evidence import PictureEvidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
-from engine.watermark.spreading import signed_amplitudes
 
 __all__ = ["Seen", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
 
@@ -81,12 +80,13 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     camera is refined on its picture, and the views by which the model was recognised are read, too.
     """
     if registration.found and not registration.deformed:
-        return Seen(_read_placed(registration.place(suspect), opened, clock), (), True)
+        return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock), opened), (), True)
     if registration.mirrored:
         suspect = mirror_model(suspect)
     cameras = [camera.with_side(RENDER_SIZE) for camera in opened.cameras]
-    parts, notes = [], []
-    moved = suspect
+    said: PictureEvidence | None = None
+    notes = []
+    moved, reference = suspect, ReferenceViews(opened)
     place = None
     if not _in_place(suspect, opened, cameras[0]) and opened.landmarks is not None:
         place = place_by_looking(suspect, opened.reference, opened.landmarks, clock.advance)
@@ -97,27 +97,29 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
-            parts.append(_read_picture(sighting.picture, sighting.found, opened)[0])
+            said = _added(said, _read_picture(sighting.picture, sighting.found, reference)[0])
     for number, camera in enumerate(cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.correlation > LEAST_CORRELATION:
-            parts.append(_read_picture(picture, refined.camera, opened)[0])
+            said = _added(said, _read_picture(picture, refined.camera, reference)[0])
         clock.advance((number + 1) / len(cameras))
-    read = [part for part in parts if part is not None]
-    return Seen(add_evidence(read) if read else _nothing(opened), tuple(notes), bool(read), place is not None)
+    return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
 
 
-def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> Evidence:
+def _read_placed(moved: GaussianModel, opened: OpenedRecord, clock: Clock) -> PictureEvidence | None:
     """Evidence of the pose key's renders of a model that lies where the reference lies, to the last digit."""
-    parts = []
+    said, reference = None, ReferenceViews(opened)
     for number, camera in enumerate(camera.with_side(RENDER_SIZE) for camera in opened.cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
-        view, reference, _, mark, signs = _reference_view(opened, camera)
-        everywhere = np.ones(picture.shape[:2], dtype=bool)
-        parts.append(gather_image_evidence(opened.layout, view, reference, picture, everywhere, mark, signs))
+        said = _added(said, reference.at(camera).read(picture, np.ones(picture.shape[:2], dtype=bool)))
         clock.advance((number + 1) / len(opened.cameras))
-    return add_evidence(parts)
+    return said
+
+
+def _added(said: PictureEvidence | None, part: PictureEvidence | None) -> PictureEvidence | None:
+    """What was said so far, and what one more picture says; None where nothing is."""
+    return said.plus(part) if said is not None and part is not None else said or part
 
 
 def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> bool:
@@ -129,8 +131,9 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
 
 def read_pictures(
     images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
-) -> tuple[Evidence, tuple[str, ...]]:
-    """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, and why one could not be read.
+) -> tuple[Evidence, Evidence, tuple[str, ...]]:
+    """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, read in the two ways of
+    `PictureEvidence`; and why one could not be read.
 
     Cameras that are not given are found from the record's landmarks. The evidence is all zero where no picture could
     be read. InputError if there is no picture, the cameras are not as many, or one must be found without landmarks.
@@ -139,7 +142,9 @@ def read_pictures(
         raise InputError("no picture was given")
     if cameras is not None and len(cameras) != len(images):
         raise InputError(f"{len(images)} pictures but {len(cameras)} cameras")
-    parts, notes = [], []
+    said: PictureEvidence | None = None
+    notes = []
+    reference = ReferenceViews(opened)
     edges = cache(lambda: describe_views(*_many_views(opened.reference)))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
@@ -152,36 +157,36 @@ def read_pictures(
                 continue
             turned = found.mirrored
             with clock.stage("read picture"):
-                evidence = _read_found(found.face(image), found, opened)
+                evidence = _read_found(found.face(image), found, reference)
         else:
             with clock.stage("read picture"):
-                evidence, turned = _read_picture(image, camera, opened)
+                evidence, turned = _read_picture(image, camera, reference)
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
-        parts.append(evidence)
+        said = _added(said, evidence)
         if turned:
             notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
-    return add_evidence(parts) if parts else _nothing(opened), tuple(notes)
+    scattered = _nothing(opened) if said is None else said.by_scatter(opened.strength)
+    return _evidence(said, opened), scattered, tuple(notes)
 
 
-def _read_picture(image: Float32, camera: Camera, opened: OpenedRecord) -> tuple[Evidence | None, bool]:
+def _read_picture(image: Float32, camera: Camera, reference: ReferenceViews) -> tuple[PictureEvidence | None, bool]:
     """Evidence of one picture from a known camera, None where it does not fit that camera's view; and whether it was
     turned over to fit."""
-    view, reference, _, mark, signs = _reference_view(opened, camera)
-    alignment = align_either_hand(reference, image)
+    view = reference.at(camera)
+    alignment = align_either_hand(view.plain, image)
     if alignment is None:
         return None, False
-    seen = (alignment.warped, alignment.mask)
-    return gather_image_evidence(opened.layout, view, reference, *seen, mark, signs), alignment.mirrored
+    return view.read(alignment.warped, alignment.mask), alignment.mirrored
 
 
-def _read_found(image: Float32, found: FoundCamera, opened: OpenedRecord) -> Evidence | None:
+def _read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
     """Evidence of a picture whose camera was found, whatever it shows behind the model."""
-    view, reference, alpha, mark, signs = _reference_view(opened, found.camera, found.drawn)
-    behind = find_background(image, alpha)
+    view = reference.at(found.camera, found.drawn)
+    behind = find_background(image, view.alpha)
     through = None if behind is None else behind.through
-    alignment = align_near(reference, image if through is None else image - through)
+    alignment = align_near(view.plain, image if through is None else image - through)
     if alignment is None:
         return None
     warped, mask = alignment.warped, alignment.mask
@@ -191,22 +196,7 @@ def _read_found(image: Float32, found: FoundCamera, opened: OpenedRecord) -> Evi
             warped = image
         else:
             through = None
-    return gather_image_evidence(opened.layout, view, reference, warped, mask, mark, signs, through)
-
-
-def _reference_view(
-    opened: OpenedRecord, camera: Camera, settings: RasterSettings = RasterSettings()
-) -> tuple[View, Float32, Float32, Float32, Float64]:
-    """Prepared view, clipped render of the reference, its opacity, what the mark adds, and the signs of its chips."""
-    signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
-    marked_sh = add_dc(opened.reference.sh, opened.layout.displace(signed))
-    view = prepare_view(opened.reference, camera, settings)
-    position = camera.position.astype(np.float32)
-    (plain, alpha), (marked, _) = (
-        view.render(sh_colors(sh, opened.reference.means, position)) for sh in (opened.reference.sh, marked_sh)
-    )
-    plain, marked = np.clip(plain, 0.0, 1.0), np.clip(marked, 0.0, 1.0)
-    return view, plain, alpha, marked - plain, np.sign(signed)
+    return view.read(warped, mask, through)
 
 
 def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:
@@ -229,6 +219,10 @@ def _find(
     return find_camera(opened.landmarks, opened.reference, image, edges=edges, bank=bank)
 
 
+def _evidence(said: PictureEvidence | None, opened: OpenedRecord) -> Evidence:
+    return _nothing(opened) if said is None else said.evidence(opened.strength)
+
+
 def _nothing(opened: OpenedRecord) -> Evidence:
-    zero = np.zeros(opened.layout.chips)
+    zero = np.zeros(opened.layout.chips + opened.grain.chips(len(opened.reference)))
     return Evidence(zero, zero, zero)

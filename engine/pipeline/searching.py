@@ -1,7 +1,7 @@
 """The search: which record's mark is in this suspect? Hypotheses, tries, routes and ranking, once (DESIGN 4.9).
 
-1. What is asked is fixed, and counted: every record along every route at every place is a try, walked or not; of a
-   model it is three, both layers of the mark together and each alone.
+1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
+   both layers of the mark together and each alone. Of pictures it is six: they are read in two ways.
 2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
 3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
 4. What a route says is added to what those before it said, never chosen over it.
@@ -45,6 +45,10 @@ __all__ = [
 ]
 
 
+PICTURE_WAYS = 2
+"""Pictures are read with every chip saturated, and by their scatter."""
+
+
 @dataclass(frozen=True, eq=False)
 class Suspect:
     """What is looked at: one model, or pictures of one."""
@@ -80,6 +84,8 @@ class Reading:
     notes: tuple[str, ...]  # for the reader of the claim
     shown: bool  # whether the asset was found in the suspect
     derivation: Derivation  # the same, with how much of it and where
+    pictures: Evidence | None = None  # what pictures of it alone say
+    scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
 
     @property
     def derived_fraction(self) -> float | None:
@@ -107,8 +113,8 @@ def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, place
     A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
     one asked for. A registration's own hypotheses were weighed without the chips and are none.
     """
-    asked = sum(1 if route == "image" else len(LAYERS) for route in routes)
-    return max(records * asked * places, config.tries or 1)
+    ways = sum(PICTURE_WAYS if route == "image" else 1 for route in routes)
+    return max(records * ways * len(LAYERS) * places, config.tries or 1)
 
 
 def readings(
@@ -119,11 +125,11 @@ def readings(
     The routes are those of `Suspect.routes`, the seed that of the registration's trials.
     """
     if suspect.model is None:
-        evidence, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
+        evidence, scattered, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
         # Each picture in which the asset was not found left one note that begins so.
         seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
-        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight)
+        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight, evidence, scattered)
         return
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
@@ -141,7 +147,8 @@ def readings(
                 evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
                 sight = derivation_of_sight(matched, renders.recognised)
                 asked = "both" if both else route
-                reading = Reading(asked, evidence, registration, renders.notes, renders.shown, sight)
+                said_all = evidence, registration, renders.notes, renders.shown, sight
+                reading = Reading(asked, *said_all, renders.evidence)
         yield reading
 
 
@@ -170,6 +177,7 @@ def verify(
                 reading.registration,
                 reading.notes,
                 reading.derivation,
+                reading.scattered,
             )
             tried = tuple(dict.fromkeys((*tried, *claim.notes)))
         found = reading.registration is not None and reading.registration.found

@@ -75,6 +75,7 @@ class _Asset:
     def __init__(self, suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock) -> None:
         self._suspect = suspect
         self._readings = readings(suspect, opened, routes, seed, clock)
+        self._tint = opened.layout.chips  # of the copy that it is read as
         self._grain: Evidence | None = None
         self.reading: Reading | None = None
         self.records: list[str] = []
@@ -89,6 +90,8 @@ class _Asset:
         reading = self.reading
         assert reading is not None
         pictures = gather_again(opened.layout, reading.evidence.pulled)
+        if reading.pictures is not None:  # copies have other cells, and the same grain
+            pictures = pictures.then(reading.pictures.behind(self._tint))
         if reading.route in ("image", "render"):
             return pictures
         assert self._suspect.model is not None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Float32, Float64, GaussianModel, Int32, Int64
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
 from engine.registration.candidates import sample_rows
 from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
@@ -46,6 +46,40 @@ class SizedMatcher:
             found, quality[mine] = matcher.pair(suspect.take(mine), fit, deviations)
             matches[mine] = np.where(found >= 0, rows[found], -1)
         return matches, quality
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `times` (K,)
+    1 or more."""
+
+    edges: Float64
+    times: Float64
+
+    def factors(self, suspect: GaussianModel, fit: Similarity) -> Float32:
+        """(n,) what the usual error of position is to be multiplied with."""
+        home = np.searchsorted(self.edges, _sizes(suspect) + np.log(fit.scale))
+        return np.asarray(self.times[home].astype(np.float32))
+
+
+def growth_in_order(
+    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations, alike: Bool
+) -> Growth:
+    """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
+
+    Only what lies within OWN_SIZE is asked and believed: what looks like its namesake elsewhere is another.
+    """
+    sizes = _sizes(suspect) + np.log(fit.scale)
+    error = np.abs(fit.apply(suspect.means) - reference.means)
+    near = alike & (error <= OWN_SIZE * np.exp(sizes)[:, None]).all(axis=1)
+    edges = np.quantile(sizes, np.arange(1, CLASSES) / CLASSES)
+    home = np.searchsorted(edges, sizes)
+    times = np.ones(CLASSES)
+    for number in range(CLASSES):
+        mine = error[near & (home == number)]
+        if len(mine) >= LEAST_PAIRS:
+            times[number] = max(1.0, float(np.max(np.quantile(mine, 0.9, axis=0) / 1.645 / deviations.position)))
+    return Growth(edges, times)
 
 
 def by_size(

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from engine.model import Float32, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.candidates import sample_rows
-from engine.registration.classes import SizedMatcher
+from engine.registration.classes import Growth, SizedMatcher, growth_in_order
 from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
 
 ROUNDS = 8
@@ -24,6 +24,9 @@ CLIPPED = 0.001
 """Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
 ORDER_ROUNDS = 4
 """Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
+STRAYS = 0.001
+"""Share of pairs in order without trust that nobody looks for elsewhere: to lay the reference out costs more time than
+all else."""
 DECOYS = 3
 """The right similarity must explain more than wrong ones of the same scale at the same place."""
 
@@ -197,26 +200,43 @@ def same_order(
     looks = [yes for yes, told in zip(agrees[1:], tells[1:], strict=True) if told]
     if not (tells[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
         return None
+    before = 0
     for _ in range(ORDER_ROUNDS):
         agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
-        if len(agreeing) == len(rows):
+        if len(agreeing) in (len(rows), before):
             break
+        before = len(agreeing)
         fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
         deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
-    quality = _order_quality(reference, suspect, fit, deviations)
+    growth = growth_in_order(ref, sus, fit, deviations, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
+    quality = _order_quality(reference, suspect, fit, deviations, growth)
     # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
-    matcher = None if quality.all() else Matcher(reference, deviations)
+    strays = float((quality == 0).mean())
+    matcher = None if strays <= STRAYS else Matcher(reference, deviations)
     return Verdict(fit, matcher, deviations, quality)
 
 
 def _order_quality(
-    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    fit: Similarity,
+    deviations: Deviations,
+    growth: Growth | None = None,
+    *,
+    placed: bool = True,
 ) -> Float32:
-    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i."""
+    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i, by where it lies only if `placed`.
+
+    `growth` tells by how much errors of position grow with the Gaussians.
+    """
     origin = np.zeros(3)
     a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
     b = joint_vectors(suspect, fit, deviations, origin)
     error2 = np.square(a - b)
+    if not placed:
+        error2[:, :3] = 0.0
+    elif growth is not None:
+        error2[:, :3] /= np.square(growth.factors(suspect, fit))[:, None]
     usual, limit = float(chdtri(10, 0.5)), 4.0 * float(chdtri(10, 1e-3))
     distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
     return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))

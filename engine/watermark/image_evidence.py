@@ -2,10 +2,13 @@
 
 The residual is weighted (its subbands by how reliable they look, or by the exact score of the JPEG quantiser it
 went through), pulled back by the rasterizer's VJP, and summed over the members of each code vector. Inputs are the
-suspect and the unmarked reference alone, never a chip.
+suspect and the unmarked reference alone, never a chip. The grain's chips are read from the same residual
+(`grain_pictures`).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +18,8 @@ from engine.pictures.light import fit_colors
 from engine.pictures.residual import image_cotangent
 from engine.pictures.tone_curve import Toned
 from engine.raster import View
+from engine.watermark.grain import ATTRIBUTES
+from engine.watermark.grain_pictures import GrainView
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import public_signs
@@ -22,6 +27,96 @@ from engine.watermark.spreading import public_signs
 CLIP = 8.0
 """Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
 (fog, a wall) would otherwise outweigh thousands."""
+ALIKE = 16
+"""Classes of equally many chips of like response, whose scatter is measured together."""
+
+
+@dataclass(frozen=True, eq=False)
+class PictureEvidence:
+    """What pictures say of every chip, (C,) each, in units of precision times displacement: of several it is the sum.
+
+    Each is there as it came and saturated (`held_...`), so that no chip speaks for a thousand. The responses are what y
+    loses where the reference carries a mark of public signs: how loudly each chip would speak, whatever its secret is.
+    """
+
+    parts: tuple[tuple[int, int], ...]  # of each layer, how many chips it has, of how many kinds that take turns
+    weights: Float64  # amplitudes: the matched filter's
+    y: Float64
+    response: Float64
+    held_y: Float64
+    held_response: Float64
+    pulled: tuple[Float32, ...]  # (N, 3) of each picture: see `Evidence`
+
+    def plus(self, other: "PictureEvidence") -> "PictureEvidence":
+        """Those of two sets of pictures of one asset, together.
+
+        Both have the same weights (the plan's), so the sum of w y per chip is a fixed function of the suspect pictures
+        and each secret sign still enters once: the theorem of 4.9 stands.
+        """
+        return PictureEvidence(
+            self.parts,
+            self.weights,
+            self.y + other.y,
+            self.response + other.response,
+            self.held_y + other.held_y,
+            self.held_response + other.held_response,
+            self.pulled + other.pulled,
+        )
+
+    def evidence(self, strength: float = 1.0) -> Evidence:
+        """Every chip saturated; `strength` times the amplitudes is what is expected."""
+        layers = self._layers(self.held_y, self.held_response)
+        return self._together(layers, strength)
+
+    def by_scatter(self, strength: float = 1.0) -> Evidence:
+        """The same pictures read otherwise: chips of like response count for what their own scatter leaves of it.
+
+        What an attacker's washing left is loud in a few chips and noise in the rest; of untouched pictures this reads
+        less. Both are asked, and counted.
+        """
+        layers = self._layers(self.y, self.response)
+        spread = [_by_scatter(layer, kinds) for layer, (_, kinds) in zip(layers, self.parts, strict=True)]
+        return self._together(spread, strength)
+
+    def _layers(self, y: Float64, response: Float64) -> list[Evidence]:
+        ends = np.cumsum([0, *(chips for chips, _ in self.parts)])
+        each = [slice(a, b) for a, b in pairwise(ends)]
+        return [Evidence(y[part], self.weights[part], response[part]) for part in each]
+
+    def _together(self, layers: Sequence[Evidence], strength: float) -> Evidence:
+        first, *others = layers
+        for other in others:
+            first = first.then(_balanced(other, layers[0]))
+        return replace(first, signal=strength * first.signal, pulled=self.pulled)
+
+
+def _balanced(grain: Evidence, tint: Evidence) -> Evidence:
+    """The grain's evidence scaled so that each layer counts for what it should show: z over the norm of each."""
+    (z_tint, norm_tint), (z_grain, norm_grain) = _promise(tint), _promise(grain)
+    if not z_grain > 0:
+        return Evidence(grain.y, np.zeros_like(grain.weights), grain.signal)
+    times = z_grain / z_tint * norm_tint / norm_grain if z_tint > 0 else 1.0
+    return Evidence(times * grain.y, grain.weights, times * grain.signal)
+
+
+def _promise(layer: Evidence) -> tuple[float, float]:
+    """z that a layer would show by its response, and the norm that it would be divided by."""
+    norm = float(np.linalg.norm(layer.evidence))
+    return (float(layer.weights @ layer.signal) / norm if norm > 0 else 0.0), norm
+
+
+def _by_scatter(layer: Evidence, kinds: int) -> Evidence:
+    """A layer whose chips of like response are scaled by response over scatter: the matched filter, as measured."""
+    scale = np.zeros_like(layer.y)
+    shown, answer = layer.evidence, layer.weights * layer.signal
+    for kind in range(kinds):
+        seen = kind + kinds * np.flatnonzero(answer[kind::kinds])
+        loud = np.abs(answer[seen])
+        alike = np.searchsorted(np.quantile(loud, np.arange(1, ALIKE) / ALIKE), loud) if len(seen) else loud.astype(int)
+        expected = np.bincount(alike, answer[seen], ALIKE)
+        scatter = np.bincount(alike, np.square(shown[seen]), ALIKE)
+        scale[seen] = (np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))[alike]
+    return Evidence(scale * layer.y, layer.weights, scale * layer.signal)
 
 
 def gather_image_evidence(
@@ -33,10 +128,9 @@ def gather_image_evidence(
     mark_image: Float32,
     mark_signs: Float64,
     through: Float32 | None = None,
-) -> Evidence:
+    geometry: GrainView | None = None,
+) -> PictureEvidence:
     """Evidence of one picture.
-
-    y is in units of precision times displacement, so evidence of several pictures is summed (`add_evidence`).
 
     Parameters
     ----------
@@ -51,24 +145,41 @@ def gather_image_evidence(
     mask : (H, W) bool
         Pixels that carry evidence.
     mark_image : (H, W, 3) float32
-        What the mark under test would add to `reference`. With `mark_signs` it serves only to say how much
-        evidence this picture could have held (the power of a "not marked" answer): no part of y and weights.
+        What a mark of these amplitudes and *public* signs would add to `reference`: no secret enters here.
     mark_signs : (C,) float64
         Sign of each chip's displacement in that mark.
     through : (H, W, 3) float32, optional
         What of the picture is not the model's but shines through it (`pictures.background`).
+    geometry : GrainView, optional
+        The reference at the same camera where the mark has a grain, whose chips then follow the tint's.
     """
-    weights = layout.amplitudes
-    pull = _reader(layout, view, reference, warped, mask, through)
-    pulled = pull(reference)
-    y = _gathered(layout, pulled)
-    limits = _limits(weights * y, len(layout.directions[0]))
-    y = _saturate(y, weights, limits)
-    # How y answers to the mark, through the weights this very picture got; signed, so that what neighbouring code
-    # vectors talk into each other cancels in the matched sum as it does in the claim. It is what y loses when the
-    # reference carries the mark: right for a marked suspect and for an unmarked one.
-    response = y - _saturate(_gathered(layout, pull(reference + mark_image)), weights, limits)
-    return Evidence(y, weights, mark_signs * response, (pulled,))
+    weigh = _reader(layout, view, reference, warped, mask, through)
+
+    def read(known: Float32) -> tuple[Float32, Float64]:
+        cotangent = np.ascontiguousarray(weigh(known))
+        if geometry is None:
+            pulled = view.backward_colors(cotangent)
+            return pulled, _gathered(layout, pulled)
+        pulled, moved = geometry.pull(view, cotangent)
+        return pulled, np.concatenate([_gathered(layout, pulled), moved])
+
+    pulled, y = read(reference)
+    # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code
+    # vectors talk into each other cancels in the matched sum as it does in the claim.
+    _, less = read(reference + mark_image)
+    parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes
+    if geometry is not None:
+        weights = np.concatenate([weights, geometry.weights()])
+        parts.append((len(weights) - layout.chips, ATTRIBUTES))
+    limits = np.concatenate(
+        [
+            _limits(weights[end - chips : end] * y[end - chips : end], kinds)
+            for end, (chips, kinds) in zip(np.cumsum([chips for chips, _ in parts]), parts, strict=True)
+        ]
+    )
+    held, held_less = _saturate(y, weights, limits), _saturate(less, weights, limits)
+    answers = mark_signs * (y - less), held, mark_signs * (held - held_less)
+    return PictureEvidence(tuple(parts), weights, y, *answers, (pulled,))
 
 
 def gather_again(layout: Layout, pulled: Sequence[Float32]) -> Evidence:
@@ -88,42 +199,38 @@ def gather_displacements(layout: Layout, view: View, reference: Float32, picture
     """
     everywhere = np.ones(picture.shape[:2], dtype=bool)
     spread = block_spread(_public_pattern(layout, view))
-    y = _gathered(layout, _pulled(view, jpeg_cotangent(reference, picture, everywhere, spread, quality)))
+    cotangent = np.ascontiguousarray(jpeg_cotangent(reference, picture, everywhere, spread, quality))
+    y = _gathered(layout, view.backward_colors(cotangent))
     return _saturate(y, layout.amplitudes, _limits(layout.amplitudes * y, len(layout.directions[0])))
 
 
-def _pulled(view: View, cotangent: Float32) -> Float32:
-    """(N, 3) a cotangent image (H, W, 3) pulled back to the Gaussians' colours."""
-    return view.backward_colors(np.ascontiguousarray(cotangent))
-
-
 def _gathered(layout: Layout, pulled: Float32) -> Float64:
-    """(C,) the same summed over each chip, in SH units."""
+    """(C,) what each Gaussian's colour is pulled by (N, 3), summed over each chip, in SH units."""
     return np.asarray(SH_C0 * layout.gather(pulled))
 
 
 def _reader(
     layout: Layout, view: View, reference: Float32, warped: Float32, mask: Bool, through: Float32 | None
 ) -> Callable[[Float32], Float32]:
-    """Function from a render (H, W, 3) that the picture is held against to what it says of each Gaussian (N, 3): the
-    reference, or nearly."""
+    """Function from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
+    residual (H, W, 3) that is to be pulled back."""
     quality = find_quality(warped)
     spread = block_spread(_public_pattern(layout, view)) if quality else None
 
     own = warped if through is None else warped - through
     toned = fit_colors(reference, own, mask) if quality is None and mask.any() else None
 
-    def pull(known: Float32) -> Float32:
+    def weigh(known: Float32) -> Float32:
         if quality is not None and spread is not None:
             exposed = match_exposure(known, own, mask)
             if through is not None:  # the coder saw both
                 exposed = np.clip(exposed + through, 0.0, 1.0)
-            return _pulled(view, jpeg_cotangent(exposed, warped, mask, spread, quality))
+            return jpeg_cotangent(exposed, warped, mask, spread, quality)
         # The colours of a render that differs by a mark are the reference's: fitting them again takes half of the time.
         near = toned and Toned(toned.predicted + toned.slope * (known - reference), toned.slope)
-        return _pulled(view, image_cotangent(known, own, mask, near))
+        return image_cotangent(known, own, mask, near)
 
-    return pull
+    return weigh
 
 
 def _public_pattern(layout: Layout, view: View) -> Float32:
@@ -145,14 +252,3 @@ def _limits(evidence: Float64, carriers: int) -> Float64:
 def _saturate(y: Float64, weights: Float64, limits: Float64) -> Float64:
     """y such that w y = limit tanh(w y / limit): an odd function of the suspect's evidence, blind to chips."""
     return np.where(weights > 0, limits * np.tanh(weights * y / limits) / np.maximum(weights, 1e-300), 0.0)
-
-
-def add_evidence(parts: Sequence[Evidence]) -> Evidence:
-    """Sum the evidence of several pictures of one asset.
-
-    Every part has the same weights (the plan's), so the sum of w y per chip is a fixed function of the suspect
-    pictures and each secret sign still enters once: the theorem of 4.9 stands.
-    """
-    y = np.sum([part.y for part in parts], axis=0)
-    pulled = tuple(one for part in parts for one in part.pulled)
-    return Evidence(y, parts[0].weights, np.sum([part.signal for part in parts], axis=0), pulled)

@@ -1,7 +1,8 @@
 """Both layers of a mark in one evidence, and each by itself.
 
 Whoever takes one copy's geometry and another's colours drowns the second copy's tint in the first one's grain. So three
-questions are asked of a model, and counted as three tries: both layers together, the tint alone, the grain alone.
+questions are asked, and counted as three tries: both layers together, the tint alone, the grain alone. Pictures are
+read in two ways (`image_evidence.PictureEvidence`), and asked all three in each.
 """
 
 import math
@@ -15,7 +16,9 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import weighted_evidence
 
 LAYERS = ("both", "tint", "grain")
-"""What is asked of a model."""
+"""What is asked of an evidence."""
+SCATTERED = " by scatter"
+"""What follows the names of the same questions to pictures that were read by their scatter."""
 
 
 @dataclass(frozen=True)

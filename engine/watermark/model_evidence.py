@@ -34,6 +34,10 @@ class Evidence:
         """(C,) w y: what each chip's sign is multiplied with."""
         return self.weights * self.y
 
+    def behind(self, chips: int) -> "Evidence":
+        """The evidence without the first so many chips."""
+        return Evidence(self.y[chips:], self.weights[chips:], self.signal[chips:])
+
     def plus(self, other: "Evidence") -> "Evidence":
         """Both together, the other on the first of these chips: what each says of a chip is added, so that every secret
         sign still enters once.

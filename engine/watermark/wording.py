@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from engine.watermark.layers import SCATTERED
 from engine.watermark.rates import BASES
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
@@ -176,7 +177,9 @@ def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
         found.append(Fact("evidence", ROUTES.get(claim["route"], claim["route"])))
     if layers := claim.get("layers"):
         grain = f", in centres and sizes z {layers['grain']:.1f}" if "grain" in layers else ""
-        found.append(Fact("layers", f"in colours z {layers['tint']:.1f}{grain}, together {layers['both']:.1f}"))
+        scattered = [z for name, z in layers.items() if name.endswith(SCATTERED)]
+        other = f"; weighed by their scatter {max(scattered):.1f}" if scattered else ""
+        found.append(Fact("layers", f"in colours z {layers['tint']:.1f}{grain}, together {layers['both']:.1f}{other}"))
     if claim["copy"]:
         found.append(Fact("copy", f"the one made for {form.name(claim['copy'])}"))
     if claim["record_id"]:

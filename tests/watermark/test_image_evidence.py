@@ -11,7 +11,7 @@ from PIL import Image
 from engine.pictures.jpeg_score import jpeg_cotangent
 from engine.pipeline.strength import add_dc
 from engine.watermark import image_evidence
-from engine.watermark.image_evidence import CLIP, add_evidence, gather_image_evidence
+from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
 from engine.watermark.statistics import claim_z
@@ -27,7 +27,7 @@ def marked_picture(ball: Ball, view: int) -> np.ndarray:
     return ball.original.render(view, add_dc(ball.model.sh, ball.displacement))
 
 
-def read(ball: Ball, picture: np.ndarray, view: int = 0) -> Evidence:
+def said(ball: Ball, picture: np.ndarray, view: int = 0) -> PictureEvidence:
     reference = ball.original.images[view]
     mark = marked_picture(ball, view) - reference
     mask = np.ones(picture.shape[:2], dtype=bool)
@@ -35,6 +35,10 @@ def read(ball: Ball, picture: np.ndarray, view: int = 0) -> Evidence:
     return gather_image_evidence(
         layout, ball.original.views[view], reference, picture, mask, mark, np.sign(ball.signed)
     )
+
+
+def read(ball: Ball, picture: np.ndarray, view: int = 0) -> Evidence:
+    return said(ball, picture, view).evidence()
 
 
 def z(ball: Ball, evidence: Evidence) -> float:
@@ -95,8 +99,52 @@ def test_exposure_of_a_jpeg_is_taken_out(ball: Ball) -> None:
 
 
 def test_pictures_of_several_views_add_up(ball: Ball) -> None:
-    parts = [read(ball, marked_picture(ball, view), view) for view in range(3)]
-    total = add_evidence(parts)
-    np.testing.assert_allclose(total.y, parts[0].y + parts[1].y + parts[2].y)
-    np.testing.assert_allclose(total.signal, parts[0].signal + parts[1].signal + parts[2].signal)
-    assert z(ball, total) > 1.2 * max(z(ball, part) for part in parts)
+    parts = [said(ball, marked_picture(ball, view), view) for view in range(3)]
+    total = parts[0].plus(parts[1]).plus(parts[2])
+    for name in ("y", "response", "held_y", "held_response"):
+        np.testing.assert_allclose(getattr(total, name), sum(getattr(part, name) for part in parts), atol=1e-9)
+    assert len(total.pulled) == 3
+    assert z(ball, total.evidence()) > 1.2 * max(z(ball, part.evidence()) for part in parts)
+
+
+def made(y: np.ndarray, response: np.ndarray, chips: tuple[int, int]) -> PictureEvidence:
+    """Of two layers, three and two kinds that take turns, with weights of one."""
+    return PictureEvidence(((chips[0], 3), (chips[1], 2)), np.ones(len(y)), y, response, y, response, ())
+
+
+def test_each_layer_counts_for_what_it_should_show() -> None:
+    """Whatever unit the second one has: z of both is as near as it can be to the root of the sum of squares."""
+    rng, tint, grain = np.random.default_rng(1), 3000, 6000
+    size = np.concatenate([np.full(tint, 0.2), np.full(grain, 0.1)])
+    y = size + rng.standard_normal(tint + grain)
+    alone = [part.sum() / np.linalg.norm(part) for part in (y[:tint], y[tint:])]
+    for unit in (1e-3, 1.0, 1e3):
+        units = np.concatenate([np.ones(tint), np.full(grain, unit)])
+        found = made(units * y, units * size, (tint, grain)).evidence(2.0)
+        both = found.evidence.sum() / np.linalg.norm(found.evidence)
+        assert both == pytest.approx(np.hypot(*alone), rel=0.02)
+        np.testing.assert_array_equal(found.y[:tint], y[:tint])
+        np.testing.assert_array_equal(found.signal[:tint], 2.0 * size[:tint])
+    silent = made(y, np.concatenate([size[:tint], -size[tint:]]), (tint, grain)).evidence()
+    assert not silent.weights[tint:].any()
+    nothing = made(0.0 * y, 0.0 * y, (tint, grain)).evidence()
+    assert np.isfinite(nothing.y).all()
+
+
+def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
+    """A tenth of the chips hold the mark and respond loudly; the scatter of the others would drown it."""
+    rng, chips = np.random.default_rng(2), 3000
+    loud = rng.random(chips) < 0.1
+    y = np.where(loud, 1.0 + rng.standard_normal(chips), 3.0 * rng.standard_normal(chips))
+    response = np.where(loud, 1.0, 0.02) * rng.uniform(0.9, 1.1, chips)
+    picture = made(np.concatenate([y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2))
+    plain, weighed = (each.evidence[:chips] for each in (picture.evidence(), picture.by_scatter()))
+    assert weighed.sum() / np.linalg.norm(weighed) > 2.0 * plain.sum() / np.linalg.norm(plain)
+    # of one kind and class, all have one factor
+    rank = np.argsort(np.argsort(response[::3]))
+    factor = weighed[::3] / y[::3]
+    for part in np.array_split(np.arange(len(rank)), ALIKE):
+        inside = factor[np.isin(rank, part[3:-3])]
+        np.testing.assert_allclose(inside, inside[0], rtol=1e-9)
+    turned = made(np.concatenate([-y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2)).by_scatter()
+    np.testing.assert_allclose(turned.evidence[:chips], -weighed, rtol=1e-9)  # an odd function: blind to signs

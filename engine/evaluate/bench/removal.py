@@ -58,10 +58,15 @@ def smooth(model: GaussianModel, neighbours: int) -> GaussianModel:
     return model.with_(sh=add_dc(model.sh, colors.mean(axis=1) - model.sh[:, 0]))
 
 
+def rattle(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
+    """Centres and sizes moved at random, `sigma` in each Gaussian's own size."""
+    moves: Float64 = rng.standard_normal((len(model), ATTRIBUTES)) * ([sigma] * 3 + [min(sigma, 1.0) / 2] * 3)
+    return roughen(model, Grain(1.0, 1.0), moves.astype(np.float32))
+
+
 def shake(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
     """Centres and sizes moved at random, and the order drawn anew."""
-    moves: Float64 = rng.standard_normal((len(model), ATTRIBUTES)) * ([sigma] * 3 + [min(sigma, 1.0) / 2] * 3)
-    return roughen(model, Grain(1.0, 1.0), moves.astype(np.float32)).take(rng.permutation(len(model)))
+    return rattle(model, sigma, rng).take(rng.permutation(len(model)))
 
 
 def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from engine.errors import InputError
 from engine.evaluate.study import Cell
 
-TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000, "assets": 1_000}
+TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "questions": 300}
 """What `--trials` counts in different benches, and how many unless told otherwise."""
 
 
@@ -89,6 +89,11 @@ BENCHES = {
         scenes="together",
     ),
     "removal": Bench("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
+    "oracle": Bench(
+        "what it saves who takes it out to be told whether the mark is still there, so many times",
+        "oracle:measure_oracle",
+        ("profile", "questions"),
+    ),
     "retrain": Bench("claims from fresh models trained on renders of the marked one", "training:measure_retraining"),
     "life": Bench("speed of physics and of training", "timing:measure_life", (), ("repeats",)),
 }

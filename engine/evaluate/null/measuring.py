@@ -6,6 +6,7 @@ break the bound, forged originals) a test of false claims that never fails would
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,9 @@ from engine.pipeline.strength import add_dc
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.registration.mixtures import Mixtures
 from engine.sim.attacks import image_attack, model_attack
-from engine.watermark.image_evidence import add_evidence
 from engine.watermark.keys import CHIPS, signs
 from engine.watermark.layers import layered_z
-from engine.watermark.model_evidence import gather_model_evidence
+from engine.watermark.model_evidence import Evidence, gather_model_evidence
 from engine.watermark.power import expected_z
 from engine.watermark.rates import MADE_FIRST
 from engine.watermark.statistics import claim_z, z_threshold
@@ -243,7 +243,7 @@ def few_gaussians(path: str, shares: list[float], trials: int, quick: bool, seed
 def few_pictures(path: str, counts: list[int], draws: int, quick: bool, seed: int) -> list[Row]:
     """z of 1, 2, 4 ... small noisy pictures together: each is read once, and random subsets are added up."""
     scene = fast_mark(path, quick, seed)
-    opened, spreading = scene.opened, scene.opened.spreading
+    opened = scene.opened
     rng = np.random.default_rng((seed, 0x9017))
     most = 2 * max(counts)
     parts = []
@@ -253,8 +253,8 @@ def few_pictures(path: str, counts: list[int], draws: int, quick: bool, seed: in
     rows = []
     for count in counts:
         for trial in range(draws):
-            evidence = add_evidence([parts[k] for k in rng.choice(len(parts), count, replace=False)])
-            y, weights = evidence.y, evidence.weights
+            evidence = reduce(Evidence.plus, [parts[k] for k in rng.choice(len(parts), count, replace=False)])
+            y, weights, spreading = evidence.y, evidence.weights, opened.spreading_of(len(evidence.y))
             row = {"what": "power", "kind": "pictures", "scene": scene.name, "amount": count, "trial": trial}
             row["z"] = claim_z(y, weights, spreading.bit_of, spreading.chips, opened.message)
             row["z_expected"] = expected_z(y, weights, evidence.signal)
