@@ -20,7 +20,7 @@ def ball() -> GaussianModel:
     model = ball_model(600)
     quats = model.quats / np.linalg.norm(model.quats, axis=1, keepdims=True)
     scales = model.log_scales.copy()
-    scales[::7, 1] -= 9.0  # some are discs
+    scales[::7, 1] -= 14.0  # some are discs
     return model.with_(quats=quats.astype(np.float32), log_scales=scales)
 
 

@@ -144,7 +144,7 @@ def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
     rank = np.argsort(np.argsort(response[::3]))
     factor = weighed[::3] / y[::3]
     for part in np.array_split(np.arange(len(rank)), ALIKE):
-        inside = factor[np.isin(rank, part[3:-3])]
+        inside = factor[np.isin(rank, part[5:-5])]
         np.testing.assert_allclose(inside, inside[0], rtol=1e-9)
     turned = made(np.concatenate([-y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2)).by_scatter()
     np.testing.assert_allclose(turned.evidence[:chips], -weighed, rtol=1e-9)  # an odd function: blind to signs
