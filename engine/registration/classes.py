@@ -50,36 +50,35 @@ class SizedMatcher:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `times` (K,)
-    1 or more."""
+    """By how much errors of position grow with the Gaussians: `edges` (K - 1,) log sizes between classes, `parts` (K,)
+    of its own size by which a Gaussian of each is off."""
 
     edges: Float64
-    times: Float64
+    parts: Float64
 
-    def factors(self, suspect: GaussianModel, fit: Similarity) -> Float32:
-        """(n,) what the usual error of position is to be multiplied with."""
-        home = np.searchsorted(self.edges, _sizes(suspect) + np.log(fit.scale))
-        return np.asarray(self.times[home].astype(np.float32))
+    def factors(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> Float32:
+        """(n, 3) what the usual errors of position are to be multiplied with, 1 or more."""
+        sizes = _sizes(suspect) + np.log(fit.scale)
+        own = self.parts[np.searchsorted(self.edges, sizes)] * np.exp(sizes)
+        return np.asarray(np.maximum(own[:, None] / deviations.position, 1.0).astype(np.float32))
 
 
-def growth_in_order(
-    reference: GaussianModel, suspect: GaussianModel, fit: Similarity, deviations: Deviations, alike: Bool
-) -> Growth:
+def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
     """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
 
     Only what lies within OWN_SIZE is asked and believed: what looks like its namesake elsewhere is another.
     """
     sizes = _sizes(suspect) + np.log(fit.scale)
-    error = np.abs(fit.apply(suspect.means) - reference.means)
-    near = alike & (error <= OWN_SIZE * np.exp(sizes)[:, None]).all(axis=1)
+    error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
+    near = alike & (error <= OWN_SIZE).all(axis=1)
     edges = np.quantile(sizes, np.arange(1, CLASSES) / CLASSES)
     home = np.searchsorted(edges, sizes)
-    times = np.ones(CLASSES)
+    parts = np.zeros(CLASSES)
     for number in range(CLASSES):
         mine = error[near & (home == number)]
         if len(mine) >= LEAST_PAIRS:
-            times[number] = max(1.0, float(np.max(np.quantile(mine, 0.9, axis=0) / 1.645 / deviations.position)))
-    return Growth(edges, times)
+            parts[number] = float(np.quantile(mine, 0.9, axis=0).max()) / 1.645
+    return Growth(edges, parts)
 
 
 def by_size(

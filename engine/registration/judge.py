@@ -208,7 +208,7 @@ def same_order(
         before = len(agreeing)
         fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
         deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
-    growth = growth_in_order(ref, sus, fit, deviations, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
+    growth = growth_in_order(ref, sus, fit, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
     quality = _order_quality(reference, suspect, fit, deviations, growth)
     # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
     strays = float((quality == 0).mean())
@@ -236,7 +236,7 @@ def _order_quality(
     if not placed:
         error2[:, :3] = 0.0
     elif growth is not None:
-        error2[:, :3] /= np.square(growth.factors(suspect, fit))[:, None]
+        error2[:, :3] /= np.square(growth.factors(suspect, fit, deviations))
     usual, limit = float(chdtri(10, 0.5)), 4.0 * float(chdtri(10, 1e-3))
     distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
     return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))
