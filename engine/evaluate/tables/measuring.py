@@ -25,8 +25,6 @@ from engine.raster import render
 from engine.sim.attack import Label
 from engine.sim.suite import Trial
 
-PROFILE = "fast"
-"""Profile that every setting starts from: the cheapest one, so nothing shown here needs more."""
 UNTOUCHED = Trial("none", (), "", "image")
 ATTACKS = (
     UNTOUCHED,
@@ -181,7 +179,7 @@ def _frames(model: GaussianModel, camera: Camera, repeats: int) -> float:
 
 
 def _mark(scene: str, setting: Setting, seed: int, changes: dict[str, Any]) -> MarkedScene:
-    config = configure(PROFILE, changes, setting.changes)
+    config = configure(setting.profile, changes, setting.changes)
     return mark_scene(scene, config, bits=setting.bits, seed=seed, variant=without(setting.without, config.quantize))
 
 

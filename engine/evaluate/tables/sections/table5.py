@@ -4,8 +4,7 @@ from engine.evaluate.drawing import Figure, figure, styles
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section
 from engine.evaluate.summing import picked, table
-from engine.evaluate.tables.measuring import PROFILE
-from engine.evaluate.tables.part import PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
+from engine.evaluate.tables.part import PROFILE, PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
 
 SETTINGS = {
     "key": "marked pictures, key poses",
