@@ -131,7 +131,7 @@ def refine(
     for step in range(1, config.steps + 1):
         k = int(rng.integers(len(views)))
         layer = draw(rng)
-        moved = sum((delta[row] for row in rows[1:]), delta[rows[0]]) if rows else delta  # (N, D)
+        moved = _of_gaussians(delta, rows)  # (N, D)
         marked = _blend(torch.relu(colors[k] + _shown(moved, harmonics[k])), views[k])  # (H, W, 3)
         with torch.no_grad():
             clean = layer(renders[k].permute(2, 0, 1)[None])
@@ -152,7 +152,15 @@ def refine(
             delta -= config.rate * update * torch.from_numpy(doubt)[:, None]
         advance(step / config.steps)
     with torch.no_grad():
-        return np.asarray(sum(delta[row] for row in rows) if rows else delta, dtype=np.float32)
+        return np.asarray(_of_gaussians(delta, rows).numpy(), dtype=np.float32)
+
+
+def _of_gaussians(delta: Tensor, rows: list[Tensor]) -> Tensor:
+    """(N, D) displacement of every Gaussian: the sum of its code vectors', or with no rows its own."""
+    if not rows:
+        return delta
+    # The gradient of delta[row] is summed in any order by several threads; that of this one always in the same.
+    return torch.stack([delta.index_select(0, row) for row in rows]).sum(dim=0)
 
 
 def _harmonics(model: GaussianModel, camera: Camera, degree: int) -> Float32:

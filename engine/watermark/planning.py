@@ -117,7 +117,7 @@ def make_plan(
         carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
         if number == 0 and missed is not None:
-            chip = chip * _surprise(missed, carriers.directions, config.surprise_exponent)
+            chip = chip * _surprise(missed, carriers.directions[:, :3], config.surprise_exponent)
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)
