@@ -35,7 +35,7 @@ def slim_down(
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
-    rank = paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+    rank = _worth(model, impact, config)
     pruned = prune(thin, rank, measure, extent.radius, config.prune)
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
         dropped = 0
@@ -48,13 +48,18 @@ def slim_down(
     }
 
 
+def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64:
+    """(N,) what Gaussians are ranked by when some must go."""
+    return paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+
+
 def _as_the_paper(
     model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
 ) -> tuple[GaussianModel, dict[str, Any]]:
     """Pruned at a fixed threshold (Eq 5), merged, and densified where W^freq is greatest."""
     slim, kept, merged = model, np.arange(len(model), dtype=np.int32), 0
     if config.paper.tau_base > 0:
-        rank = paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+        rank = _worth(model, impact, config)
         slim, kept, merged = prune_at(model, rank, config.paper.tau_base, extent.radius, config.prune)
     dense = densify(slim, frequency_impact(model, impact)[kept], config.paper.densify)
     return dense, {
@@ -69,7 +74,9 @@ def color_weights(model: GaussianModel, impact: Impact, *, by_frequency: bool = 
 
     That is the curvature of the render error itself. The paper's profiles weigh `by_frequency`, with W^freq, instead.
     """
-    return frequency_impact(model, impact) if by_frequency else np.asarray(1.0 / uncertainty(impact.squared))
+    if by_frequency:
+        return frequency_impact(model, impact)
+    return np.asarray(1.0 / uncertainty(impact.squared))
 
 
 def unmarked_delivery(

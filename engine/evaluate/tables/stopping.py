@@ -1,4 +1,4 @@
-"""The paper's early stop (Eq 8) over its threshold: which pixels end, what that costs the picture, what is still read."""
+"""The paper's early stop (Eq 8) over its threshold: which pixels end, what it costs a picture, what is still read."""
 
 import time
 from statistics import fmean
