@@ -107,10 +107,16 @@ def measure_setting(
 
 
 def attack_pictures(
-    scene: str, seed: int, views: int, size: int, changes: dict[str, Any], columns: list[str]
+    scene: str,
+    seed: int,
+    views: int,
+    size: int,
+    changes: dict[str, Any],
+    columns: list[str],
+    setting: dict[str, Any] | None = None,
 ) -> list[Row]:
     """Attacks on one picture at a time, camera known; a row for each view, reading and column."""
-    marked = mark_setting(scene, DEFAULT, seed, changes)
+    marked = mark_setting(scene, DEFAULT if setting is None else Setting(**setting), seed, changes)
     rows = []
     for view, camera in enumerate(other_views(marked.original, views, size, (seed, OF_VIEWS))):
         picture = render(marked.marked, camera)
@@ -125,9 +131,11 @@ def attack_pictures(
     return rows
 
 
-def attack_models(scene: str, seed: int, changes: dict[str, Any], columns: list[str]) -> list[Row]:
+def attack_models(
+    scene: str, seed: int, changes: dict[str, Any], columns: list[str], setting: dict[str, Any] | None = None
+) -> list[Row]:
     """Attacks on the marked model; a row for each reading and column."""
-    marked = mark_setting(scene, DEFAULT, seed, changes)
+    marked = mark_setting(scene, DEFAULT if setting is None else Setting(**setting), seed, changes)
     rows = []
     for kind, (label, attacks) in enumerate(ON_MODELS.items()):
         for number, (column, step) in enumerate(attacks.items()):
