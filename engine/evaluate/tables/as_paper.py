@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from engine.evaluate.study import Cell, Options, Row
-from engine.evaluate.tables.part import MEASURING, Setting, changes_of, efforts, scenes_of
+from engine.evaluate.tables.part import MEASURING, PROFILE, Setting, changes_of, efforts, scenes_of
 from engine.evaluate.tables.sections.fig7 import GAMMAS
 from engine.evaluate.tables.sections.table2 import COLUMNS, QUICK
 from engine.evaluate.tables.sections.table5 import SETTINGS as TRAININGS
@@ -15,6 +15,8 @@ from engine.evaluate.tables.sections.table6 import LOSSES
 STEPS, QUICK_STEPS = 100, 2
 """Adam steps of a marking; the paper has 10,000, and what they change is measured by itself."""
 MANY_STEPS = (0, 100, 1_000, 10_000)
+STEPPED = ("paper", PROFILE)
+"""Profiles under which that is measured: the paper's and ours."""
 LENGTHS = (16, 32, 48)
 ZETAS = (28.52, 37.0, 47.0)
 """PSNR of the mark, dB, in place of the paper's zeta: that of its own table, and two fainter ones."""
@@ -76,11 +78,14 @@ def cells(options: Options) -> list[Cell]:
             made.append(_cell("table5", name, f"training-{name.replace('+', '-and-')}-{short}", work, arguments))
     if not options.quick:
         short, path = next(scenes_of(options))
-        for steps_ in MANY_STEPS:
-            setting = paper(f"steps-{steps_}", quick=False, refine={"steps": steps_})
-            on = {"scene": path, "seed": options.seed, "changes": changes, "views": 4, "size": 480}
-            marked = {**on, "setting": asdict(setting), "attacked": True}
-            made.append(_cell("steps", f"{steps_}", f"steps-{steps_}-{short}", "measure_setting", marked))
+        on = {"scene": path, "seed": options.seed, "changes": changes, "views": 4, "size": 480}
+        for name in STEPPED:
+            for count in MANY_STEPS:
+                setting = Setting(f"{name}-steps-{count}", {"refine": {"steps": count}}, profile=name)
+                marked = {**on, "setting": asdict(setting), "attacked": True}
+                made.append(
+                    _cell("steps", f"{name} {count}", f"steps-{name}-{count}-{short}", "measure_setting", marked)
+                )
     return made
 
 

@@ -45,7 +45,7 @@ def knobs(quick: bool) -> list[Knob]:
         ),
         Knob("lambda_freq (compact output)", {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)}, 0.0, best["lambda_freq"]),
         Knob("texture exponent", {v: _texture(v) for v in (0.0, 0.25, 0.5, 1.0)}, 0.5),
-        Knob("cells (code vectors)", {v: _cells_of(v) for v in (1024, 2048, 4096, 8192)}, 8192, log=True),
+        Knob("code vectors", {v: _codes_of(v) for v in (1024, 2048, 4096, 8192)}, 4096, log=True),
         Knob("key views", {v: _views(v) for v in (2, 4, 6, 10, 16)}, 6, log=True),
     ]
 
@@ -66,8 +66,8 @@ def _texture(value: float) -> Setting:
     return DEFAULT if value == 0.5 else Setting(f"texture-{value:g}", {"plan": {"texture_exponent": value}})
 
 
-def _cells_of(count: int) -> Setting:
-    return DEFAULT if count == 8192 else Setting(f"cells-{count}", {"quantize": {"cells": count}})
+def _codes_of(count: int) -> Setting:
+    return DEFAULT if count == 4096 else Setting(f"codes-{count}", {"plan": {"codes": count}})
 
 
 def _views(count: int) -> Setting:
