@@ -158,11 +158,19 @@ def _figure6(rows: list[Row]) -> Iterator[Line]:
         seen = picked(rows, kind="stop", tau=tau)
         what = f"tau_occ {tau:g}: bit accuracy of a picture drawn with Eq 8, %"
         yield Line("Figure 6", what, None, None, _bits(seen))
+        what = (
+            f"tau_occ {tau:g}: z of that picture (no stop: {_plain(_mean(picked(rows, kind='stop', tau=None), 'z'))})"
+        )
+        yield Line("Figure 6", what, None, None, _mean(seen, "z"), digits=1)
     names = dict.fromkeys(row["setting"] for row in rows if str(row.get("setting", "")).startswith("doubt-"))
     for name in names:
         seen = [row for row in rows_of_setting(rows, name)["picture"] if row["attack"] == "JPEG 10"]
         what = f"tau_unc mean + {name.removeprefix('doubt-')} std: bit accuracy after JPEG 10, %"
         yield Line("Figure 6", what, None, _bits(seen, "right_by_eq10"), None)
+
+
+def _plain(value: float | None) -> str:
+    return "not run" if value is None else f"{value:.1f}"
 
 
 def _figure7(rows: list[Row]) -> Iterator[Line]:

@@ -34,6 +34,7 @@ def measure_stops(
         view = prepare_view(marked.marked, camera)
         colors = sh_colors(marked.marked.sh, marked.marked.means, camera.position.astype(np.float32))
         whole, alpha = view.render(colors)
+        view.render(colors, None, EarlyStop(weights, taus[0]))  # compiled before anything is timed
         for tau in (None, *taus):
             early = None if tau is None else EarlyStop(weights, tau)
             began = time.perf_counter()

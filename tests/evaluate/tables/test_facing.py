@@ -28,7 +28,8 @@ def rows() -> list[dict[str, object]]:
         {**view, "psnr": 47.5, "setting": "bits-32"},
         *({"as_paper": "table1", "name": "32", "row": row} for row in wrapped),
         {"as_paper": "fig7", "name": "gamma 0.2", "row": marked("paper-gamma-0.2", 32)},
-        {"kind": "stop", "tau": 1.2, "right": 31, "bits": 32, "right_by_eq10": 30},
+        {"kind": "stop", "tau": 1.2, "right": 31, "bits": 32, "right_by_eq10": 30, "z": 20.0},
+        {"kind": "stop", "tau": None, "right": 32, "bits": 32, "right_by_eq10": 32, "z": 30.0},
     ]
 
 
@@ -45,6 +46,7 @@ def test_numbers_stand_where_they_belong() -> None:
     assert (look.paper, look.as_paper, look.ours) == (28.52, 20.0, 47.5)
     assert line("gamma 0.2: Gaussians removed, %").as_paper == pytest.approx(60.0)
     assert line("tau_occ 1.2: bit accuracy of a picture drawn with Eq 8, %").ours == 100 * 31 / 32
+    assert line("tau_occ 1.2: z of that picture (no stop: 30.0)").ours == 20.0
     empty = line("JPEG 10, picture: bit accuracy, %")
     assert (empty.paper, empty.as_paper, empty.ours) == (92.21, None, None)
 
@@ -70,7 +72,7 @@ def test_misses_come_first_on_the_page() -> None:
     assert "| JPEG 10, picture: bit accuracy, % | 92.21 |  |  |" in text
     for name in ("Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Table 6", "Figure 6", "Figure 7", "Steps"):
         assert f"## {name}\n" in text
-    assert f"Of {len(lines(rows()))} lines 6 were measured" in text
+    assert f"Of {len(lines(rows()))} lines 7 were measured" in text
     assert "a/plant" not in text
     assert "informed" in text
     assert "quick" not in text
