@@ -20,7 +20,11 @@ def _group() -> None:
 def show(
     profile: Annotated[
         str | None,
-        typer.Option("--profile", metavar="P", help="fast, balanced, strong or auto (its start); all if left out."),
+        typer.Option(
+            "--profile",
+            metavar="P",
+            help="fast, balanced, strong, paper, paper-appendix or auto (its start); all if left out.",
+        ),
     ] = None,
     knobs: Knobs = None,
     json: Json = False,
@@ -40,9 +44,9 @@ def show(
     flat = {name: _flatten(values) for name, values in settings.items()}
     knobs = list(flat[names[0]])
     width = max(len(knob) for knob in knobs)
-    console.say(f"{'':<{width}}  " + "  ".join(f"{name:>12}" for name in names))
+    console.say(f"{'':<{width}}  " + "  ".join(f"{name:>14}" for name in names))
     for knob in knobs:
-        console.say(f"{knob:<{width}}  " + "  ".join(f"{_text(flat[name][knob]):>12}" for name in names))
+        console.say(f"{knob:<{width}}  " + "  ".join(f"{_text(flat[name][knob]):>14}" for name in names))
     console.emit(settings[profile] if profile is not None else settings)
     return 0
 

@@ -35,7 +35,12 @@ def embed(
         int | None, typer.Option("--bits", metavar="N", help="Length of a drawn message (default 32).")
     ] = None,
     profile: Annotated[
-        str, typer.Option("--profile", metavar="P", help="fast, balanced, strong; auto: no more than the scene needs.")
+        str,
+        typer.Option(
+            "--profile",
+            metavar="P",
+            help="fast, balanced, strong; auto: no more than the scene needs; paper, paper-appendix: as published.",
+        ),
     ] = "balanced",
     psnr: Annotated[
         float | None, typer.Option("--psnr", metavar="DB", help="Least PSNR of the mark, worst key view (default 47).")

@@ -41,6 +41,10 @@ def render(
     background: Annotated[
         float, typer.Option("--background", min=0.0, max=1.0, help="Grey behind the model, 0 black to 1 white.")
     ] = 0.0,
+    early: Annotated[
+        float | None,
+        typer.Option("--early-stop", metavar="TAU", help="End pixels by impact, too, as the paper does (0.95)."),
+    ] = None,
     save_camera: Annotated[
         Path | None, typer.Option("--save-camera", help="Write the camera as cameras.json, for `verify --cameras`.")
     ] = None,
@@ -68,6 +72,7 @@ def render(
         check_target(save_camera)
 
     from engine.formats import read_model, write_cameras
+    from engine.pipeline.early_stop import early_stop, render_early
     from engine.raster import render as draw
 
     with console.progress() as progress:
@@ -76,8 +81,12 @@ def render(
         loaded = read_model(model, spz_frame=spz_frame)
         say_repairs(console, loaded.repairs)
         chosen = choose_camera(loaded.model, camera, view, size)
+        stop = None if early is None else early_stop(loaded.model, early)
         started = time.perf_counter()
-        image = draw(loaded.model, chosen, background)
+        if stop is None:
+            image = draw(loaded.model, chosen, background)
+        else:
+            image = render_early(loaded.model, chosen, stop, background)
         render_ms = 1000.0 * (time.perf_counter() - started)
     with whole_file(out) as part:
         write_picture(image, part, out)

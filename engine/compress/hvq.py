@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.compress.cells import cell_features, split_cells
-from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 
 Matrix = Float32 | Float64
 
@@ -44,12 +44,18 @@ class Stage:
 
 
 def quantize(
-    model: GaussianModel, weights: Float64, radius: float, config: HvqConfig | None = None
+    model: GaussianModel, weights: Float64, radius: float, config: HvqConfig | None = None, coarse: Bool | None = None
 ) -> tuple[Stage, ...]:
     """Learn all stages, stage 0 first.
 
-    The weights (N,) say how much an error in each Gaussian's colour is seen (the inverse of its Laplace uncertainty);
-    the radius is that of the scene, in scene units.
+    Parameters
+    ----------
+    weights : (N,) float64
+        How much an error in each Gaussian's colour is seen: the inverse of its Laplace uncertainty, or W^freq.
+    radius : float
+        Of the scene, in scene units.
+    coarse : (N, K) bool, optional
+        Coefficients that stage 0 alone describes: the uncertain ones, which the paper quantises first.
     """
     config = config or HvqConfig()
     colors = model.sh.reshape(len(model), -1)  # (N, 3K)
@@ -58,6 +64,8 @@ def quantize(
     stage = Stage(group_means(colors, labels, weights), labels)
     stages = [stage]
     residual = colors - stage.decode() if config.residual_codes else colors  # (N, 3K)
+    if coarse is not None and config.residual_codes:
+        residual = np.where(np.repeat(coarse, 3, axis=1), np.float32(0.0), residual)
     for number, codes in enumerate(config.residual_codes):
         stage = learn_residual_stage(residual, weights, codes, config, seed=config.seed + number)
         stages.append(stage)

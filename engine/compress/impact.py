@@ -1,4 +1,4 @@
-"""What each Gaussian contributes to the views: impact (Eq 4) and Laplace uncertainty (DESIGN 4.2, 4.3).
+"""What each Gaussian contributes to the views: impact (Eq 4), W^freq, and Laplace uncertainty (DESIGN 4.2, 4.3).
 
 Summed over pixels, alpha_i T_i times a pixel map is the rasterizer's VJP with respect to a scalar colour with that
 map as cotangent, so Eq 4 costs one backward pass a view.
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
-from engine.numerics.wavelet import high_frequency_energy
+from engine.numerics.wavelet import coefficient_detail, high_frequency_energy
 from engine.raster import View
 
 PRIOR = 1e-3
@@ -48,6 +48,26 @@ def paper_impact(model: GaussianModel, impact: Impact) -> Float64:
     return impact.busy * spatial_coherence(model)
 
 
+def frequency_impact(model: GaussianModel, impact: Impact) -> Float64:
+    """(N,) W^freq = W* ||DWT(g)||_2 of the paper: Eq 4 times the detail of the Gaussian's own colour.
+
+    A model of DC alone has no detail over its coefficients; its factor is 1, and W^freq is Eq 4, where the image's
+    detail stands already.
+    """
+    whole = paper_impact(model, impact)
+    if model.sh_degree == 0:
+        return whole
+    detail = coefficient_detail(model.sh.astype(np.float64)).reshape(len(model), -1)
+    return np.asarray(whole * np.linalg.norm(detail, axis=1))
+
+
+def ranks(values: Float64) -> Float64:
+    """(N,) rank of each value in (0, 1], the largest 1."""
+    rank = np.empty(len(values))
+    rank[np.argsort(values, kind="stable")] = np.arange(1, len(values) + 1) / len(values)
+    return rank
+
+
 def spatial_coherence(model: GaussianModel) -> Float64:
     """(N,) exp(-|mu_i - mu_nn|^2 / 2 sigma^2), third factor of Eq 4; sigma is twice the median distance."""
     if len(model) < 2:
@@ -71,3 +91,9 @@ def sh_curvature(model: GaussianModel, views: Sequence[View], cameras: Sequence[
 def uncertainty(curvature: Float32 | Float64, prior: float = PRIOR) -> Float64:
     """U = 1 / (H + prior), the Laplace posterior variance (DESIGN 4.3)."""
     return np.asarray(1.0 / (curvature.astype(np.float64) + prior))
+
+
+def uncertain(curvature: Float32 | Float64, deviations: float) -> Bool:
+    """(N, K) which coefficients lie above the paper's threshold tau_unc = mean(U) + s std(U), s the `deviations`."""
+    doubt = uncertainty(curvature)
+    return np.asarray(doubt > doubt.mean() + deviations * doubt.std())

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.compress.cells import split_cells
+from engine.compress.impact import ranks
 from engine.compress.merging import merge_duplicates
+from engine.errors import InputError
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 
 
@@ -52,6 +54,40 @@ def adaptive_keep(rank: Float64, clusters: Int32, tau_base: float, gamma: float)
     return np.asarray(rank >= tau[clusters])
 
 
+def prune_at(
+    model: GaussianModel, impact: Float64, tau_base: float, radius: float, config: PruneConfig
+) -> tuple[GaussianModel, Int32, int]:
+    """Eq 5 once, as the paper runs it: at a given threshold, whatever the pictures then look like; then merging.
+
+    Gives the model, the original row (n,) of each of its Gaussians, and how many were merged. InputError unless
+    `tau_base` lies below 1 and leaves something.
+
+    Parameters
+    ----------
+    impact : (N,) float64
+        What to rank by.
+    tau_base : float
+        As a fraction of the ranking.
+    radius : float
+        Scene radius, for the clusters.
+    """
+    keep = adaptive_keep(ranks(impact), _clusters(model, radius, config), tau_base, config.gamma)
+    if not keep.any():
+        raise InputError(f"a threshold of {tau_base} with gamma {config.gamma} prunes everything")
+    rows = np.flatnonzero(keep).astype(np.int32)
+    candidate = model.take(keep)
+    if config.merge_distance <= 0:
+        return candidate, rows, 0
+    merged, kept, _ = merge_duplicates(candidate, config.merge_distance)
+    return merged, rows[kept], len(candidate) - len(merged)
+
+
+def _clusters(model: GaussianModel, radius: float, config: PruneConfig) -> Int32:
+    """(N,) spatial cluster of each Gaussian."""
+    features = (model.means / radius).astype(np.float32)
+    return split_cells(features, np.ones(len(model)), min(config.clusters, max(1, len(model) // 64)))
+
+
 def prune(
     model: GaussianModel,
     impact: Float64,
@@ -76,10 +112,7 @@ def prune(
         return Pruned(model, everything, float("inf"), 0)
     goal = config.budget_db
     base, rows, impact = _merge_if_cheap(model, impact, worst_psnr, config)
-    rank = np.empty(len(base))
-    rank[np.argsort(impact, kind="stable")] = np.arange(1, len(base) + 1) / len(base)
-    features = (base.means / radius).astype(np.float32)
-    clusters = split_cells(features, np.ones(len(base)), min(config.clusters, max(1, len(base) // 64)))
+    rank, clusters = ranks(impact), _clusters(base, radius, config)
     best = Pruned(base, rows, worst_psnr(base), n - len(base))
     low, psnr_low = 0.0, min(best.psnr_db, goal + 40.0)
     high, psnr_high = 0.98, goal - 25.0  # nothing much is left there

@@ -64,6 +64,8 @@ def write_report(study: Study, rows: Sequence[Row], options: Options, folder: Pa
     shown = {"study": study, "made": made, "bars": bars, "options": options, "results": results, "pictures": pictures}
     page = TEMPLATES.get_template("report.html").render(shown)
     write_whole(folder / "report.html", page.encode())
+    for name, text in made.pages.items():
+        write_whole(folder / name, text.encode())
     return {"report": str(folder / "report.html"), "bars": results["bars"], "summary": made.summary, "figures": figures}
 
 

@@ -18,6 +18,7 @@ STUDIES = {
     "fig6": ("engine.evaluate.tables.study:fig6", "of it: hyper-parameters"),
     "fig7": ("engine.evaluate.tables.study:fig7", "of it: pruning and strength"),
     "ablation": ("engine.evaluate.tables.study:ablation", "of it: what each stage buys"),
+    "paper": ("engine.evaluate.tables.study:paper", "of it: the paper's own system, run by us"),
     "null": ("engine.evaluate.null.study", "false claims: a million wrong keys, foreign marks, hostile suspects"),
     "steganalysis": ("engine.evaluate.steganalysis.study", "can it be seen that there is a mark?"),
     "baselines": ("engine.evaluate.baselines.study", "other methods on the same scenes and attacks"),

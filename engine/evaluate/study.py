@@ -112,6 +112,7 @@ class Report:
     sections: Sequence[Section]
     answer: Sequence[str] = ()  # paragraphs before everything else: what a reader came for
     summary: dict[str, Any] = field(default_factory=dict)  # further results as JSON values
+    pages: dict[str, str] = field(default_factory=dict)  # further files beside the report, by name
 
 
 @dataclass(frozen=True)

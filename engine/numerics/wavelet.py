@@ -67,6 +67,12 @@ def dwt2(image: ArrayLike2d, levels: int) -> tuple[ArrayLike2d, Details]:
     return approx, details
 
 
+def coefficient_detail(colors: ArrayLike2d) -> ArrayLike2d:
+    """(n, K // 2, 3) detail of colours (n, K, 3): one Haar step over the coefficients of each channel (Eq 7)."""
+    even = colors.shape[1] // 2 * 2
+    return (colors[:, 0:even:2] - colors[:, 1:even:2]) * _SQRT_HALF
+
+
 def idwt2(approx: ArrayLike2d, details: Details) -> ArrayLike2d:
     """Inverse of `dwt2`, possibly of changed coefficients: exact for every size."""
     for lh, hl, hh in reversed(details):

@@ -4,8 +4,9 @@ A record is sealed by a key, but that key may be a stranger's (a dispute), and w
 chips: a field that nobody reads would be a free number to try records out with. So names that no table here knows are
 refused, and of those that it knows, type, shape, range and finiteness are checked. A new field is a new row.
 
-Sizes in shapes: N Gaussians of the reference, M_s code vectors of stage s, R carriers, C = R * sum M_s chips, V key
-views, L landmarks. A size that no earlier row fixed is taken from the array, within its limits.
+Sizes in shapes: N Gaussians of the reference, M_s code vectors of stage s, R carriers in D numbers of a colour (3 of
+DC, or all that the reference has), C = R * sum M_s chips, V key views, L landmarks. A size that no earlier row fixed is
+taken from the array, within its limits.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,7 +38,7 @@ class ArrayRule:
 
 PLAN_ARRAYS: Mapping[str, ArrayRule] = {
     "labels": ArrayRule(("<u2", "<i4"), ("N",), 0, 2**31, each_stage=True),
-    "directions": ArrayRule(("<f8",), ("R", 3), -1.001, 1.001, each_stage=True),
+    "directions": ArrayRule(("<f8",), ("R", "D"), -1.001, 1.001, each_stage=True),
     "amplitudes": ArrayRule(("<f4",), ("C",), 0.0, 1e3),
     "cameras/viewmats": ArrayRule(("<f8",), ("V", 4, 4), -1e12, 1e12),
     "cameras/intrinsics": ArrayRule(("<f8",), ("V", 3, 3), -1e7, 1e7),
@@ -48,7 +49,7 @@ PLAN_ARRAYS: Mapping[str, ArrayRule] = {
 }
 """Arrays of the plan."""
 
-SIZES: Mapping[str, tuple[int, int]] = {"R": (1, 3), "V": (1, 4096), "L": (0, 1 << 22)}
+SIZES: Mapping[str, tuple[int, int]] = {"R": (1, 3), "D": (3, 48), "V": (1, 4096), "L": (0, 1 << 22)}
 """Limits of sizes that follow from an array itself."""
 MOST_STAGES, MOST_CHIPS = 16, 1 << 24
 MOST_NAME = 400
@@ -116,6 +117,7 @@ def admit(
     extra: Mapping[str, Any],
     arrays: Mapping[str, Array],
     gaussians: int,
+    coefficients: int = 1,
 ) -> None:
     """Raise MalformedRecordError unless everything in a record is what the tables of this module say.
 
@@ -129,8 +131,8 @@ def admit(
         JSON values of the plan, and beside it.
     arrays : mapping
         Arrays of the plan.
-    gaussians : int
-        Of the reference.
+    gaussians, coefficients : int
+        Of the reference, and how many its colours have.
     """
     if not _is_text(copy):
         raise MalformedRecordError("the record's copy has no usable name")
@@ -141,6 +143,8 @@ def admit(
     codes = plan["codes"]
     _admit_arrays(arrays, len(codes), {"N": gaussians})
     chips = sum(codes) * len(arrays["directions/0"])
+    if (width := arrays["directions/0"].shape[1]) not in (3, 3 * coefficients):
+        raise MalformedRecordError(f"carriers of the record span {width} numbers of {3 * coefficients}")
     if chips > MOST_CHIPS or arrays["amplitudes"].shape != (chips,):
         raise MalformedRecordError(f"the record has {len(arrays['amplitudes'])} amplitudes for {chips} chips")
     for stage, count in enumerate(codes):

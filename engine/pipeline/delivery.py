@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from engine.compress.densifying import densify
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
-from engine.compress.impact import Impact, paper_impact, sh_curvature, uncertainty
-from engine.compress.pruning import drop_unseen_bands, prune
+from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature, uncertainty
+from engine.compress.pruning import drop_unseen_bands, prune, prune_at
 from engine.model import Float64, GaussianModel
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import Extent
@@ -21,10 +22,12 @@ MOST_STAGES = 5
 def slim_down(
     model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
 ) -> tuple[GaussianModel, dict[str, Any]]:
-    """Prune Gaussians and SH bands within the owner's budget, and report on it.
+    """Prune Gaussians and SH bands within the owner's budget, or as the paper does, and report on it.
 
-    With no budget the model stays as it is and the report is empty.
+    With neither the model stays as it is and the report is empty.
     """
+    if config.paper.tau_base > 0 or config.paper.densify > 0:
+        return _as_the_paper(model, original, impact, extent, config)
     budget = config.prune.budget_db
     if budget is None:
         return model, {}
@@ -32,7 +35,7 @@ def slim_down(
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
-    rank = paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+    rank = _worth(model, impact, config)
     pruned = prune(thin, rank, measure, extent.radius, config.prune)
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
         dropped = 0
@@ -45,12 +48,34 @@ def slim_down(
     }
 
 
-def color_weights(model: GaussianModel, impact: Impact) -> Float64:
+def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64:
+    """(N,) what Gaussians are ranked by when some must go."""
+    return paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+
+
+def _as_the_paper(
+    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
+) -> tuple[GaussianModel, dict[str, Any]]:
+    """Pruned at a fixed threshold (Eq 5), merged, and densified where W^freq is greatest."""
+    slim, kept, merged = model, np.arange(len(model), dtype=np.int32), 0
+    if config.paper.tau_base > 0:
+        rank = _worth(model, impact, config)
+        slim, kept, merged = prune_at(model, rank, config.paper.tau_base, extent.radius, config.prune)
+    dense = densify(slim, frequency_impact(model, impact)[kept], config.paper.densify)
+    return dense, {
+        "psnr_pruned_worst_view": worst_psnr_against(original.images, original.cameras)(dense),
+        "merged": merged,
+        "densified": len(dense) - len(slim),
+    }
+
+
+def color_weights(model: GaussianModel, impact: Impact, *, by_frequency: bool = False) -> Float64:
     """(N,) how much an error in each Gaussian's colour is seen: the inverse of its Laplace uncertainty.
 
-    That is the curvature of the render error itself; W^freq of the paper (impact times ||DWT(g)||) in its place
-    is what the ablation compares it with.
+    That is the curvature of the render error itself. The paper's profiles weigh `by_frequency`, with W^freq, instead.
     """
+    if by_frequency:
+        return frequency_impact(model, impact)
     return np.asarray(1.0 / uncertainty(impact.squared))
 
 
@@ -65,7 +90,7 @@ def unmarked_delivery(
     if config.output == "fidelity":
         return model, stages
     measure = worst_psnr_against(original.images, original.cameras)
-    weights = color_weights(model, impact)
+    weights = color_weights(model, impact, by_frequency=config.paper.frequency)
     while True:
         compact = model.with_(sh=decode_stages(stages))
         if measure(compact) >= config.compact_db + 0.8 or len(stages) > MOST_STAGES:

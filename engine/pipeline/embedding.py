@@ -163,8 +163,7 @@ def _prepare(
         settings = choice.config
     else:
         settings = config or EmbedConfig()
-    keeps_rows = settings.prune.budget_db is None and settings.output == "fidelity"
-    variant.check(model, keeps_rows=keeps_rows, refines=settings.refine.steps > 0)
+    variant.check(model, keeps_rows=settings.keeps_rows, refines=settings.refine.steps > 0)
 
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.
@@ -239,7 +238,7 @@ def _mark(
             original_digest=asset.original_sha256,
             plan=mark.plan[0],
             plan_arrays=mark.plan[1],
-            extra={"settings": asdict(settings)},
+            extra={"settings": settings.told()},
             copy=copy,
             registered_at=registered_at,
         )
@@ -275,7 +274,8 @@ def _plan(asset: Asset, secret: bytes) -> Plan:
     stages: tuple[Stage, ...] = asset.stages
     ground, variant, settings, delivered = asset.ground, asset.variant, asset.settings, asset.delivered
     missed = None
-    if variant.labels is None:
+    own = variant.labels is not None or settings.paper.public_codes
+    if not own:
         joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
         stages = (joined, *stages[1:])
         centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
@@ -286,4 +286,5 @@ def _plan(asset: Asset, secret: bytes) -> Plan:
         stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
         if missed is not None and len(stages[0].codebook) > len(missed):
             missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
-    return make_plan(stages, ground.impact, settings.plan, emphasis, missed, lambda chips: jitter(secret, chips))
+    shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
+    return make_plan(stages, ground.impact, settings.plan, emphasis, missed, shaken, whole=settings.paper.whole_sh)

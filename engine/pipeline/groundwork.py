@@ -13,9 +13,9 @@ import numpy as np
 
 from engine.compress.cells import cell_features
 from engine.compress.hvq import Stage, group_means, quantize
-from engine.compress.impact import Impact, measure_impact
+from engine.compress.impact import Impact, measure_impact, sh_curvature, uncertain
 from engine.errors import InputError
-from engine.model import Camera, Float64, GaussianModel
+from engine.model import Bool, Camera, Float64, GaussianModel
 from engine.pipeline.delivery import color_weights
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
@@ -61,12 +61,19 @@ class Groundwork:
         config = self.config.quantize
         if self.config.output == "compact":
             config = replace(config, cells=config.cells // COMPACT, min_members=config.min_members * COMPACT)
-        return own or quantize(self.model, self.colors, self.extent.radius, config)
+        return own or quantize(self.model, self.colors, self.extent.radius, config, self._coarse)
+
+    @property
+    def _coarse(self) -> Bool | None:
+        """(N, K) coefficients above the paper's tau_unc, which its later stages leave alone; None where all count."""
+        if self.config.paper.tau_unc <= 0:
+            return None
+        return uncertain(sh_curvature(self.model, self.views.views, self.cameras), self.config.paper.tau_unc)
 
     @cached_property
     def colors(self) -> Float64:
         """(N,) how much an error in each Gaussian's colour is seen."""
-        return color_weights(self.model, self.impact)
+        return color_weights(self.model, self.impact, by_frequency=self.config.paper.frequency)
 
     @cached_property
     def cell_features(self) -> Float64:

@@ -10,7 +10,7 @@ from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.layers import SCATTERED, layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
-from engine.watermark.paper_decoder import decode_paper
+from engine.watermark.paper_decoder import adaptive_weights, decode_paper
 from engine.watermark.power import measured_change
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
@@ -115,7 +115,8 @@ def judge(
     if config.decoder == "paper":
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
         chips, bit_of = spreading.chips[:tint], spreading.bit_of[:tint]  # the paper knows of no other layer
-        bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message))
+        weights = adaptive_weights(evidence.differences, opened.layout.amplitudes) if evidence.differences else None
+        bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message), weights)
         matching = int((bits == opened.message).sum())
         claim = replace(
             claim,

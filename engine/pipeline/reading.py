@@ -1,7 +1,7 @@
 """From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -61,8 +61,11 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
 
 def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
     """What the suspect's colours say, in the cells of this record's copy."""
-    tint = gather_model_evidence(opened.layout, opened.reference.sh[:, 0], suspect.sh[:, 0], registration.mixtures)
-    return Evidence(tint.y, tint.weights, opened.strength * tint.signal)
+    seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
+    reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
+    width = min(opened.layout.width, colors.shape[1])
+    tint = gather_model_evidence(opened.layout, reference[:, :width], colors[:, :width], registration.mixtures)
+    return replace(tint, signal=opened.strength * tint.signal)
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:

@@ -1,4 +1,7 @@
-"""Refinement (Eq 9): a short Adam run on the colours through the rasterizer and random distortion layers.
+"""Refinement (Eq 9): an Adam run on the colours through the rasterizer and random distortion layers.
+
+What moves is every Gaussian's own displacement; or, as in the paper, the code vectors, which Eq 6 and 7 hold near the
+colours that they stand for.
 
 Geometry is fixed, so each key view's fragments are prepared once and a step is two renders (the image, and the
 derivative of the read-out) and two backward passes. Bits are read exactly as the verifier reads them: the VJP of
@@ -7,6 +10,7 @@ before the chips are drawn (DESIGN 4.9), so the refinement may move the model bu
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +20,8 @@ from torch import Tensor
 
 from engine.compress.impact import uncertainty
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
-from engine.numerics.wavelet import dwt2
+from engine.numerics.spherical_harmonics import sh_basis
+from engine.numerics.wavelet import coefficient_detail, dwt2
 from engine.pipeline.asset import Asset
 from engine.pipeline.distortions import draw
 from engine.pipeline.marking import Mark
@@ -61,6 +66,15 @@ _blend: Callable[[Tensor, View], Tensor] = _Blend.apply
 _pull: Callable[[Tensor, View], Tensor] = _Pull.apply
 
 
+@dataclass(frozen=True, eq=False)
+class Codes:
+    """What holds displaced code vectors (Eq 6 and 7)."""
+
+    left: Float32  # (N, D) g - c: what the unmarked code vectors leave of each Gaussian's colour
+    weight: float  # of this loss
+    lambda_freq: float  # of the detail in it
+
+
 def refine(
     model: GaussianModel,
     displacement: Float32,
@@ -73,17 +87,18 @@ def refine(
     config: RefineConfig,
     advance: Callable[[float], None],
     seed: int = 0,
+    codes: Codes | None = None,
 ) -> Float32:
-    """Improve the displacement of every Gaussian's DC colour.
+    """Improve the displacement of every Gaussian's colour.
 
-    Gives (N, 3) float32; the caller solves its strength again.
+    Gives (N, D) float32; the caller solves its strength again.
 
     Parameters
     ----------
     model : GaussianModel
         Unmarked.
-    displacement : (N, 3) float32
-        Closed-form mark at its final strength, SH units.
+    displacement : (N, D) float32
+        Closed-form mark at its final strength, SH units: of DC, D = 3, or of all coefficients.
     cameras : list of Camera
         Key views.
     signed : (C,) float64
@@ -95,6 +110,8 @@ def refine(
         Told the fraction done.
     seed : int
         Of views and distortions.
+    codes : Codes, optional
+        Move the layout's code vectors, from the closed form of `signed` on, not the Gaussians.
     """
     rng = np.random.default_rng(seed)
     scale = config.size / max(cameras[0].width, cameras[0].height)
@@ -104,14 +121,18 @@ def refine(
     colors = [torch.from_numpy(base) for base in bases]
     renders = [torch.from_numpy(view.render(base)[0]) for view, base in zip(views, bases, strict=True)]
     pattern, groups = _bit_patterns(layout, signed, bit_of, bits)
-    delta = torch.from_numpy(displacement.copy()).requires_grad_(True)
+    degree = int(np.sqrt(displacement.shape[1] // 3)) - 1
+    harmonics = [torch.from_numpy(_harmonics(model, c, degree)) for c in small]
     rms = float(np.sqrt((displacement**2).mean()))
     doubt = np.clip(np.sqrt(uncertainty / np.median(uncertainty)), 0.3, 3.0).astype(np.float32)
+    start, rows, doubt = (displacement, [], doubt) if codes is None else _code_vectors(layout, signed, doubt)
+    delta = torch.from_numpy(start.copy()).requires_grad_(True)
     moment, square = torch.zeros_like(delta), torch.zeros_like(delta)
     for step in range(1, config.steps + 1):
         k = int(rng.integers(len(views)))
         layer = draw(rng)
-        marked = _blend(torch.relu(colors[k] + SH_C0 * delta), views[k])  # (H, W, 3)
+        moved = _of_gaussians(delta, rows)  # (N, D)
+        marked = _blend(torch.relu(colors[k] + _shown(moved, harmonics[k])), views[k])  # (H, W, 3)
         with torch.no_grad():
             clean = layer(renders[k].permute(2, 0, 1)[None])
         residual = (layer(marked.permute(2, 0, 1)[None]) - clean)[0].permute(1, 2, 0).contiguous()
@@ -121,6 +142,8 @@ def refine(
         reconstruction = change.abs().mean() / (rms * SH_C0)
         wavelet = sum(band.abs().mean() for band in dwt2(change, 2)[1][0]) / (rms * SH_C0)
         loss = config.lambda_msg * message + config.lambda_rec * reconstruction + config.lambda_wavelet * wavelet
+        if codes is not None:
+            loss = loss + codes.weight * _code_energy(torch.from_numpy(codes.left) - moved, codes.lambda_freq) / rms**2
         (gradient,) = torch.autograd.grad(loss, delta)
         with torch.no_grad():  # Adam, its step scaled by the uncertainty (paper: eta by the tile's uncertainty)
             moment.mul_(0.9).add_(gradient, alpha=0.1)
@@ -128,19 +151,64 @@ def refine(
             update = (moment / (1 - 0.9**step)) / ((square / (1 - 0.99**step)).sqrt() + 1e-12)
             delta -= config.rate * update * torch.from_numpy(doubt)[:, None]
         advance(step / config.steps)
-    return delta.detach().numpy()
+    with torch.no_grad():
+        return np.asarray(_of_gaussians(delta, rows).numpy(), dtype=np.float32)
+
+
+def _of_gaussians(delta: Tensor, rows: list[Tensor]) -> Tensor:
+    """(N, D) displacement of every Gaussian: the sum of its code vectors', or with no rows its own."""
+    if not rows:
+        return delta
+    # The gradient of delta[row] is summed in any order by several threads; that of this one always in the same.
+    return torch.stack([delta.index_select(0, row) for row in rows]).sum(dim=0)
+
+
+def _harmonics(model: GaussianModel, camera: Camera, degree: int) -> Float32:
+    """(N, K) basis functions at the directions in which a camera sees each Gaussian."""
+    direction = model.means - camera.position.astype(np.float32)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    return sh_basis(direction, degree).astype(np.float32)
+
+
+def _shown(displacement: Tensor, harmonics: Tensor) -> Tensor:
+    """(N, 3) what a displacement (N, 3K) of the coefficients adds to the colours seen by a camera."""
+    if harmonics.shape[1] == 1:
+        return SH_C0 * displacement
+    return (harmonics[:, :, None] * displacement.reshape(len(displacement), -1, 3)).sum(dim=1)
+
+
+def _code_vectors(layout: Layout, signed: Float64, doubt: Float32) -> tuple[Float32, list[Tensor], Float32]:
+    """(sum M, D) displacement of every code vector in closed form, the row (N,) of each Gaussian's in each stage, and
+    the code vectors' doubt (sum M,), the mean of their members'."""
+    parts = [part @ direction for part, direction in zip(layout.split(signed), layout.directions, strict=True)]
+    firsts = np.concatenate([[0], np.cumsum(layout.codes)[:-1]])
+    rows = [label + first for label, first in zip(layout.labels, firsts, strict=True)]
+    means = [
+        np.bincount(label, doubt, count) / np.maximum(np.bincount(label, minlength=count), 1)
+        for label, count in zip(layout.labels, layout.codes, strict=True)
+    ]
+    start = np.concatenate(parts).astype(np.float32)
+    return start, [torch.from_numpy(row.astype(np.int64)) for row in rows], np.concatenate(means).astype(np.float32)
+
+
+def _code_energy(gap: Tensor, lambda_freq: float) -> Tensor:
+    """Eq 7, mean over Gaussians and numbers of a colour, of the gaps g - c' (N, D)."""
+    energy = gap.square().sum()
+    if gap.shape[1] > 3:
+        energy = energy + lambda_freq * coefficient_detail(gap.reshape(len(gap), -1, 3)).square().sum()
+    return energy / gap.numel()
 
 
 def _bit_patterns(
     layout: Layout, signed: Float64, bit_of: npt.NDArray[np.int32], bits: int
 ) -> tuple[Tensor, list[Tensor]]:
-    """Matched filter per stage and Gaussian, (S, N, 3), and the bit of each Gaussian in each stage."""
+    """Matched filter per stage and Gaussian in DC, (S, N, 3), and the bit of each Gaussian in each stage."""
     carriers = len(layout.directions[0])
     patterns, groups, start = [], [], 0
     for part, label, direction, count in zip(
         layout.split(signed), layout.labels, layout.directions, layout.codes, strict=True
     ):
-        patterns.append((part @ direction).astype(np.float32)[label])
+        patterns.append((part @ direction[:, :3]).astype(np.float32)[label])
         code_bit = bit_of[start : start + count * carriers : carriers]
         groups.append(torch.from_numpy(code_bit[label].astype(np.int64)))
         start += count * carriers
@@ -163,6 +231,11 @@ def refine_mark(
 ) -> tuple[GaussianModel, Fidelity]:
     """The marked model with its tint refined and its strength solved again, and what its worst view shows."""
     plan, delivered, tint = mark.settled.plan, asset.delivered, mark.settled.tint
+    codes, weight = None, asset.settings.paper.codes
+    if weight > 0:
+        width = plan.layout.width
+        left = (asset.ground.model.sh - delivered.sh).reshape(len(delivered), -1)[:, :width]
+        codes = Codes(np.ascontiguousarray(left), weight, asset.settings.quantize.lambda_freq)
     displacement = refine(
         delivered,
         plan.layout.displace(mark.signed),
@@ -174,6 +247,7 @@ def refine_mark(
         uncertainty(asset.ground.impact.squared),
         asset.settings.refine,
         advance,
+        codes=codes,
     )
     again = solve_strength(asset.views, displacement, tint.psnr_db, tint.ssim, 1.0)
     marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))

@@ -126,7 +126,8 @@ def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) ->
 def _open(record: Record, key: OwnerKey) -> OpenedRecord:
     reference = record.reference()
     version = record.header.format_version
-    admit(version, record.copy, record.plan, record.extra, record.plan_arrays, len(reference))
+    sizes = reference.sh.shape[:2]
+    admit(version, record.copy, record.plan, record.extra, record.plan_arrays, *sizes)
     codes = tuple(int(count) for count in record.plan["codes"])
     arrays = record.plan_arrays
     labels = tuple(np.ascontiguousarray(arrays[f"labels/{s}"], dtype=np.int32) for s in range(len(codes)))

@@ -44,9 +44,9 @@ class Strength(Fidelity):
 
 
 def add_dc(sh: Float32, displacement: Float32) -> Float32:
-    """(N, K, 3) colours with the DC coefficients displaced by (N, 3)."""
+    """(N, K, 3) colours with the DC coefficients displaced by (N, 3), or all of them by (N, 3K)."""
     marked = sh.copy()
-    marked[:, 0] += displacement
+    marked[:, : displacement.shape[1] // 3] += displacement.reshape(len(sh), -1, 3)
     return marked
 
 

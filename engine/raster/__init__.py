@@ -10,12 +10,13 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 from engine.raster.compiling import warm_up
 from engine.raster.gradients import Gradients, Rendering, backward, draw
 from engine.raster.pictures import render, render_depth
-from engine.raster.settings import RasterSettings
+from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.spherical_harmonics import sh_basis, sh_colors, sh_colors_backward
 from engine.raster.view import View, prepare_view
 from engine.raster.workspace import release_memory
 
 __all__ = [
+    "EarlyStop",
     "Gradients",
     "RasterSettings",
     "Rendering",

@@ -1,4 +1,4 @@
-"""Pass 4: blend the lists front to back (Eq 3), tile by tile, any number of channels."""
+"""Pass 4: blend the lists front to back (Eq 3, and Eq 8 where asked for), tile by tile, any number of channels."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np
@@ -6,7 +6,7 @@ from numba import prange
 
 from engine.numerics.jit import parallel_kernel
 from engine.raster.lane_memory import fetch_add, load, store
-from engine.raster.lanes import fma, spread
+from engine.raster.lanes import fma, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 from engine.raster.tiles import (
@@ -26,7 +26,7 @@ from engine.raster.tiles import (
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 _f = np.float32
 
@@ -37,7 +37,7 @@ def forward_scratch(channels: int) -> int:
 
 
 @parallel_kernel
-def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluated, bench):
+def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluated, bench, tau):
     """Image and accumulated alpha.
 
     Parameters
@@ -49,10 +49,12 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
     image, alpha : flat (H, W, C) and (H, W), out
     evaluated : (tiles,) int64 out, (Gaussian, block) items blended: 16 pixel fragments each
     bench : `workspace.Workspace.tile_bench`
+    tau : None, or a number: the last channel is W of Eq 8, sums alpha W, and ends a pixel where that reaches tau
     """
     records, discs, ids, starts, width, height, tiles_x, limits = lists
     scratch, items, counter = bench
     channels = len(channel_tuple)
+    blended = channels if tau is None else channels - 1
     log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     stage = FIELDS + channels * FIELD
@@ -80,10 +82,16 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
                 )
                 for t in range(count):
                     place, _, from_, _, _, q = open_item(own, stage, list_[t], discs)
-                    _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
-                    for channel in range(channels):
+                    opacity, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
+                    for channel in range(blended):
                         field = FIELDS + channel * FIELD + place
                         store(own, field, fma(w, own[from_ + RECORD + channel], load(own, field)))
+                    if tau is not None:
+                        field = FIELDS + blended * FIELD + place
+                        shown = select(w > _f(0.0), minimum(opacity, clamp), spread(_f(0.0)))
+                        total = fma(shown, own[from_ + RECORD + blended], load(own, field))
+                        store(own, field, total)
+                        after = select(total >= tau, minus_magnitude(after), after)
                     store(own, STATE + place, after)
                 work += count
                 at += size

@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 
 from engine.errors import InputError
+from engine.model import Float32
 
-__all__ = ["ALPHA_SKIP", "BLOCK", "KERNELS", "MAX_SIGMA_PX", "TILE", "RasterSettings"]
+__all__ = ["ALPHA_SKIP", "BLOCK", "KERNELS", "MAX_SIGMA_PX", "TILE", "EarlyStop", "RasterSettings"]
 
 TILE = 16
 """Side of a tile, pixels. A Gaussian's list entry is one (tile, Gaussian) pair."""
@@ -24,6 +25,23 @@ MAX_SIGMA_PX = 1e6
 FRUSTUM_MARGIN = 0.3
 """The Jacobian of the projection is taken at most this part of the half field of view outside the image
 (gsplat)."""
+
+
+@dataclass(frozen=True, eq=False)
+class EarlyStop:
+    """The paper's rule beside transmittance (Eq 8): a pixel ends once sum_j alpha_j W_j >= tau.
+
+    Of a picture alone: gradients and sums of weights are those of the whole image. W (N,) is W^freq of every Gaussian,
+    or its rank in (0, 1]; alphas are not multiplied with the transmittance, so a tau above 1 stops pixels, too. The
+    Gaussian that reaches tau is still blended.
+    """
+
+    weights: Float32
+    tau: float = 0.95  # the paper's text; its appendix finds 1.2 best
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tau < math.inf:
+            raise InputError(f"tau of the early stop is {self.tau}, expected a number above 0")
 
 
 @dataclass(frozen=True)

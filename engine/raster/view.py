@@ -19,7 +19,7 @@ from engine.raster.backward import (
 )
 from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.geometry import Geometry, build_geometry
-from engine.raster.settings import RasterSettings
+from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.workspace import Workspace, borrow_workspace
 
 __all__ = ["View", "blend_colors", "prepare_view"]
@@ -49,16 +49,20 @@ def widened(array: Float32, first: int, last: int, width: int) -> Float32:
 
 
 def blend_colors(
-    geometry: Geometry, colors: Float32, background: Float32, work: Workspace
+    geometry: Geometry, colors: Float32, background: Float32, work: Workspace, tau: float | None = None
 ) -> tuple[Float32, Float32, int]:
-    """Image (H, W, C) and alpha (H, W) of colours (N, C) with C a compiled width; and fragments evaluated."""
+    """Image (H, W, C) and alpha (H, W) of colours (N, C) with C a compiled width; and fragments evaluated.
+
+    With `tau` the last channel is W of Eq 8.
+    """
     camera, channels = geometry.camera, colors.shape[1]
     image = np.empty((camera.height, camera.width, channels), dtype=np.float32)
     alpha = np.empty((camera.height, camera.width), dtype=np.float32)
     evaluated = work.array("evaluated", (len(geometry.starts) - 1,), np.int64)
     bench = work.tile_bench(forward_scratch(channels))
     out = image.reshape(-1), alpha.reshape(-1), evaluated
-    blend_tiles(geometry.lists, (0,) * channels, colors.reshape(-1), background, *out, bench)
+    at = None if tau is None else np.float32(tau)
+    blend_tiles(geometry.lists, (0,) * channels, colors.reshape(-1), background, *out, bench, at)
     return image, alpha, 16 * int(evaluated.sum())
 
 
@@ -89,11 +93,13 @@ class View:
         """(V,) float32 depths (camera z, scene units) of `visible`."""
         return self.depth_of_all[self.geometry.visible]
 
-    def render(self, colors: Float32, background: npt.ArrayLike | None = None) -> tuple[Float32, Float32]:
+    def render(
+        self, colors: Float32, background: npt.ArrayLike | None = None, early: EarlyStop | None = None
+    ) -> tuple[Float32, Float32]:
         """Blend colours front to back (Eq 3): image (H, W, C) and accumulated opacity (H, W), 0 to 1.
 
-        `colors` (N, C) float32, one per Gaussian of the model, any number of channels; `background` a scalar or (C,), 0
-        by default. InputError if a shape is wrong.
+        `colors` (N, C) float32, one per Gaussian of the model, any number of channels (3 with an `early` stop);
+        `background` a scalar or (C,), 0 by default. InputError if a shape is wrong.
         """
         colors = np.asarray(colors)
         if colors.ndim != 2 or len(colors) != self.geometry.count or colors.shape[1] < 1:
@@ -103,6 +109,8 @@ class View:
             behind[:] = 0.0 if background is None else background
         except ValueError as error:
             raise InputError(f"background must be one number or {colors.shape[1]}") from error
+        if early is not None:
+            return self._stopped(colors, behind, early)
         images = []
         with parallel_section(), borrow_workspace() as work:
             for first, last, width in channel_groups(colors.shape[1]):
@@ -110,6 +118,17 @@ class View:
                 image, alpha, _ = blend_colors(self.geometry, shades, rest, work)
                 images.append(image[..., : last - first])
         return images[0] if len(images) == 1 else np.concatenate(images, axis=-1), alpha
+
+    def _stopped(self, colors: Float32, behind: Float32, early: EarlyStop) -> tuple[Float32, Float32]:
+        if colors.shape[1] != 3 or early.weights.shape != (len(colors),):
+            raise InputError(
+                f"an early stop takes colors ({len(colors)}, 3) and as many weights, got {colors.shape} and "
+                f"{early.weights.shape}"
+            )
+        weighted = np.concatenate([colors, early.weights[:, None]], axis=1).astype(np.float32)  # (N, 4)
+        with parallel_section(), borrow_workspace() as work:
+            image, alpha, _ = blend_colors(self.geometry, weighted, np.append(behind, np.float32(0.0)), work, early.tau)
+        return np.ascontiguousarray(image[..., :3]), alpha
 
     def backward_colors(self, cotangent: Float32) -> Float32:
         """(N, C) gradient of `render`'s image with respect to the colours, ``sum_p w_i(p) cotangent(p)``, for (H, W, C)

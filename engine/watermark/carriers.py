@@ -2,7 +2,8 @@
 
 The basis comes from the **unmarked** codebook only: an extractor that keeps the mark's own U, V finds that mark in
 anything. It spans the DC block: `.splat` drops the SH rest, SPZ and compressed PLY store it in 4 to 8 bits, bakes
-and truncation remove it, so energy put there is paid for in decibels and lost as evidence.
+and truncation remove it, so energy put there is paid for in decibels and lost as evidence. The paper takes all
+coefficients, and so does `whole`.
 """
 
 from dataclasses import dataclass
@@ -19,15 +20,22 @@ CHROMA_FLOOR = 0.12
 model itself all three carriers read equally well and three carriers hold three times the chips."""
 
 
+CARRIERS = 3
+"""Directions R: all that DC space has, and as many of a wider one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Carriers:
-    """Orthonormal directions (R, 3) in DC space, singular value order, and relative amplitudes (R,), norm 1."""
+    """Orthonormal directions (R, D), singular value order, and relative amplitudes (R,), norm 1; D is 3 in DC space, or
+    3K of all coefficients."""
 
     directions: Float64
     amplitudes: Float64
 
 
-def make_carriers(codebook: Float32, usage: Float64, chroma_floor: float = CHROMA_FLOOR) -> Carriers:
+def make_carriers(
+    codebook: Float32, usage: Float64, chroma_floor: float = CHROMA_FLOOR, *, whole: bool = False
+) -> Carriers:
     """Right singular vectors of the usage-weighted codebook's DC block.
 
     The colours are taken as they show (0.5 + C0 c, uncentred), so the first direction has one sign throughout and lies
@@ -41,12 +49,15 @@ def make_carriers(codebook: Float32, usage: Float64, chroma_floor: float = CHROM
         How much of the images each code vector covers.
     chroma_floor : float
         See CHROMA_FLOOR.
+    whole : bool
+        Of all coefficients, as the paper has it, instead of the DC block: the first CARRIERS singular vectors.
     """
-    shown = 0.5 + SH_C0 * codebook[:, :3].astype(np.float64)
+    shown = SH_C0 * codebook[:, : codebook.shape[1] if whole else 3].astype(np.float64)
+    shown[:, :3] += 0.5
     gram = (shown * (usage / max(usage.sum(), 1e-300))[:, None]).T @ shown  # V of the SVD, by its Gram matrix
     _, vectors = np.linalg.eigh(gram)
-    directions = vectors[:, ::-1].T
-    signs = np.sign(directions[np.arange(3), np.abs(directions).argmax(axis=1)])
+    directions = vectors[:, ::-1].T[:CARRIERS]
+    signs = np.sign(directions[np.arange(CARRIERS), np.abs(directions).argmax(axis=1)])
     directions = directions * signs[:, None]
-    amplitudes = np.maximum(np.abs(directions @ LUMA), chroma_floor)
+    amplitudes = np.maximum(np.abs(directions[:, :3] @ LUMA), chroma_floor)
     return Carriers(directions, amplitudes / np.linalg.norm(amplitudes))

@@ -236,7 +236,8 @@ def _reader(
 def _public_pattern(layout: Layout, view: View) -> Float32:
     """(H, W, 3) what a mark of these amplitudes and public signs adds to a picture: the spectrum to expect."""
     signs = public_signs(layout.chips)
-    return view.render(np.ascontiguousarray(SH_C0 * layout.displace(layout.amplitudes * signs)))[0]
+    shown = layout.displace(layout.amplitudes * signs)[:, :3]  # seen from anywhere: DC
+    return view.render(np.ascontiguousarray(SH_C0 * shown))[0]
 
 
 def _limits(evidence: Float64, carriers: int) -> Float64:

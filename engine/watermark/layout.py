@@ -20,13 +20,19 @@ class Layout:
 
     labels: tuple[Int32, ...]  # (N,) each: code of each Gaussian in each stage
     codes: tuple[int, ...]  # number of code vectors of each stage
-    directions: tuple[Float64, ...]  # (R, 3) each: carriers of each stage, in DC space; the same R for all
+    # (R, D) each: carriers of each stage; the same R and D for all. D is 3, DC space, or 3K of all coefficients
+    directions: tuple[Float64, ...]
     amplitudes: Float64  # (C,) size of each chip's displacement, SH units; flat order stage, code vector, carrier
 
     @property
     def chips(self) -> int:
         """Number of chips C."""
         return sum(self.codes) * len(self.directions[0])
+
+    @property
+    def width(self) -> int:
+        """Numbers D of a Gaussian's colour that the mark displaces: the first 3, or all."""
+        return int(self.directions[0].shape[1])
 
     def split(self, flat: Float64) -> list[Float64]:
         """(C,) per chip -> one (codes, R) array per stage."""
@@ -35,19 +41,20 @@ class Layout:
         return [part.reshape(-1, carriers) for part in np.split(flat, ends)]
 
     def displace(self, signed: Float64) -> Float32:
-        """(N, 3) DC displacement of each Gaussian for the displacements (C,) of the chips.
+        """(N, D) displacement of each Gaussian's colour for the displacements (C,) of the chips.
 
         c'_k = c_k + sum_r signed_kr v_r (Eq 6's minimum under a fixed linear response), summed over the stages.
         """
-        total = np.zeros((len(self.labels[0]), 3))
+        total = np.zeros((len(self.labels[0]), self.width))
         for part, label, direction in zip(self.split(signed), self.labels, self.directions, strict=True):
             total += (part @ direction)[label]
         return total.astype(np.float32)
 
     def gather(self, per_gaussian: Values) -> Float64:
-        """(C,) adjoint of `displace`: sums a gradient (N, 3) with respect to DC over each chip."""
-        flat = []
+        """(C,) adjoint of `displace`: sums a gradient (N, D) with respect to the colours over each chip; of one (N, 3)
+        with respect to DC, the DC part of the carriers is taken."""
+        flat, width = [], per_gaussian.shape[1]
         for count, label, direction in zip(self.codes, self.labels, self.directions, strict=True):
-            sums = [np.bincount(label, per_gaussian[:, c], count) for c in range(3)]
-            flat.append((np.stack(sums, axis=1) @ direction.T).reshape(-1))
+            sums = [np.bincount(label, per_gaussian[:, c], count) for c in range(width)]
+            flat.append((np.stack(sums, axis=1) @ direction[:, :width].T).reshape(-1))
         return np.concatenate(flat)

@@ -1,6 +1,6 @@
 """From a registered suspect model to one displacement estimate per chip (DESIGN 4.8, paper Eq 10 and 11)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -28,6 +28,8 @@ class Evidence:
     signal: Float64  # (C,) size of y to expect if the mark is there, in the units of y
     # (N, 3) each: what every picture says of the Gaussians' colours, from which another copy's cells can be read
     pulled: tuple[Float32, ...] = ()
+    # (M, D) of each stage, of a model: how far each code vector as a whole seems to be displaced (Eq 10's c' - c)
+    differences: tuple[Float64, ...] = ()
 
     @property
     def evidence(self) -> Float64:
@@ -50,7 +52,8 @@ class Evidence:
     def then(self, other: "Evidence") -> "Evidence":
         """Evidence on more chips: these, the other's behind."""
         y, weights = np.concatenate([self.y, other.y]), np.concatenate([self.weights, other.weights])
-        return Evidence(y, weights, np.concatenate([self.signal, other.signal]))
+        signal = np.concatenate([self.signal, other.signal])
+        return Evidence(y, weights, signal, differences=self.differences)
 
 
 def remove_affine_color(reference: Float64, residual: Float64, weights: Float64) -> Float64:
@@ -79,10 +82,11 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
 
     Parameters
     ----------
-    reference_dc : (N, 3) float32
-        DC colours of the unmarked reference.
-    suspect_dc : (n, 3) float32
-        DC colours of the suspect.
+    reference_dc : (N, D) float32
+        Colours of the unmarked reference: DC, or all coefficients where the layout's carriers span them; of these, as
+        many as the suspect has.
+    suspect_dc : (n, D) float32
+        Those of the suspect, turned as the reference lies.
     mixtures : Mixtures
         Which reference Gaussians each suspect Gaussian is made of; of plain matches, of one.
     """
@@ -97,7 +101,7 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
     reference = np.asarray(made @ reference_dc.astype(np.float64))  # what it would be, unmarked
     residual = suspect_dc[rows].astype(np.float64) - reference
     trust = mixtures.quality[rows].astype(np.float64)
-    residual = remove_affine_color(reference, residual, trust)
+    residual[:, :3] = remove_affine_color(reference[:, :3], residual[:, :3], trust)
     size = np.linalg.norm(residual, axis=1)
     scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * MARK_SCALE)
     trust = trust / (1.0 + (size / scale) ** 2)
@@ -112,14 +116,16 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
         left = residual
     y, variance = [], []
     for mean, stage, direction in zip(means, stages, layout.directions, strict=True):
-        y.append((mean @ direction.T).reshape(-1))
-        variance.append(stage.variance(left @ direction.T, trust).reshape(-1))
-    return _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
+        along = direction[:, : residual.shape[1]].T
+        y.append((mean @ along).reshape(-1))
+        variance.append(stage.variance(left @ along, trust).reshape(-1))
+    weighed = _weigh(np.concatenate(y), np.concatenate(variance), layout.amplitudes, len(layout.directions[0]))
+    return replace(weighed, differences=tuple(means))
 
 
 def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> tuple[list[Float64], Float64]:
-    """Displacements (codes, 3) of each stage's code vectors, and what they leave of the residuals (n, 3)."""
-    means = [np.zeros((stage.matrix.shape[1], 3)) for stage in stages]
+    """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D)."""
+    means = [np.zeros((stage.matrix.shape[1], residual.shape[1])) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
     for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over

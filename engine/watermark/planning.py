@@ -76,6 +76,8 @@ def make_plan(
     emphasis: Float32 | Float64 | None = None,
     missed: Float64 | None = None,
     jitter: Callable[[int], Float64] | None = None,
+    *,
+    whole: bool = False,
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
@@ -93,6 +95,9 @@ def make_plan(
         What the surroundings of each code vector of stage 0 leave unexplained of its colour, see `unexplained`.
     jitter : callable, optional
         From a number of chips to keyed factors on their amplitudes.
+    whole : bool
+        Carriers over all coefficients (the paper), not in DC alone. The mean square of every harmonic over all
+        directions is that of DC, so energies are estimated alike.
     """
     config = config or PlanConfig()
     stages = stages[: config.stages]
@@ -109,10 +114,10 @@ def make_plan(
             mask = mask * np.bincount(stage.labels, emphasis, count) / members
         if number == 0:
             mask = mask * _balance_views(reach * mask**2, config.balance_rounds)
-        carriers = make_carriers(stage.codebook, usage)
+        carriers = make_carriers(stage.codebook, usage, whole=whole)
         chip = mask[:, None] * carriers.amplitudes  # (M, R)
         if number == 0 and missed is not None:
-            chip = chip * _surprise(missed, carriers.directions, config.surprise_exponent)
+            chip = chip * _surprise(missed, carriers.directions[:, :3], config.surprise_exponent)
         if jitter is not None:
             chip = chip * jitter(chip.size).reshape(chip.shape)
         energy = reach[:, :, None] * (SH_C0 * chip) ** 2  # (V, M, R)

@@ -46,12 +46,15 @@ class EmbedRequest(BaseModel):
     bits: Annotated[int, Field(ge=16, le=256, multiple_of=8), WHOLE] | None = Field(
         None, description="Length of a drawn message (32)."
     )
-    profile: Literal["fast", "balanced", "strong", "auto"] = Field(
-        "balanced", description="Speed against accuracy; auto: no more than the scene needs."
+    profile: Literal["fast", "balanced", "strong", "auto", "paper", "paper-appendix"] = Field(
+        "balanced",
+        description="Speed against accuracy; auto: no more than the scene needs; the others: the paper's system.",
     )
     psnr: float | None = Field(None, ge=20, le=90, description="Least PSNR of the mark, dB (47).")
     budget: float | None = Field(None, ge=15, le=80, description="Prune to this PSNR, dB; left out: keep all.")
-    output: Literal["fidelity", "compact"] = Field("fidelity", description="Keep each Gaussian's residual, or drop it.")
+    output: Literal["fidelity", "compact"] | None = Field(
+        None, description="Keep each Gaussian's residual, or drop it; as the profile has it if left out."
+    )
     format: Format | None = Field(None, description="Of the marked model; that of the upload if left out.")
     copy_name: str = Field("", max_length=100, description="Recipient: each copy has a mark of its own.")
     label: str = Field("", max_length=200, description="For people.")

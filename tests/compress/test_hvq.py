@@ -135,3 +135,15 @@ def test_codes_that_nobody_uses_are_planted_anew() -> None:
     stage = learn_residual_stage(x, np.ones(4000), 64, HvqConfig(), seed=1)
     assert len(np.unique(stage.labels)) > 25
     assert float(((x - stage.decode()) ** 2).mean()) < 0.01
+
+
+def test_coarse_coefficients_are_left_to_stage_zero() -> None:
+    model = patchy_model(2000)
+    coarse = np.zeros((2000, 4), dtype=bool)
+    coarse[:, 3] = True
+    config = HvqConfig(cells=64, residual_codes=(64,))
+    first, second = quantize(model, np.ones(2000), 1.0, config, coarse)
+    assert not second.codebook.reshape(-1, 4, 3)[:, 3].any()
+    whole = quantize(model, np.ones(2000), 1.0, config)
+    np.testing.assert_array_equal(first.codebook, whole[0].codebook)
+    assert whole[1].codebook.reshape(-1, 4, 3)[:, 3].any()

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.impact import PRIOR, measure_impact, paper_impact, sh_curvature, spatial_coherence, uncertainty
+from engine.compress.impact import (
+    PRIOR,
+    frequency_impact,
+    measure_impact,
+    paper_impact,
+    sh_curvature,
+    spatial_coherence,
+    uncertain,
+    uncertainty,
+)
 from engine.model import Camera, GaussianModel, look_at
 from engine.raster import prepare_view, render
 from tests.raster.scenes import random_model
@@ -83,3 +92,24 @@ def test_curvature_is_the_second_derivative_of_the_render_error() -> None:
 def test_uncertainty_is_the_posterior_variance() -> None:
     np.testing.assert_allclose(uncertainty(np.array([0.0, 1.0, 9.0]), prior=1.0), [1.0, 0.5, 0.1])
     assert uncertainty(np.zeros(1)) == pytest.approx(1 / PRIOR), "unseen, yet finite"
+
+
+def test_frequency_impact_is_eq_4_times_the_detail_of_the_colour() -> None:
+    """W^freq, with the detail as loops over pairs of coefficients; of DC alone it is Eq 4."""
+    model = random_model(40, 8, 9)
+    found = measure_impact(model, [prepare_view(model, CAMERAS[0])], images(model)[:1])
+    detail = np.zeros(40)
+    for pair in range(4):
+        detail += ((model.sh[:, 2 * pair] - model.sh[:, 2 * pair + 1]).astype(np.float64) ** 2).sum(axis=1) / 2
+    np.testing.assert_allclose(frequency_impact(model, found), paper_impact(model, found) * np.sqrt(detail), rtol=1e-5)
+    plain = model.with_(sh=model.sh[:, :1])
+    np.testing.assert_array_equal(frequency_impact(plain, found), paper_impact(plain, found))
+
+
+def test_uncertain_is_what_lies_deviations_above_the_mean() -> None:
+    curvature = np.ones((100, 4))
+    curvature[:5, 2] = 0.1
+    doubt = 1 / (curvature + PRIOR)
+    far = (1 / (0.1 + PRIOR) - doubt.mean()) / doubt.std()
+    np.testing.assert_array_equal(uncertain(curvature, 0.9 * far), curvature == 0.1)
+    assert not uncertain(curvature, 1.1 * far).any()

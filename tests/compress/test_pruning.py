@@ -3,7 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, prune
+from engine.compress.cells import split_cells
+from engine.compress.impact import ranks
+from engine.compress.merging import merge_duplicates
+from engine.compress.pruning import PruneConfig, adaptive_keep, drop_unseen_bands, prune, prune_at
+from engine.errors import InputError
 from engine.model import GaussianModel
 
 
@@ -121,3 +125,23 @@ def test_gamma_cuts_where_much_is_redundant() -> None:
         kept[gamma] = (poor[rows].sum() / poor.sum(), (~poor)[rows].sum() / (~poor).sum())
     assert kept[0.4][0] < kept[0.0][0] - 0.02
     assert kept[0.4][1] > kept[0.0][1] + 0.02
+
+
+def test_a_fixed_threshold_is_equation_5_once_then_merging() -> None:
+    full = model(2000)
+    twice = np.concatenate([np.arange(2000), np.arange(0, 2000, 2)])
+    full = full.take(twice)  # every second one is there twice
+    impact = np.random.default_rng(1).gamma(0.3, 1.0, len(full))
+    impact[2000:] = impact[:2000:2]
+    impact[full.means[:, 0] < 0] *= 0.1  # a side that is mostly redundant
+    config = PruneConfig(gamma=0.2, merge_distance=0.05, clusters=16)
+    slim, kept, merged = prune_at(full, impact, 0.5, 2.0, config)
+    clusters = split_cells((full.means / 2.0).astype(np.float32), np.ones(len(full)), 16)
+    keep = adaptive_keep(ranks(impact), clusters, 0.5, 0.2)
+    expected, rows, _ = merge_duplicates(full.take(keep), 0.05)
+    assert merged == int(keep.sum()) - len(slim) > 50
+    np.testing.assert_array_equal(slim.means, expected.means)
+    np.testing.assert_array_equal(kept, np.flatnonzero(keep)[rows])
+    assert len(prune_at(full, impact, 0.5, 2.0, PruneConfig(gamma=0.0, merge_distance=0.0))[0]) == 1501
+    with pytest.raises(InputError, match="prunes everything"):
+        prune_at(full, impact, 1.5, 2.0, config)

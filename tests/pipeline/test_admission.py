@@ -193,3 +193,14 @@ def test_a_small_file_does_not_become_a_large_body() -> None:
     with pytest.raises(MalformedRecordError, match="times as many"):
         open_record(data, KEY)
     assert time.perf_counter() - began < 0.2 + sealing
+
+
+def test_carriers_span_dc_or_all_that_the_reference_has() -> None:
+    width = 3 * golden_model().sh.shape[1]
+    assert width > 3
+    wide = np.eye(3, width)
+    assert opened({"directions/0": wide}).layout.width == width
+    for other in (width - 3, width + 3):
+        if other != 3:
+            with pytest.raises(MalformedRecordError, match=f"carriers of the record span {other} numbers of {width}"):
+                opened({"directions/0": np.eye(3, other)})

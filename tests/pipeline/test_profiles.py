@@ -39,6 +39,8 @@ def test_every_knob_has_a_door() -> None:
             text, wanted = ("compact", "compact") if knob == "output" else ("paper", "paper")
         elif isinstance(value, tuple):
             text, wanted = "256,128", (256, 128)
+        elif isinstance(value, bool):
+            text, wanted = "true", True
         elif isinstance(value, int):
             text, wanted = str(value + 1), value + 1
         else:
@@ -57,5 +59,7 @@ def test_knobs_of_auto_and_knobs_that_are_none() -> None:
             compose("fast", knobs=[bad])
     with pytest.raises(InputError, match=r"views is 6 and cannot be '6.5'"):
         compose("fast", knobs=["views=6.5"])
+    with pytest.raises(InputError, match=r"paper.frequency is False and cannot be 'yes'"):
+        compose("fast", knobs=["paper.frequency=yes"])
     with pytest.raises(InputError, match="psnr must lie between 20 and 90 dB, got 12"):
         compose("fast", knobs=["psnr_db=12"])

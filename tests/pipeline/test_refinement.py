@@ -12,9 +12,9 @@ import torch
 from engine.numerics.wavelet import dwt2
 from engine.pipeline import refinement
 from engine.pipeline.profiles import RefineConfig
-from engine.pipeline.refinement import refine
+from engine.pipeline.refinement import Codes, refine
 from engine.pipeline.strength import add_dc
-from engine.raster import prepare_view, render
+from engine.raster import prepare_view, render, sh_colors
 from engine.watermark.statistics import bit_statistics
 from tests.watermark.ball import Ball, marked_ball
 
@@ -32,7 +32,9 @@ def undistorted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(refinement, "draw", lambda rng: lambda image: image)
 
 
-def refined(ball: Ball, config: RefineConfig, views: int = 3, **changes: np.ndarray) -> np.ndarray:
+def refined(
+    ball: Ball, config: RefineConfig, views: int = 3, codes: Codes | None = None, **changes: np.ndarray
+) -> np.ndarray:
     options = {"displacement": ball.displacement, "uncertainty": np.ones(len(ball.model))} | changes
     return refine(
         ball.model,
@@ -45,6 +47,7 @@ def refined(ball: Ball, config: RefineConfig, views: int = 3, **changes: np.ndar
         options["uncertainty"],
         config,
         lambda _: None,
+        codes=codes,
     )
 
 
@@ -160,3 +163,51 @@ def test_a_step_is_what_the_rasterizer_says() -> None:
     (by_colors,), (by_picture,) = torch.autograd.grad(forward, [colors]), torch.autograd.grad(back, [picture])
     assert float((by_colors * colors.detach()).sum()) == pytest.approx(float(forward.detach()), rel=1e-4)
     assert float((by_picture * picture.detach()).sum()) == pytest.approx(float(back.detach()), rel=1e-4)
+
+
+def test_code_vectors_move_with_all_their_members(undistorted: None) -> None:
+    """The paper's way, in two stages: of a Gaussian moves what its two code vectors move."""
+    ball = marked_ball(count=500, size=64, stages=2)
+    free = Codes(np.zeros((500, 3), np.float32), 0.0, 0.1)
+    np.testing.assert_allclose(refined(ball, SILENT, codes=free), ball.displacement, atol=1e-6)
+    moved = refined(ball, replace(SILENT, lambda_rec=1.0), codes=free) - ball.displacement
+    design = np.zeros((500, sum(ball.plan.layout.codes)))
+    design[np.arange(500), ball.plan.layout.labels[0]] = 1.0
+    design[np.arange(500), ball.plan.layout.codes[0] + ball.plan.layout.labels[1]] = 1.0
+    fitted = design @ np.linalg.lstsq(design, moved, rcond=None)[0]
+    assert np.abs(moved).max() > 1e-3
+    np.testing.assert_allclose(moved, fitted, atol=1e-5)
+
+
+def test_equation_7_draws_code_vectors_to_what_they_stand_for(ball: Ball, undistorted: None) -> None:
+    left = 0.3 * np.sin(np.arange(len(ball.model)))[:, None].astype(np.float32) * np.ones(3, np.float32)
+    config = replace(SILENT, steps=20, rate=1e-3)
+    drawn = refined(ball, config, codes=Codes(left, 1.0, 0.0))
+    label = ball.plan.layout.labels[0]
+    members = np.maximum(np.bincount(label), 1)[:, None]
+    wanted = np.stack([np.bincount(label, left[:, c]) for c in range(3)], axis=1) / members
+    before, after = (np.abs(x - wanted[label]).mean() for x in (ball.displacement, drawn))
+    assert after < 0.95 * before
+    still = refined(ball, config, codes=Codes(left, 0.0, 0.0))
+    np.testing.assert_allclose(still, ball.displacement, atol=1e-6)
+
+
+def test_energy_of_a_gap_is_equation_7() -> None:
+    gap = np.random.default_rng(0).standard_normal((5, 12)).astype(np.float32)
+    x = gap.reshape(5, 4, 3).astype(np.float64)
+    detail = ((x[:, 0] - x[:, 1]) ** 2 + (x[:, 2] - x[:, 3]) ** 2).sum() / 2
+    found = float(refinement._code_energy(torch.from_numpy(gap), 0.5))
+    assert found == pytest.approx(((x**2).sum() + 0.5 * detail) / gap.size, rel=1e-5)
+    assert float(refinement._code_energy(torch.ones(5, 3), 0.5)) == pytest.approx(1.0)
+
+
+def test_harmonics_show_as_the_rasterizer_draws_them(ball: Ball) -> None:
+    """A displacement of all coefficients adds to each colour what `sh_colors` adds."""
+    wide = 0.01 * np.random.default_rng(6).standard_normal((len(ball.model), 12)).astype(np.float32)
+    camera = ball.cameras[1]
+    sh = add_dc(ball.model.sh, wide)
+    position = camera.position.astype(np.float32)
+    added = sh_colors(sh, ball.model.means, position) - sh_colors(ball.model.sh, ball.model.means, position)
+    harmonics = torch.from_numpy(refinement._harmonics(ball.model, camera, 1))
+    shown = refinement._shown(torch.from_numpy(wide), harmonics).numpy()
+    np.testing.assert_allclose(shown, added, atol=2e-6)

@@ -8,7 +8,7 @@ import torch
 
 from engine.errors import InputError
 from engine.model import GaussianModel
-from engine.raster import RasterSettings, prepare_view, render, render_depth, sh_colors
+from engine.raster import EarlyStop, RasterSettings, prepare_view, render, render_depth, sh_colors
 from engine.raster.settings import TILE
 from tests.raster.scenes import TOLERANCE, assert_same_image, camera, random_model
 from tests.reference import raster as twin
@@ -43,6 +43,32 @@ def test_pixels_end() -> None:
     expected, alpha = twin_image(model, camera())
     assert alpha.max() > 0.999
     assert_same_image(render(model, camera()), expected)
+
+
+@pytest.mark.parametrize("tau", [0.3, 0.95, 1.2])
+def test_pixels_end_by_impact(tau: float) -> None:
+    """Eq 8, also above 1: alphas are summed without the transmittance."""
+    rng = np.random.default_rng(1)
+    model = random_model(400, 8, 1).with_(opacity_logits=rng.normal(0.5, 1.0, 400).astype(np.float32))
+    weights = rng.random(400).astype(np.float32)
+    expected, alpha = twin_image(model, camera(), background=0.3, early=(weights, tau))
+    view = prepare_view(model, camera())
+    colors = sh_colors(model.sh, model.means, camera().position)
+    image, seen = view.render(colors, 0.3, EarlyStop(weights, tau))
+    assert_same_image(image, expected)
+    assert_same_image(seen, alpha)
+    whole = view.render(colors, 0.3)[0]
+    assert (np.abs(image - whole).max(axis=2) > 0.01).mean() > 0.05, "the stop ends nothing here"
+    np.testing.assert_array_equal(view.render(colors, 0.3, EarlyStop(weights, 1e6))[0], whole)
+
+
+def test_an_early_stop_is_refused_where_it_fits_nothing() -> None:
+    view = prepare_view(random_model(20, 1, 1), camera())
+    with pytest.raises(InputError, match="tau of the early stop is 0"):
+        EarlyStop(np.ones(20, np.float32), 0.0)
+    for channels, count in ((3, 19), (1, 20)):
+        with pytest.raises(InputError, match="an early stop takes colors"):
+            view.render(np.ones((20, channels), np.float32), early=EarlyStop(np.ones(count, np.float32)))
 
 
 @pytest.mark.parametrize(

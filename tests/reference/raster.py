@@ -90,8 +90,13 @@ def rasterize(
     settings: RasterSettings = RasterSettings(),
     colors: torch.Tensor | None = None,
     background: float = 0.0,
+    early: tuple[np.ndarray, float] | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Image (H, W, C), alpha (H, W), and every Gaussian's blending weights (N, H, W)."""
+    """Image (H, W, C), alpha (H, W), and every Gaussian's blending weights (N, H, W).
+
+    `early` are W (N,) and tau of the paper's stop: the pixel ends behind the Gaussian that brings sum alpha W to tau.
+    """
+    reached = torch.zeros(height, width, dtype=torch.float64)
     centres, covariances, depths, drawn = project(p, width, height, settings)
     colors = colors_seen(p) if colors is None else colors
     opacities = torch.sigmoid(p["opacity_logits"])
@@ -125,4 +130,7 @@ def rasterize(
         weights[i] = weight.detach()
         image = image + weight[..., None] * colors[i]
         transmittance = torch.where(blended, after, transmittance)
+        if early is not None:
+            reached = reached + torch.where(blended, alpha * float(early[0][i]), none)
+            ended = ended | (reached >= early[1])
     return image + transmittance[..., None] * background, 1 - transmittance, weights

@@ -151,3 +151,36 @@ def test_a_message_comes_in_whole_bytes_and_what_was_not_read_is_zero() -> None:
 
 def test_a_message_that_just_fits_is_taken() -> None:
     check_capacity(32, 32)
+
+
+def test_carriers_over_all_coefficients_are_the_first_singular_vectors() -> None:
+    """The paper's SVD; with DC alone both are the same."""
+    rng = np.random.default_rng(5)
+    book = rng.standard_normal((64, 12)).astype(np.float32) * np.linspace(1.5, 0.2, 12, dtype=np.float32)
+    usage = rng.gamma(1.0, 1.0, 64)
+    shown = SH_C0 * book.astype(np.float64)
+    shown[:, :3] += 0.5
+    right = np.linalg.svd(np.sqrt(usage)[:, None] * shown, full_matrices=False)[2][:3]
+    carriers = make_carriers(book, usage, whole=True)
+    np.testing.assert_allclose(np.abs((carriers.directions * right).sum(axis=1)), 1.0, atol=1e-9)
+    assert np.linalg.norm(carriers.directions[:, 3:]) > 0.05
+    np.testing.assert_allclose(
+        carriers.amplitudes / np.linalg.norm(np.maximum(np.abs(right[:, :3] @ LUMA), CHROMA_FLOOR)) ** -1,
+        np.maximum(np.abs(right[:, :3] @ LUMA), CHROMA_FLOOR),
+        atol=1e-9,
+    )
+    dc = make_carriers(book[:, :3], usage, whole=True)
+    np.testing.assert_array_equal(dc.directions, make_carriers(book, usage).directions)
+
+
+def test_a_wide_layout_displaces_all_coefficients_and_reads_dc_alone() -> None:
+    layout = small_layout()
+    rng = np.random.default_rng(3)
+    bases = tuple(np.linalg.qr(rng.standard_normal((12, 3)))[0].T for _ in layout.codes)
+    wide = Layout(layout.labels, layout.codes, bases, layout.amplitudes)
+    signed, gradient = rng.standard_normal(wide.chips), rng.standard_normal((400, 12))
+    moved = wide.displace(signed)
+    assert (wide.width, moved.shape) == (12, (400, 12))
+    assert float((moved * gradient).sum()) == pytest.approx(float(signed @ wide.gather(gradient)), rel=1e-5)
+    alone = np.concatenate([gradient[:, :3], np.zeros((400, 9))], axis=1)
+    np.testing.assert_allclose(wide.gather(gradient[:, :3]), wide.gather(alone), atol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from engine.registration.mixtures import Mixtures
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import SATURATION, gather_model_evidence, remove_affine_color
-from engine.watermark.paper_decoder import decode_paper, paper_steps
+from engine.watermark.paper_decoder import LAMBDA_FREQ, adaptive_weights, decode_paper, paper_steps
 
 
 def marked(n: int = 20_000, codes: int = 1024, seed: int = 0) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
@@ -220,3 +220,44 @@ def test_errors_that_mixtures_share_weigh_on_them() -> None:
     ):
         ratios.append(np.median(evidence.weights[:1536]) / np.median(evidence.weights[1536:]))
     assert ratios[0] < 0.99 * ratios[1]
+
+
+def widely_marked() -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
+    """As `marked`, along carriers over four coefficients."""
+    layout, _, _, signed = marked()
+    rng = np.random.default_rng(7)
+    wide = replace(layout, directions=(np.linalg.qr(rng.standard_normal((12, 3)))[0].T,))
+    reference = rng.standard_normal((20_000, 12)).astype(np.float32)
+    return wide, reference, reference + wide.displace(signed), signed
+
+
+def test_displacements_over_all_coefficients_come_back() -> None:
+    layout, reference, suspect, signed = widely_marked()
+    evidence = gather_model_evidence(layout, reference, suspect, identity(len(reference)))
+    np.testing.assert_allclose(evidence.y, signed, atol=3e-3)
+    difference = (signed.reshape(-1, 3) @ layout.directions[0]).astype(np.float32)
+    np.testing.assert_allclose(evidence.differences[0], difference, atol=3e-3)
+
+
+def test_of_a_suspect_without_harmonics_dc_is_read() -> None:
+    layout, reference, suspect, signed = widely_marked()
+    evidence = gather_model_evidence(layout, reference[:, :3], suspect[:, :3], identity(len(reference)))
+    assert evidence.differences[0].shape == (1024, 3)
+    assert np.corrcoef(evidence.y, signed)[0, 1] > 0.3
+
+
+def test_adaptive_weights_grow_with_beta_and_fall_with_detail() -> None:
+    smooth, rough = np.zeros((1, 4, 3)), np.zeros((1, 4, 3))
+    smooth[0, :2], rough[0, 0], rough[0, 1] = 0.1, 0.1, -0.1
+    differences = (np.concatenate([smooth, rough]).reshape(2, 12), np.zeros((1, 12)))
+    amplitudes = np.array([0.02, 0.02, 0.02, 0.02, 0.04, 0.02])  # two chips a code vector
+    weights = adaptive_weights(differences, amplitudes)
+    np.testing.assert_allclose(weights, np.array([1, 1, 1, 1, 2, 1]) * np.repeat([1, 1 / (1 + LAMBDA_FREQ), 1], 2))
+    np.testing.assert_array_equal(adaptive_weights((np.ones((3, 3)),), np.full(6, 0.1)), np.ones(6))
+
+
+def test_weighted_steps_outvote_more_of_them() -> None:
+    y, chips, bit_of = np.array([0.02, -0.02, -0.02]), np.ones(3, np.int8), np.zeros(3, np.int32)
+    assert decode_paper(y, np.full(3, 0.02), chips, bit_of, 1)[0].tolist() == [-1]
+    bits, lead = decode_paper(y, np.full(3, 0.02), chips, bit_of, 1, np.array([4.0, 1.0, 1.0]))
+    assert (bits.tolist(), lead.tolist()) == ([1], [pytest.approx(2 / 6)])

@@ -25,8 +25,6 @@ from engine.raster import render
 from engine.sim.attack import Label
 from engine.sim.suite import Trial
 
-PROFILE = "fast"
-"""Profile that every setting starts from: the cheapest one, so nothing shown here needs more."""
 UNTOUCHED = Trial("none", (), "", "image")
 ATTACKS = (
     UNTOUCHED,
@@ -80,7 +78,7 @@ def measure_setting(
     chosen = Setting(**setting)
     about = {"scene": Path(scene).name, "setting": chosen.name, "seed": seed}
     try:
-        marked = _mark(scene, chosen, seed, changes)
+        marked = mark_setting(scene, chosen, seed, changes)
     except CapacityError as refusal:
         return [{**about, "kind": "refused", "reason": str(refusal), "capacity_bits": refusal.capacity}]
     shown = marked.original if chosen.unmarked else marked.marked
@@ -109,10 +107,16 @@ def measure_setting(
 
 
 def attack_pictures(
-    scene: str, seed: int, views: int, size: int, changes: dict[str, Any], columns: list[str]
+    scene: str,
+    seed: int,
+    views: int,
+    size: int,
+    changes: dict[str, Any],
+    columns: list[str],
+    setting: dict[str, Any] | None = None,
 ) -> list[Row]:
     """Attacks on one picture at a time, camera known; a row for each view, reading and column."""
-    marked = _mark(scene, DEFAULT, seed, changes)
+    marked = mark_setting(scene, DEFAULT if setting is None else Setting(**setting), seed, changes)
     rows = []
     for view, camera in enumerate(other_views(marked.original, views, size, (seed, OF_VIEWS))):
         picture = render(marked.marked, camera)
@@ -127,9 +131,11 @@ def attack_pictures(
     return rows
 
 
-def attack_models(scene: str, seed: int, changes: dict[str, Any], columns: list[str]) -> list[Row]:
+def attack_models(
+    scene: str, seed: int, changes: dict[str, Any], columns: list[str], setting: dict[str, Any] | None = None
+) -> list[Row]:
     """Attacks on the marked model; a row for each reading and column."""
-    marked = _mark(scene, DEFAULT, seed, changes)
+    marked = mark_setting(scene, DEFAULT if setting is None else Setting(**setting), seed, changes)
     rows = []
     for kind, (label, attacks) in enumerate(ON_MODELS.items()):
         for number, (column, step) in enumerate(attacks.items()):
@@ -180,8 +186,9 @@ def _frames(model: GaussianModel, camera: Camera, repeats: int) -> float:
     return 1.0 / statistics.median(seconds_of(lambda: render(model, camera)) for _ in range(max(repeats, 3)))
 
 
-def _mark(scene: str, setting: Setting, seed: int, changes: dict[str, Any]) -> MarkedScene:
-    config = configure(PROFILE, changes, setting.changes)
+def mark_setting(scene: str, setting: Setting, seed: int, changes: dict[str, Any]) -> MarkedScene:
+    """The scene marked by a setting, after the run's own changes."""
+    config = configure(setting.profile, changes, setting.changes)
     return mark_scene(scene, config, bits=setting.bits, seed=seed, variant=without(setting.without, config.quantize))
 
 

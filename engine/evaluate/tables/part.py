@@ -11,6 +11,8 @@ from typing import Any
 from engine.evaluate.study import Bar, Cell, Options, Row, Section, Table
 from engine.evaluate.summing import Column, grouped, mean_text, picked, table
 
+PROFILE = "fast"
+"""Profile that a setting starts from: the cheapest one, so nothing shown here needs more."""
 MEASURING = "engine.evaluate.tables.measuring"
 """Module of the cells' functions, where no bench has the same."""
 KINDS = ("marked", "refused", "view", "picture")
@@ -53,6 +55,7 @@ class Setting:
     bits: int = 32
     unmarked: bool = False
     """Look at the unmarked original in place of the marked model."""
+    profile: str = PROFILE
 
 
 DEFAULT = Setting("default")

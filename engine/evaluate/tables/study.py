@@ -3,19 +3,21 @@
 Figure 5 is the study `steganalysis`. Each part is also a suite of its own (``--suite table1`` ...), with the same
 cells: a folder of one holds nothing that the whole study would measure again. On a scene of 100k Gaussians and 2 idle
 cores the parts take about 3 (table1), 3 (table2), 2 (table3), 5 (table4), 10 (table5), 3 (table6), 8 (fig6), 4 (fig7)
-and 4 minutes (ablation); cells that parts share run once, all together about 40 minutes.
+and 4 minutes (ablation); cells that parts share run once, all together about 40 minutes. The paper's own system
+(`paper`), with its thousands of steps and trainings, takes an hour more. The whole study writes PAPER.md, too.
 """
 
 from collections.abc import Sequence
 
 from engine.evaluate.study import Bar, Cell, Options, Report, Row, Study
+from engine.evaluate.tables.facing import page
 from engine.evaluate.tables.part import Part
-from engine.evaluate.tables.sections import ablation, fig6, fig7, table1, table2, table3, table4, table5, table6
+from engine.evaluate.tables.sections import ablation, fig6, fig7, paper, table1, table2, table3, table4, table5, table6
 
 __all__ = ["PARTS", "STUDY", "studies"]
 
 PARTS: tuple[Part, ...] = tuple(
-    module.PART for module in (table1, table2, table3, table4, table5, table6, fig6, fig7, ablation)
+    module.PART for module in (table1, table2, table3, table4, table5, table6, fig6, fig7, ablation, paper)
 )
 
 
@@ -30,7 +32,8 @@ def make_study(name: str, title: str, question: str, parts: Sequence[Part]) -> S
         met = sum(bar.met is True for bar in bars)
         answer = f"{met} of {len(bars)} bars met, {sum(bar.met is False for bar in bars)} missed."
         sections = [part.section(rows, options) for part in parts]
-        return Report(bars, sections, [answer] if bars else [], {"bars": len(bars), "met": met})
+        pages = {"PAPER.md": page(rows, options)} if parts is PARTS else {}
+        return Report(bars, sections, [answer] if bars else [], {"bars": len(bars), "met": met}, pages)
 
     return Study(name, title, question, cells, report)
 

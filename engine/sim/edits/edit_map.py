@@ -134,7 +134,7 @@ def _moved_by(pieces: Pieces, rows: Int64) -> Similarity:
 def _mark_of(opened: OpenedRecord) -> Float64:
     """(N, 3) DC displacement that the record's mark makes."""
     signed = signed_amplitudes(opened.layout.amplitudes * opened.strength, opened.spreading, opened.message)
-    return opened.layout.displace(signed).astype(np.float64)
+    return opened.layout.displace(signed)[:, :3].astype(np.float64)
 
 
 def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -> tuple[float, Float64]:

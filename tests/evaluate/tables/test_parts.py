@@ -50,7 +50,7 @@ def test_unknown_settings_are_refused() -> None:
 def test_every_setting_of_the_tables_exists() -> None:
     points = [setting for knob in knobs_of_figure_6(False) for setting in knob.points.values()]
     for setting in [*points, *(s for line in LINES for s in (line.setting, line.base))]:
-        configure("fast", setting.changes)
+        configure(setting.profile, setting.changes)
         without(setting.without, HvqConfig())
 
 

@@ -34,6 +34,10 @@ def test_quick_run_fills_every_table(tmp_path: Path) -> None:
     assert bars["32 bits, no attack (pictures and models)"] is True
     assert bars["fidelity of the mark, 32 bits, worst key view"] is True
     assert bars["unmarked model, claims"] is True
+    assert bars["the paper's system, model, bits by Eq 10"] is True
+    faced = (tmp_path / "PAPER.md").read_text()
+    assert "| 32 bits: bit accuracy of the model, % | 98.79 | 100.00 | 100.00 |" in faced
+    assert "| tau_occ 1.2: bit accuracy of a picture drawn with Eq 8, % |  |  | 1" in faced
     assert bars["256 bits, no attack (pictures and models)"] is None, "what was not run is not met"
     assert not [what for what, met in bars.items() if met is False]
     assert "published" in page.lower()

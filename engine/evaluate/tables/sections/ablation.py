@@ -10,7 +10,7 @@ from engine.evaluate.tables.curves import Effect, effect
 from engine.evaluate.tables.part import CONDITIONS, DEFAULT, Part, Setting, rows_of_setting, setting_cells
 from engine.evaluate.tables.sections.fig6 import compact
 from engine.evaluate.tables.sections.fig7 import BUDGET_DB, pruned, share_pruned
-from engine.evaluate.tables.sections.table6 import LOSSES, refined
+from engine.evaluate.tables.sections.table6 import LOSSES, STEPS, refined
 
 NAMES = {"model": "the model", "none": "picture", **{name: f"picture, {name}" for name in CONDITIONS[1:]}}
 """What z is read from."""
@@ -32,7 +32,7 @@ LINES = (
     Line("pruning", "ranked by Eq 4 instead of squared error", pruned(BUDGET_DB, rank="paper"), PRUNED),
     Line("pruning", "gamma 0.2, the paper's, instead of 0", pruned(BUDGET_DB, 0.2), PRUNED),
     Line("pruning", "near-duplicates not merged", pruned(BUDGET_DB, merge_distance=0.0), PRUNED),
-    Line("HVQ", "1024 code vectors instead of 8192", Setting("cells-1024", {"quantize": {"cells": 1024}})),
+    Line("HVQ", "1024 code vectors instead of 4096", Setting("codes-1024", {"plan": {"codes": 1024}})),
     Line(
         "HVQ",
         "mark in a residual stage too",
@@ -47,8 +47,8 @@ LINES = (
     Line("SVD", "RGB axes instead of singular vectors", Setting("no-svd", without="svd")),
     Line("masses", "clipped values move too", Setting("masses-move", {"plan": {"mass_share": 1.0}})),
     Line("balance", "views not balanced", Setting("no-balance", {"plan": {"balance_rounds": 0}})),
-    Line("refinement", "60 steps, weights of the text", refined("loss-text", *LOSSES["loss-text"])),
-    Line("refinement", "60 steps, weights of the appendix", refined("loss-appendix", *LOSSES["loss-appendix"])),
+    Line("refinement", f"{STEPS} steps, weights of the text", refined("loss-text", *LOSSES["loss-text"])),
+    Line("refinement", f"{STEPS} steps, weights of the appendix", refined("loss-appendix", *LOSSES["loss-appendix"])),
 )
 QUICK = ("texture-0",)
 

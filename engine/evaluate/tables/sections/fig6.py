@@ -1,19 +1,22 @@
-"""Figure 6: bits over the hyper-parameters, the paper's where they exist here, and ours."""
+"""Figure 6: bits over the hyper-parameters, the paper's and ours."""
 
 from statistics import fmean
 
 from engine.evaluate.drawing import Figure, figure
 from engine.evaluate.study import Cell, Drawing, Options, Row, Section, Table
 from engine.evaluate.summing import INTERVALS, grouped, picked
+from engine.evaluate.tables import stopping
 from engine.evaluate.tables.curves import Knob, draw_knob, knob_table
 from engine.evaluate.tables.part import DEFAULT, Part, Setting, printed, setting_cells
 from engine.evaluate.tables.sections.table6 import LOSSES, refined
 
+DOUBTS, PAPER_STEPS = (0.8, 1.0, 1.1, 1.2, 1.4, 1.6), 100
+"""tau_unc of the paper's figure, and the Adam steps of these points."""
 WEIGHTS = dict(zip(("lambda_msg", "lambda_rec", "lambda_wavelet"), LOSSES["loss-text"], strict=True))
 TEXT = refined("loss-text", *WEIGHTS.values())
 NO_COUNTERPART = (
-    ("tau_unc", "none: displacement falls continuously with certainty, there is no threshold to choose"),
-    ("tau_occ", "none: accumulated opacity never exceeds 1, so 1.2 never stops a pixel; transmittance ends it at 1e-4"),
+    ("tau_unc", "none: displacement falls continuously with certainty; in profile `paper`, as the paper has it"),
+    ("tau_occ", "none: transmittance alone ends a pixel; as an option of the renderer, as Eq 8 says"),
     ("lambda_freq", "weight of detail in the residual codebooks of the compact output; 0 in every profile"),
     ("lambda_msg, lambda_rec, lambda_wavelet", "the same, in a refinement that no profile uses"),
 )
@@ -25,7 +28,7 @@ def compact(lambda_freq: float = 0.0) -> Setting:
 
 
 def knobs(quick: bool) -> list[Knob]:
-    """All panels: four of the paper's, three of ours."""
+    """All panels but that of tau_occ: five of the paper's, three of ours."""
     best = {row["knob"]: row["best"] for row in printed("figure6")}
     if quick:
         return [Knob("texture exponent", {v: _texture(v) for v in (0.0, 0.5)}, 0.5)]
@@ -35,15 +38,22 @@ def knobs(quick: bool) -> list[Knob]:
         "lambda_wavelet": (0.05, 0.3, 1.0),
     }
     return [
+        Knob("tau_unc, deviations (profile paper)", {v: _doubt(v) for v in DOUBTS}, -1.0, best["tau_unc"]),
         *(
             Knob(name, {v: _loss(name, v) for v in values}, WEIGHTS[name], best[name], log=True)
             for name, values in losses.items()
         ),
         Knob("lambda_freq (compact output)", {v: compact(v) for v in (0.0, 0.1, 0.5, 2.0)}, 0.0, best["lambda_freq"]),
         Knob("texture exponent", {v: _texture(v) for v in (0.0, 0.25, 0.5, 1.0)}, 0.5),
-        Knob("cells (code vectors)", {v: _cells_of(v) for v in (1024, 2048, 4096, 8192)}, 8192, log=True),
+        Knob("code vectors", {v: _codes_of(v) for v in (1024, 2048, 4096, 8192)}, 4096, log=True),
         Knob("key views", {v: _views(v) for v in (2, 4, 6, 10, 16)}, 6, log=True),
     ]
+
+
+def _doubt(value: float) -> Setting:
+    """The paper's system with this threshold of uncertainty."""
+    steps = {"refine": {"steps": PAPER_STEPS}}
+    return Setting(f"doubt-{value:g}", {"paper": {"tau_unc": value}, **steps}, profile="paper")
 
 
 def _loss(name: str, value: float) -> Setting:
@@ -56,8 +66,8 @@ def _texture(value: float) -> Setting:
     return DEFAULT if value == 0.5 else Setting(f"texture-{value:g}", {"plan": {"texture_exponent": value}})
 
 
-def _cells_of(count: int) -> Setting:
-    return DEFAULT if count == 8192 else Setting(f"cells-{count}", {"quantize": {"cells": count}})
+def _codes_of(count: int) -> Setting:
+    return DEFAULT if count == 4096 else Setting(f"codes-{count}", {"plan": {"codes": count}})
 
 
 def _views(count: int) -> Setting:
@@ -66,7 +76,8 @@ def _views(count: int) -> Setting:
 
 def cells(options: Options) -> list[Cell]:
     """Every point of every panel."""
-    return setting_cells(options, [setting for knob in knobs(options.quick) for setting in knob.points.values()])
+    points = [setting for knob in knobs(options.quick) for setting in knob.points.values()]
+    return [*setting_cells(options, points), *stopping.cells(options)]
 
 
 def section(rows: list[Row], options: Options) -> Section:
@@ -78,9 +89,15 @@ def section(rows: list[Row], options: Options) -> Section:
             "The paper plots bit accuracy over six hyper-parameters and prints only where it peaks. Here bits "
             "saturate, so the curves show z of one picture: an error of a bit becomes likely only when z falls "
             "below about 12 at 32 bits. The peaks of the paper's figure are marked where the knob exists.",
+            "tau_occ: Eq 8 sums opacities without the transmittance before them, so its 1.2 does end pixels. It is "
+            "a rule of drawing: the picture is drawn by it and read as any other.",
             INTERVALS,
         ],
-        [Table(("the paper's knob", "here"), NO_COUNTERPART), knob_table(panels, rows)],
+        [
+            Table(("the paper's knob", "in our profiles"), NO_COUNTERPART),
+            stopping.stops_table(rows),
+            knob_table(panels, rows),
+        ],
         [
             Drawing(
                 "fig6",
@@ -93,13 +110,15 @@ def section(rows: list[Row], options: Options) -> Section:
 
 def draw(rows: list[Row], panels: list[Knob]) -> Figure:
     """Small multiples with one legend."""
-    across = min(4, len(panels))
-    down = -(-len(panels) // across)
+    count = len(panels) + 1
+    across = min(4, count)
+    down = -(-count // across)
     drawn, grid = figure(down, across, width=2.5 * across + 0.6, height=2.5 * down + 0.7, squeeze=False, sharey=True)
     every = list(grid.flat)
     for axes, knob in zip(every, panels, strict=False):
         draw_knob(axes, knob, rows)
-    for axes in every[len(panels) :]:
+    stopping.draw_stops(every[len(panels)], rows)
+    for axes in every[count:]:
         axes.set_axis_off()
     for first in grid[:, 0]:
         first.set_ylabel("z of one picture")

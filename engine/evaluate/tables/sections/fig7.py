@@ -12,6 +12,9 @@ BUDGET_DB = 30.0
 """Budget at which gamma is turned, dB."""
 
 
+GAMMAS: tuple[float, ...] = (0.0, 0.1, 0.2, 0.3, 0.5)
+
+
 def strength(db: float) -> Setting:
     """The mark at this PSNR; SSIM does not limit it."""
     return Setting(f"psnr-{db:g}", {"psnr_db": db, "ssim": 0.0})
@@ -26,7 +29,7 @@ def pruned(budget: float, gamma: float | None = None, **more: object) -> Setting
 def knobs(quick: bool) -> dict[str, Knob]:
     """Budget, gamma, strength."""
     budgets: tuple[float, ...] = (45.0, 40.0, 35.0, 30.0, 25.0)
-    gammas: tuple[float, ...] = (0.0, 0.1, 0.2, 0.3, 0.5)
+    gammas = GAMMAS
     levels: tuple[float, ...] = (60.0, 55.0, 50.0, 47.0, 42.0, 37.0, 32.0)
     if quick:
         budgets, gammas, levels = (30.0,), (), (40.0,)

@@ -1,11 +1,12 @@
 """Table 5: fine-tuning in four settings."""
 
+from typing import Any
+
 from engine.evaluate.drawing import Figure, figure, styles
 from engine.evaluate.intervals import share_interval
 from engine.evaluate.study import Bar, Cell, Drawing, Options, Row, Section
 from engine.evaluate.summing import picked, table
-from engine.evaluate.tables.measuring import PROFILE
-from engine.evaluate.tables.part import PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
+from engine.evaluate.tables.part import PROFILE, PUBLISHED, Part, changes_of, printed, printed_table, scenes_of
 
 SETTINGS = {
     "key": "marked pictures, key poses",
@@ -20,17 +21,24 @@ SIZE = 400
 
 def cells(options: Options) -> list[Cell]:
     """One training for each setting and scene."""
-    epochs, size = (2, 200) if options.quick else (EPOCHS, SIZE)
-    shared = {"seed": options.seed, "epochs": epochs, "size": size, "changes": changes_of(options)}
     return [
         Cell(
             f"table5-{setting.replace('+', '-and-')}-{short}",
-            "engine.evaluate.bench.training:measure_fine_tuning",
-            {"scene": path, "setting": setting, "profile": PROFILE, **shared},
+            *training(path, setting, options, PROFILE, changes_of(options)),
         )
         for short, path in scenes_of(options)
         for setting in (("clean+key",) if options.quick else SETTINGS)
     ]
+
+
+def training(
+    path: str, setting: str, options: Options, profile: str, changes: dict[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Function and arguments of a cell: one training of a scene marked by a profile with these changes."""
+    epochs, size = (2, 200) if options.quick else (EPOCHS, SIZE)
+    shared = {"seed": options.seed, "epochs": epochs, "size": size, "changes": changes}
+    work = "engine.evaluate.bench.training:measure_fine_tuning"
+    return work, {"scene": path, "setting": setting, "profile": profile, **shared}
 
 
 def section(rows: list[Row], options: Options) -> Section:
