@@ -27,7 +27,8 @@ class Parameters:
     @property
     def model(self) -> GaussianModel:
         """The parameters as they are now: a view, which the next step changes."""
-        return GaussianModel(**self.arrays)
+        arrays: dict[str, Any] = dict(self.arrays)
+        return GaussianModel(**arrays)
 
     def finished(self) -> GaussianModel:
         """A model of its own, with unit quaternions."""

@@ -1,0 +1,177 @@
+"""Whatever a file holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
+
+The one door by which commands and service come in: `read_scene`, `embed_scene`, `write_scene`; and `Loaded.model` for
+whoever only looks. What a format of the output has no place for is refused by `written_as`, never dropped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from engine.errors import InputError, UnsupportedFormatError
+from engine.formats import FORMATS, read_model, write_model
+from engine.formats.guards import opening, read_regular
+from engine.formats.repairs import Repair
+from engine.formats.writing import encode_model, loss_note, write_whole
+from engine.model import GaussianModel
+from engine.pipeline.embedding import Embedding, embed_copies
+from engine.pipeline.profiles import Auto, Settings
+from engine.sim.variants.codebook import CodebookModel, embed_codebook
+from engine.sim.variants.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
+from engine.sim.variants.moving import embed_moving
+from engine.sim.variants.spacetime import SpacetimeModel
+from engine.sim.variants.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
+from engine.watermark.keys import OwnerKey
+
+__all__ = [
+    "CODEBOOK",
+    "SPACETIME",
+    "Loaded",
+    "Scene",
+    "embed_scene",
+    "encode_scene",
+    "is_codebook",
+    "notes_of",
+    "output_of",
+    "read_scene",
+    "write_scene",
+    "written_as",
+]
+
+Scene = GaussianModel | SpacetimeModel | CodebookModel
+
+SPACETIME, CODEBOOK = "spacetime", "codebook"
+"""What the formats of the other two are called; a clip is a ``.ply``, a model in codebooks a folder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A scene as it came from a file or a folder; see `engine.formats.LoadedModel`."""
+
+    scene: Scene
+    format: str  # one of `engine.formats.FORMATS`, "ksplat", "spacetime" or "codebook"
+    repairs: tuple[Repair, ...]
+    source_bytes: int
+    sha256: str
+
+    @cached_property
+    def model(self) -> GaussianModel:
+        """The scene as plain Gaussians: each of a clip where it is most opaque, each of codebooks looked up."""
+        if isinstance(self.scene, SpacetimeModel):
+            return self.scene.canonical()
+        return self.scene.decode() if isinstance(self.scene, CodebookModel) else self.scene
+
+
+def is_codebook(path: str | os.PathLike[str]) -> bool:
+    """Whether this is the folder of a model in codebooks (Compact3D / CompGS)."""
+    return "\0" not in str(path) and (Path(path) / INDICES).is_file()
+
+
+def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_frame: str = "auto") -> Loaded:
+    """Read any file that `engine.formats.read_model` reads, a Spacetime clip, or the folder of a model in codebooks.
+
+    Errors are theirs.
+    """
+    file = name or str(path)
+    if is_codebook(path):
+        return _read_folder(Path(path))
+    with opening(Path(path), file):
+        if Path(path).is_dir():
+            head = b""
+        else:
+            with open(path, "rb") as stream:
+                head = stream.read(4) if Path(path).is_file() else b""
+    if head[:4] in (b"ply\n", b"ply\r"):
+        with opening(Path(path), file):
+            data = read_regular(Path(path), file)
+        if is_spacetime(data, file=file):
+            clip, repairs = read_spacetime_ply(data, file=file)
+            return Loaded(clip, SPACETIME, repairs, len(data), hashlib.sha256(data).hexdigest())
+    loaded = read_model(path, name=name, spz_frame=spz_frame)
+    return Loaded(loaded.model, loaded.format, loaded.repairs, loaded.source_bytes, loaded.sha256)
+
+
+def _read_folder(folder: Path) -> Loaded:
+    model = read_codebook(folder)
+    size, lines = 0, []
+    for part in sorted((PLY, CENTERS, INDICES, ARGS)):
+        content = (folder / part).read_bytes()
+        size += len(content)
+        lines.append(f"{hashlib.sha256(content).hexdigest()}  {part}\n")
+    return Loaded(model, CODEBOOK, (), size, hashlib.sha256("".join(lines).encode()).hexdigest())
+
+
+def written_as(loaded: Loaded, kind: str) -> str:
+    """The format in which a marked scene is written, where `kind` is asked for; UnsupportedFormatError naming what
+    would be lost where that has no place for it."""
+    if isinstance(loaded.scene, SpacetimeModel):
+        if kind not in ("ply", SPACETIME):
+            message = (
+                f".{kind} has no place for motion: trbf_center, trbf_scale, motion_0 to 8 and omega_0 to 3 would be"
+                " lost; write the marked clip as .ply"
+            )
+            raise UnsupportedFormatError(message)
+        return SPACETIME
+    if isinstance(loaded.scene, CodebookModel) != (kind == CODEBOOK):
+        raise UnsupportedFormatError(
+            f"a model in codebooks is written as a folder, not as {kind!r}"
+            if kind != CODEBOOK
+            else "a plain model is not written in codebooks"
+        )
+    return kind
+
+
+def output_of(loaded: Loaded) -> str:
+    """The format in which a marked scene is written where none is asked for: its own, if that is written at all."""
+    return loaded.format if loaded.format in (*FORMATS, CODEBOOK) else "ply"
+
+
+def embed_scene(
+    loaded: Loaded, key: OwnerKey, copies: Sequence[str] = ("",), *, config: Settings | None = None, **request: Any
+) -> Iterator[tuple[Scene, Embedding]]:
+    """Mark a scene as what it is, for each of these recipients: the marked scene, of the same kind, and its embedding.
+
+    The `request` is that of `engine.pipeline.embedding.embed_copies`, whose errors are raised. InputError where the
+    settings of a variant were to be chosen by rehearsal.
+    """
+    scene, request = loaded.scene, request | {"original_sha256": loaded.sha256}
+    if isinstance(scene, GaussianModel):
+        for made in embed_copies(scene, key, copies, config=config, **request):
+            yield made.model, made
+        return
+    if isinstance(config, Auto):
+        raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
+    for copy in copies:
+        if isinstance(scene, SpacetimeModel):
+            yield embed_moving(scene, key, config=config, copy=copy, **request)
+        else:
+            yield embed_codebook(scene, key, config=config, copy=copy, **request)
+
+
+def write_scene(scene: Scene, path: str | os.PathLike[str], kind: str) -> int:
+    """Write a scene, in the format that `written_as` named; returns its bytes."""
+    if isinstance(scene, SpacetimeModel):
+        return write_whole(path, write_spacetime_ply(scene))
+    return write_codebook(scene, path) if isinstance(scene, CodebookModel) else write_model(scene, path, kind)
+
+
+def encode_scene(scene: Scene, kind: str) -> bytes:
+    """The same, where one file holds it: its bytes."""
+    if isinstance(scene, SpacetimeModel):
+        return b"".join(write_spacetime_ply(scene))
+    if isinstance(scene, CodebookModel):
+        raise UnsupportedFormatError("a model in codebooks is a folder, no single file")
+    return encode_model(scene, kind)
+
+
+def notes_of(scene: Scene, kind: str) -> list[str]:
+    """What the owner should know of the file: what its format cannot hold, what it is verified with."""
+    if isinstance(scene, SpacetimeModel):
+        return ["a moment exported from this clip, or a picture of it, is verified with the unmarked clip beside it"]
+    return [] if isinstance(scene, CodebookModel) else loss_note(scene, kind)
