@@ -98,8 +98,10 @@ def embed(
         raise InputError("give --message or --bits, not both: a message has a length of its own")
 
     from engine.formats import read_cameras
+    from engine.model import GaussianModel
+    from engine.pipeline.embedding import embed_copies
     from engine.pipeline.profiles import compose
-    from engine.sim.variants.scenes import embed_scene, notes_of, read_scene, write_scene, written_as
+    from engine.sim.variants.scenes import embed_variant, notes_of, read_scene, write_scene, written_as
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
@@ -117,22 +119,22 @@ def embed(
         loaded = read_scene(model, spz_frame=spz_frame)
         kind = written_as(loaded, kind)
         read_seconds = time.perf_counter() - started
+        request: dict[str, Any] = {
+            "original_sha256": loaded.sha256,
+            "message": signs,
+            "bits": bits or 32,
+            "config": config,
+            "cameras": views,
+            "registered_at": when,
+            "progress": progress,
+        }
+        marks = (
+            ((made.model, made) for made in embed_copies(loaded.scene, owner, list(targets), **request))
+            if isinstance(loaded.scene, GaussianModel)
+            else embed_variant(loaded, owner, list(targets), **request)
+        )
         reports: list[dict[str, Any]] = []
-        for (scene, made), (marked, kept) in zip(
-            embed_scene(
-                loaded,
-                owner,
-                list(targets),
-                message=signs,
-                bits=bits or 32,
-                config=config,
-                cameras=views,
-                registered_at=when,
-                progress=progress,
-            ),
-            targets.values(),
-            strict=True,
-        ):
+        for (scene, made), (marked, kept) in zip(marks, targets.values(), strict=True):
             started = time.perf_counter()
             progress("write", 0.0)
             sealed = made.record.to_bytes(owner)

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.catalogue.entry import Entry
+from engine.model import GaussianModel
+from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import compose
 from engine.registration.sketch import make_sketch
-from engine.sim.variants.scenes import embed_scene, encode_scene, notes_of, output_of, written_as
+from engine.sim.variants.scenes import embed_variant, encode_scene, notes_of, output_of, written_as
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from service.work.candidates import find_marks, load_candidates
@@ -42,19 +44,22 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     screen_seconds = time.perf_counter() - began - read_seconds
     if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
         return {"screening": found}
-    marks = embed_scene(
-        loaded,
-        key,
-        [request.get("copy") or ""],
-        message=message,
-        bits=bits,
-        config=config,
-        cameras=cameras,
-        registered_at=request.get("registered_at") or "",
-        drawn=request.get("drawn") or "",
-        progress=progress,
-    )
-    scene, made = next(marks)
+    request_of_mark: dict[str, Any] = {
+        "original_sha256": loaded.sha256,
+        "message": message,
+        "bits": bits,
+        "config": config,
+        "cameras": cameras,
+        "registered_at": request.get("registered_at") or "",
+        "drawn": request.get("drawn") or "",
+        "progress": progress,
+    }
+    copy, scene = request.get("copy") or "", loaded.scene
+    if isinstance(scene, GaussianModel):
+        made = embed(scene, key, copy=copy, **request_of_mark)
+        scene = made.model
+    else:
+        scene, made = next(embed_variant(loaded, key, [copy], **request_of_mark))
     started = time.perf_counter()
     progress("write", 0.0)
     files = {"model": f"model.{kind}", "record": "model.record", "preview": "preview.png", "sketch": "entry.bin"}

@@ -1,5 +1,7 @@
 """The arrays under training, each with its Adam moments; the only mutable thing of a training."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 

@@ -1,6 +1,6 @@
 """Whatever a file holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
 
-The one door by which commands and service come in: `read_scene`, `embed_scene`, `write_scene`; and `Loaded.model` for
+The one door by which commands and service come in: `read_scene`, `embed_variant`, `write_scene`; and `Loaded.model` for
 whoever only looks. What a format of the output has no place for is refused by `written_as`, never dropped.
 """
 
@@ -20,7 +20,7 @@ from engine.formats.guards import opening, read_regular
 from engine.formats.repairs import Repair
 from engine.formats.writing import encode_model, loss_note, write_whole
 from engine.model import GaussianModel
-from engine.pipeline.embedding import Embedding, embed_copies
+from engine.pipeline.embedding import Embedding
 from engine.pipeline.profiles import Auto, Settings
 from engine.sim.variants.codebook import CodebookModel, embed_codebook
 from engine.sim.variants.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
@@ -34,7 +34,7 @@ __all__ = [
     "SPACETIME",
     "Loaded",
     "Scene",
-    "embed_scene",
+    "embed_variant",
     "encode_scene",
     "is_codebook",
     "notes_of",
@@ -132,25 +132,22 @@ def output_of(loaded: Loaded) -> str:
     return loaded.format if loaded.format in (*FORMATS, CODEBOOK) else "ply"
 
 
-def embed_scene(
+def embed_variant(
     loaded: Loaded, key: OwnerKey, copies: Sequence[str] = ("",), *, config: Settings | None = None, **request: Any
 ) -> Iterator[tuple[Scene, Embedding]]:
-    """Mark a scene as what it is, for each of these recipients: the marked scene, of the same kind, and its embedding.
+    """Mark a clip or a model in codebooks as what it is, for each of these recipients: the marked scene, of the same
+    kind, and its embedding. Plain Gaussians are the matter of `engine.pipeline.embedding.embed_copies`.
 
-    The `request` is that of `engine.pipeline.embedding.embed_copies`, whose errors are raised. InputError where the
-    settings of a variant were to be chosen by rehearsal.
+    The `request` is that of `engine.pipeline.embedding.embed`, whose errors are raised. InputError where the settings
+    were to be chosen by rehearsal.
     """
-    scene, request = loaded.scene, request | {"original_sha256": loaded.sha256}
-    if isinstance(scene, GaussianModel):
-        for made in embed_copies(scene, key, copies, config=config, **request):
-            yield made.model, made
-        return
+    scene = loaded.scene
     if isinstance(config, Auto):
         raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
     for copy in copies:
         if isinstance(scene, SpacetimeModel):
             yield embed_moving(scene, key, config=config, copy=copy, **request)
-        else:
+        elif isinstance(scene, CodebookModel):
             yield embed_codebook(scene, key, config=config, copy=copy, **request)
 
 
