@@ -80,6 +80,6 @@ def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
     if len(model) == 0:
         raise InputError("the model holds no Gaussians: there is nothing to write")
     for kind in KINDS:
-        if kind.name == format:
+        if kind.name == format and kind.write:
             return kind.write(model)
     raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")
