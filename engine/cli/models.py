@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 DEMO_SCENE = "plant.splat"
 
-FOLDERS = ("codebook",)
+FOLDERS = ("codebook", "frames")
 """Formats of which a model is a folder."""
 
 
 def format_for(path: Path, source: Path | None = None) -> str:
-    """Format that the ending of an output file names; where the source is a folder of codebooks, that."""
+    """Format that the ending of an output file names; where the source is a folder of frames or codebooks, that."""
     if source is not None and source.is_dir():
-        from engine.sim.variants.scenes import CODEBOOK, is_codebook
+        from engine.sim.variants.scenes import folder_kind
 
-        if is_codebook(source):
-            return CODEBOOK
+        if (kind := folder_kind(source)) is not None:
+            return kind
     from engine.formats.kinds import kind_of
 
     return kind_of(path.name).name

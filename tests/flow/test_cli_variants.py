@@ -107,6 +107,34 @@ def test_gaussians_that_move_otherwise_are_refused_by_name(
     assert not (tmp_path / "out.ply").exists()
 
 
+def test_frames_of_a_scene_that_moves(clip: Path, key: Path, tmp_path: Path, capsys: Capsys) -> None:
+    """A `.ply` a moment, as 4DGS exports what its network deforms: marked together, verified together and alone."""
+    moving = read_spacetime_ply(clip.read_bytes(), file="x")[0]
+    source, out = tmp_path / "frames", tmp_path / "marked"
+    source.mkdir()
+    for k, time in enumerate((0.1, 0.5, 0.9)):
+        write_model(moving.at(time), source / f"time_{k:05d}.ply")
+    code, report = embed(capsys, key, source, out)
+    assert (code, report["format_in"], report["format_out"]) == (0, "frames", "frames")
+    names = [f"time_{k:05d}.ply" for k in range(3)]
+    assert sorted(path.name for path in out.iterdir()) == names
+    record = tmp_path / "marked.record"
+    assert verdict(capsys, key, record, out)["verdict"] == "marked"
+    assert verdict(capsys, key, record, source)["verdict"] == "not_marked"
+    found = verdict(capsys, key, record, out / names[2], "--original", source)
+    assert (found["verdict"], found["bit_accuracy"]) == ("marked", 1.0)
+    code, said = ask(capsys, "convert", source, tmp_path / "one.spz")
+    assert (code, "frames is written as frames" in said["error"]["message"]) == (2, True)
+
+
+def test_a_network_beside_the_file_is_spoken_of(key: Path, tmp_path: Path, capsys: Capsys) -> None:
+    write_model(thin(24), tmp_path / "point_cloud.ply")
+    assert ask(capsys, "inspect", tmp_path / "point_cloud.ply")[1]["repairs"] == []
+    (tmp_path / "deformation.pth").write_bytes(b"")
+    repairs = ask(capsys, "inspect", tmp_path / "point_cloud.ply")[1]["repairs"]
+    assert [repair["code"] for repair in repairs] == ["deformation_beside"]
+
+
 def test_codebooks_are_marked_in_their_folder(key: Path, tmp_path: Path, capsys: Capsys) -> None:
     source, out = tmp_path / "compressed", tmp_path / "marked"
     write_codebook(make_codebook(thin(6), {"dc": 1024, "rot": 256}), source)

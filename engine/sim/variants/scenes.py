@@ -1,4 +1,4 @@
-"""Whatever a file holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
+"""Whatever a file or a folder holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
 
 The one door by which commands and service come in: `read_scene`, `embed_variant`, `write_scene`; and `Loaded.model` for
 whoever only looks. What a format of the output has no place for is refused by `written_as`, never dropped.
@@ -17,6 +17,7 @@ from typing import Any
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats import FORMATS, read_model, write_model
 from engine.formats.guards import opening, read_regular
+from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.repairs import Repair
 from engine.formats.writing import encode_model, loss_note, write_whole
 from engine.model import GaussianModel
@@ -24,6 +25,7 @@ from engine.pipeline.embedding import Embedding
 from engine.pipeline.profiles import Auto, Settings
 from engine.sim.variants.codebook import CodebookModel, embed_codebook
 from engine.sim.variants.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
+from engine.sim.variants.frames import FrameSequence, frame_files, read_frames, write_frames
 from engine.sim.variants.moving import embed_moving
 from engine.sim.variants.spacetime import SpacetimeModel
 from engine.sim.variants.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
@@ -31,12 +33,14 @@ from engine.watermark.keys import OwnerKey
 
 __all__ = [
     "CODEBOOK",
+    "FOLDERS",
+    "FRAMES",
     "SPACETIME",
     "Loaded",
     "Scene",
     "embed_variant",
     "encode_scene",
-    "is_codebook",
+    "folder_kind",
     "notes_of",
     "output_of",
     "read_scene",
@@ -44,10 +48,14 @@ __all__ = [
     "written_as",
 ]
 
-Scene = GaussianModel | SpacetimeModel | CodebookModel
+Scene = GaussianModel | SpacetimeModel | FrameSequence | CodebookModel
 
-SPACETIME, CODEBOOK = "spacetime", "codebook"
-"""What the formats of the other two are called; a clip is a ``.ply``, a model in codebooks a folder."""
+SPACETIME, FRAMES, CODEBOOK = "spacetime", "frames", "codebook"
+"""What the formats of the others are called: a clip is one ``.ply``, or a folder of a ``.ply`` a moment."""
+FOLDERS = (FRAMES, CODEBOOK)
+
+DEFORMATION = "deformation.pth"
+"""The network of a 4DGS scene (Wu et al., CVPR 2024), beside the Gaussians that it moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +63,7 @@ class Loaded:
     """A scene as it came from a file or a folder; see `engine.formats.LoadedModel`."""
 
     scene: Scene
-    format: str  # one of `engine.formats.FORMATS`, "ksplat", "spacetime" or "codebook"
+    format: str  # one of `engine.formats.kinds.READ`, or "spacetime", "frames", "codebook"
     repairs: tuple[Repair, ...]
     source_bytes: int
     sha256: str
@@ -63,14 +71,20 @@ class Loaded:
     @cached_property
     def model(self) -> GaussianModel:
         """The scene as plain Gaussians: each of a clip where it is most opaque, each of codebooks looked up."""
-        if isinstance(self.scene, SpacetimeModel):
+        if isinstance(self.scene, SpacetimeModel | FrameSequence):
             return self.scene.canonical()
         return self.scene.decode() if isinstance(self.scene, CodebookModel) else self.scene
 
 
-def is_codebook(path: str | os.PathLike[str]) -> bool:
-    """Whether this is the folder of a model in codebooks (Compact3D / CompGS)."""
-    return "\0" not in str(path) and (Path(path) / INDICES).is_file()
+def folder_kind(path: str | os.PathLike[str]) -> str | None:
+    """What a folder holds: "codebook" (Compact3D / CompGS), "frames" (one ``.ply`` a moment, two at least, and no
+    index of another format); None where it is neither, or no folder."""
+    if "\0" in str(path) or not Path(path).is_dir():
+        return None
+    if (Path(path) / INDICES).is_file():
+        return CODEBOOK
+    other = any((Path(path) / name).is_file() for name in ("meta.json", "lod-meta.json"))
+    return FRAMES if not other and len(frame_files(path)) > 1 else None
 
 
 def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_frame: str = "auto") -> Loaded:
@@ -79,32 +93,37 @@ def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_fra
     Errors are theirs.
     """
     file = name or str(path)
-    if is_codebook(path):
-        return _read_folder(Path(path))
     with opening(Path(path), file):
-        if Path(path).is_dir():
-            head = b""
-        else:
+        if (kind := folder_kind(path)) is not None:
+            return _read_folder(Path(path), kind)
+        if "\0" not in file and Path(path).is_file():
             with open(path, "rb") as stream:
-                head = stream.read(4) if Path(path).is_file() else b""
-    if head[:4] in (b"ply\n", b"ply\r"):
-        with opening(Path(path), file):
-            data = read_regular(Path(path), file)
-        if is_spacetime(data, file=file):
-            clip, repairs = read_spacetime_ply(data, file=file)
-            return Loaded(clip, SPACETIME, repairs, len(data), hashlib.sha256(data).hexdigest())
+                moves = is_spacetime(stream.read(MAX_HEADER_BYTES), file=file)
+            if moves:
+                data = read_regular(Path(path), file)
+                clip, repairs = read_spacetime_ply(data, file=file)
+                return Loaded(clip, SPACETIME, repairs, len(data), hashlib.sha256(data).hexdigest())
     loaded = read_model(path, name=name, spz_frame=spz_frame)
-    return Loaded(loaded.model, loaded.format, loaded.repairs, loaded.source_bytes, loaded.sha256)
+    repairs = loaded.repairs
+    if loaded.format == "ply" and (Path(path).parent / DEFORMATION).is_file():
+        text = (
+            f"{DEFORMATION!r} beside the file moves these Gaussians: what is said of the look holds for them at rest;"
+            " export a .ply a moment and give the folder to mark the scene as it moves"
+        )
+        repairs = (*repairs, Repair("deformation_beside", 1, text))
+    return Loaded(loaded.model, loaded.format, repairs, loaded.source_bytes, loaded.sha256)
 
 
-def _read_folder(folder: Path) -> Loaded:
-    model = read_codebook(folder)
+def _read_folder(folder: Path, kind: str) -> Loaded:
+    scene: Scene = read_codebook(folder) if kind == CODEBOOK else read_frames(folder)
+    parts = (PLY, CENTERS, INDICES, ARGS) if kind == CODEBOOK else [path.name for path in frame_files(folder)]
     size, lines = 0, []
-    for part in sorted((PLY, CENTERS, INDICES, ARGS)):
+    for part in sorted(parts):
         content = (folder / part).read_bytes()
         size += len(content)
         lines.append(f"{hashlib.sha256(content).hexdigest()}  {part}\n")
-    return Loaded(model, CODEBOOK, (), size, hashlib.sha256("".join(lines).encode()).hexdigest())
+    digest = hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
+    return Loaded(scene, kind, (), size, digest)
 
 
 def written_as(loaded: Loaded, kind: str) -> str:
@@ -118,18 +137,15 @@ def written_as(loaded: Loaded, kind: str) -> str:
             )
             raise UnsupportedFormatError(message)
         return SPACETIME
-    if isinstance(loaded.scene, CodebookModel) != (kind == CODEBOOK):
-        raise UnsupportedFormatError(
-            f"a model in codebooks is written as a folder, not as {kind!r}"
-            if kind != CODEBOOK
-            else "a plain model is not written in codebooks"
-        )
+    own = loaded.format if loaded.format in FOLDERS else None
+    if (own is not None or kind in FOLDERS) and kind != own:
+        raise UnsupportedFormatError(f"{loaded.format} is written as {own or 'one file'}, not as {kind!r}")
     return kind
 
 
 def output_of(loaded: Loaded) -> str:
     """The format in which a marked scene is written where none is asked for: its own, if that is written at all."""
-    return loaded.format if loaded.format in (*FORMATS, CODEBOOK) else "ply"
+    return loaded.format if loaded.format in (*FORMATS, *FOLDERS) else "ply"
 
 
 def embed_variant(
@@ -145,7 +161,7 @@ def embed_variant(
     if isinstance(config, Auto):
         raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
     for copy in copies:
-        if isinstance(scene, SpacetimeModel):
+        if isinstance(scene, SpacetimeModel | FrameSequence):
             yield embed_moving(scene, key, config=config, copy=copy, **request)
         elif isinstance(scene, CodebookModel):
             yield embed_codebook(scene, key, config=config, copy=copy, **request)
@@ -155,6 +171,8 @@ def write_scene(scene: Scene, path: str | os.PathLike[str], kind: str) -> int:
     """Write a scene, in the format that `written_as` named; returns its bytes."""
     if isinstance(scene, SpacetimeModel):
         return write_whole(path, write_spacetime_ply(scene))
+    if isinstance(scene, FrameSequence):
+        return write_frames(scene, path)
     return write_codebook(scene, path) if isinstance(scene, CodebookModel) else write_model(scene, path, kind)
 
 
@@ -162,13 +180,13 @@ def encode_scene(scene: Scene, kind: str) -> bytes:
     """The same, where one file holds it: its bytes."""
     if isinstance(scene, SpacetimeModel):
         return b"".join(write_spacetime_ply(scene))
-    if isinstance(scene, CodebookModel):
-        raise UnsupportedFormatError("a model in codebooks is a folder, no single file")
+    if isinstance(scene, CodebookModel | FrameSequence):
+        raise UnsupportedFormatError(f"{kind} is a folder, no single file")
     return encode_model(scene, kind)
 
 
 def notes_of(scene: Scene, kind: str) -> list[str]:
     """What the owner should know of the file: what its format cannot hold, what it is verified with."""
-    if isinstance(scene, SpacetimeModel):
+    if isinstance(scene, SpacetimeModel | FrameSequence):
         return ["a moment exported from this clip, or a picture of it, is verified with the unmarked clip beside it"]
     return [] if isinstance(scene, CodebookModel) else loss_note(scene, kind)
