@@ -24,6 +24,9 @@ DISC_THICKNESS = 1e-6
 """A 2DGS disc has two scales; its third becomes this times the smaller of them. Any similarity of the scene
 keeps the ratio, and its square, 1e-12, is far below what float32 resolves in a covariance matrix."""
 
+ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
+"""Names of a model's arrays, a row a Gaussian."""
+
 _FLAT = 1e-5  # third over smaller scale of a disc: ten times the above, so that rounding and noise keep a disc one
 _FLAT_SHARE = 0.99  # of a model's rows, so that a few absurd ones do not change how the others are drawn
 
@@ -39,6 +42,9 @@ class GaussianModel:
     quats: Float32  # (N, 4) rotation as unit quaternion w, x, y, z
     opacity_logits: Float32  # (N,) logit of the opacity; finite
     sh: Float32  # (N, K, 3) spherical-harmonic colour, coefficient-major, DC first, K = (degree + 1)^2 in {1, 4, 9, 16}
+    # Trained to be drawn with an opacity that falls as the low pass widens a Gaussian (`RasterSettings.antialiased`);
+    # files say "mip" or "antialiased". Discs never are.
+    antialiased: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -86,11 +92,9 @@ class GaussianModel:
 
     def take(self, index: npt.NDArray[Any]) -> GaussianModel:
         """The Gaussians at an integer index or under a boolean mask, in that order."""
-        return GaussianModel(
-            self.means[index], self.log_scales[index], self.quats[index], self.opacity_logits[index], self.sh[index]
-        )
+        return replace(self, **{name: getattr(self, name)[index] for name in ATTRIBUTES})
 
-    def with_(self, **arrays: npt.NDArray[Any]) -> GaussianModel:
+    def with_(self, **arrays: Any) -> GaussianModel:
         """A copy with some attributes replaced."""
         return replace(self, **arrays)
 

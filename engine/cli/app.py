@@ -11,6 +11,7 @@ from engine.cli import (
     attest,
     bench,
     config,
+    convert,
     demo,
     dispute,
     embed,
@@ -66,6 +67,7 @@ def _top(
 
 app.command("keygen")(keygen.keygen)
 app.command("inspect")(inspect.inspect)
+app.command("convert")(convert.convert)
 app.command("embed")(embed.embed)
 app.command("verify")(verify.verify)
 app.command("trace")(trace.trace)

@@ -13,7 +13,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.files import check_target, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import format_for, say_repairs
+from engine.cli.models import check_output, format_for, say_repairs, whole_output
 from engine.cli.options import Json, Key, Knobs, SpzFrame
 from engine.errors import InputError
 
@@ -23,7 +23,7 @@ COPY = "{copy}"
 
 def embed(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL", help="Model to mark: .ply, .compressed.ply, .splat, .spz, .sog.")
+        Path, typer.Argument(metavar="MODEL", help="Model, clip or codebook folder to mark; see the README.")
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")],
     key: Key,
@@ -92,21 +92,21 @@ def embed(
     """
     console = Console(json)
     began = time.perf_counter()
-    targets = _targets(copy or [""], out, record)
+    targets, kind = _targets(copy or [""], out, record), format_for(out, model)
     for marked, kept in targets.values():
         refuse_same(model, marked)
-        check_target(marked)
+        check_output(marked, kind)
         check_target(kept, overwrite=force)
         if marked.absolute() == kept.absolute():
             raise InputError("the marked model and the record need different names")
     if message is not None and bits is not None:
         raise InputError("give --message or --bits, not both: a message has a length of its own")
-    kind = format_for(out)
 
-    from engine.formats import read_cameras, read_model, write_model
-    from engine.formats.writing import loss_note
+    from engine.formats import read_cameras
+    from engine.model import GaussianModel
     from engine.pipeline.embedding import embed_copies
     from engine.pipeline.profiles import compose
+    from engine.sim.variants.scenes import embed_variant, notes_of, read_scene, write_scene, written_as
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
@@ -121,31 +121,31 @@ def embed(
         compile_seconds = prepare_kernels(console, progress)
         started = time.perf_counter()
         progress("read", 0.0)
-        loaded = read_model(model, spz_frame=spz_frame)
+        loaded = read_scene(model, spz_frame=spz_frame)
+        kind = written_as(loaded, kind)
         read_seconds = time.perf_counter() - started
+        request: dict[str, Any] = {
+            "original_sha256": loaded.sha256,
+            "message": signs,
+            "bits": bits or 32,
+            "config": config,
+            "cameras": views,
+            "registered_at": when,
+            "progress": progress,
+        }
+        marks = (
+            ((made.model, made) for made in embed_copies(loaded.scene, owner, list(targets), **request))
+            if isinstance(loaded.scene, GaussianModel)
+            else embed_variant(loaded, owner, list(targets), **request)
+        )
         reports: list[dict[str, Any]] = []
-        for made, (marked, kept) in zip(
-            embed_copies(
-                loaded.model,
-                owner,
-                list(targets),
-                original_sha256=loaded.sha256,
-                message=signs,
-                bits=bits or 32,
-                config=config,
-                cameras=views,
-                registered_at=when,
-                progress=progress,
-            ),
-            targets.values(),
-            strict=True,
-        ):
+        for (scene, made), (marked, kept) in zip(marks, targets.values(), strict=True):
             started = time.perf_counter()
             progress("write", 0.0)
             sealed = made.record.to_bytes(owner)
             # The record comes first: a record without its model is harmless, a marked model without it is lost.
-            with whole_file(marked) as model_part:
-                bytes_out = write_model(made.model, model_part, kind)
+            with whole_output(marked, kind) as model_part:
+                bytes_out = write_scene(scene, model_part, kind)
                 with whole_file(kept, overwrite=force) as record_part:
                     write_secret(record_part, sealed)
             once = {"compile": compile_seconds, "read": read_seconds} if not reports else {}
@@ -161,7 +161,7 @@ def embed(
                     "format_out": kind,
                     "profile": profile,
                     "repairs": [asdict(repair) for repair in loaded.repairs],
-                    "notes": loss_note(made.model, kind),
+                    "notes": notes_of(scene, kind),
                     "seconds": time.perf_counter() - began,
                     "seconds_by_stage": once
                     | made.report["seconds_by_stage"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -38,6 +39,30 @@ def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             part.unlink()
+
+
+@contextmanager
+def whole_folder(target: Path) -> Iterator[Path]:
+    """A folder to fill beside the target; it becomes the target when the block ends without an error.
+
+    InputError as `check_folder`.
+    """
+    check_folder(target)
+    part = target.with_name(f".{target.name}.{secrets.token_hex(6)}{_PART_ENDING}")
+    part.mkdir()
+    try:
+        yield part
+        os.replace(part, target)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def check_folder(target: Path) -> None:
+    """Refuse a folder to write that cannot be made, or that has something in it."""
+    if not target.name or not target.parent.is_dir():
+        raise InputError(f"cannot write {str(target)!r}: there is no folder {str(target.parent)!r}")
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{str(target)!r} exists: give the name of a new folder")
 
 
 def _publish(part: Path, target: Path) -> None:

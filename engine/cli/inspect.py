@@ -14,7 +14,14 @@ from engine.cli.embed import size
 from engine.cli.options import Json, SpzFrame
 
 if TYPE_CHECKING:
-    from engine.formats import LoadedModel
+    from engine.sim.variants.scenes import Loaded
+
+DRAWN = {
+    "default": "as Gaussians",
+    "antialiased": "antialiased (Mip-Splatting's compensation)",
+    "2dgs": "as discs (2DGS)",
+}
+"""How a model is to be drawn, in words."""
 
 
 def inspect(
@@ -30,16 +37,17 @@ def inspect(
     """
     console = Console(json)
     began = time.perf_counter()
-    from engine.formats import read_model
+    from engine.sim.variants.scenes import read_scene
 
     with console.progress() as progress:
         progress("read", 0.0)
-        loaded = read_model(model, spz_frame=spz_frame)
+        loaded = read_scene(model, spz_frame=spz_frame)
     report = describe_model(loaded) | {"file": str(model), "seconds": time.perf_counter() - began}
     low, high = report["bounds"]
     console.say(f"{model}: {report['format']}, {size(report['bytes'])}")
     console.say(f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each")
     console.say(f"  colour      spherical harmonics of degree {report['sh_degree']}")
+    console.say(f"  drawn       {DRAWN[report['render_mode']]}")
     console.say(f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}")
     console.say(f"  centre      {_vector(report['center'])}, radius {report['radius']:.4g}")
     console.say(f"  bounds      {_vector(low)} to {_vector(high)}")
@@ -54,10 +62,11 @@ def inspect(
     return 0
 
 
-def describe_model(loaded: LoadedModel) -> dict[str, Any]:
+def describe_model(loaded: Loaded) -> dict[str, Any]:
     """Facts about a loaded model, as plain values."""
     import numpy as np
 
+    from engine.formats.modes import mode_of
     from engine.pipeline.rigs import measure_extent
 
     model = loaded.model
@@ -68,6 +77,7 @@ def describe_model(loaded: LoadedModel) -> dict[str, Any]:
         "sha256": loaded.sha256,
         "gaussians": len(model),
         "sh_degree": model.sh_degree,
+        "render_mode": mode_of(model) or "default",
         "bounds": [model.means.min(axis=0).tolist(), model.means.max(axis=0).tolist()],
         "center": extent.center.tolist(),
         "radius": extent.radius,

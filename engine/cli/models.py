@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from engine.cli.console import Console, Progress
+from engine.cli.files import check_folder, check_target, whole_file, whole_folder
 from engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,12 +17,30 @@ if TYPE_CHECKING:
 
 DEMO_SCENE = "plant.splat"
 
+FOLDERS = ("codebook", "frames")
+"""Formats of which a model is a folder."""
 
-def format_for(path: Path) -> str:
-    """Format that the ending of an output file names."""
+
+def format_for(path: Path, source: Path | None = None) -> str:
+    """Format that the ending of an output file names; where the source is a folder of frames or codebooks, that."""
+    if source is not None and source.is_dir():
+        from engine.sim.variants.scenes import folder_kind
+
+        if (kind := folder_kind(source)) is not None:
+            return kind
     from engine.formats.kinds import kind_of
 
     return kind_of(path.name).name
+
+
+def check_output(target: Path, kind: str) -> None:
+    """Refuse a model to write that cannot be written, before any work is done for it."""
+    (check_folder if kind in FOLDERS else check_target)(target)
+
+
+def whole_output(target: Path, kind: str) -> AbstractContextManager[Path]:
+    """A file, or a folder, to write to beside the target; see `whole_file`."""
+    return (whole_folder if kind in FOLDERS else whole_file)(target)
 
 
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
@@ -33,15 +53,16 @@ def load_suspect(
     console: Console, paths: list[Path], cameras: Path | None, progress: Progress, spz_frame: str = "auto"
 ) -> tuple[Suspect, tuple[Repair, ...]]:
     """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
-    from engine.formats import read_cameras, read_model
+    from engine.formats import read_cameras
     from engine.formats.pictures import is_picture, read_picture
     from engine.pipeline.searching import Suspect
+    from engine.sim.variants.scenes import read_scene
 
     progress("read", 0.0)
     if is_picture(paths[0]):
         known = read_cameras(cameras) if cameras is not None else None
         return Suspect(None, [read_picture(path) for path in paths], known), ()
-    loaded = read_model(paths[0], spz_frame=spz_frame)
+    loaded = read_scene(paths[0], spz_frame=spz_frame)
     say_repairs(console, loaded.repairs)
     return Suspect(loaded.model), loaded.repairs
 

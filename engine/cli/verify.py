@@ -18,6 +18,10 @@ from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key, SpzFrame
 from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
 
+MOVING = "moving"
+"""Name of a record's commitment to a clip, see `engine.sim.variants.moving`."""
+WITHOUT_ORIGINAL = "the record is of a scene that moves: give --original to look for single moments of it"
+
 if TYPE_CHECKING:
     from engine.pipeline.sealing import OpenedRecord
     from engine.pipeline.verification import Verification
@@ -54,6 +58,10 @@ def verify(
     suspect_seen: Annotated[
         str, typer.Option("--suspect-seen", metavar="DATE", help="Since when the suspect is known, such as 2026-11-03.")
     ] = "",
+    original: Annotated[
+        Path | None,
+        typer.Option("--original", help="Unmarked clip, of a record of a scene that moves: moments are looked for."),
+    ] = None,
     decoder: Annotated[
         str, typer.Option("--decoder", metavar="ours|paper", help="How bits are read; the claim is the same.")
     ] = "ours",
@@ -85,6 +93,7 @@ def verify(
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
     from engine.records.attestation import attach
+    from engine.sim.variants.clips import is_clip, verify_in_motion
     from engine.watermark.keys import OwnerKey
     from engine.watermark.wording import PLAIN, words_of
 
@@ -101,8 +110,13 @@ def verify(
         started = time.perf_counter()
         suspect, repairs = load_suspect(console, suspects, cameras, progress, spz_frame)
         read_seconds = time.perf_counter() - started
-        found = search_for(suspect, opened, config, progress)
+        if original is not None and (pictures or not is_clip(suspects[0])):
+            found = verify_in_motion(suspect, opened, original, config)
+        else:
+            found = search_for(suspect, opened, config, progress)
     report = claim_report(found, opened)
+    if original is None and MOVING in opened.commitments and report["verdict"] != "marked":
+        report["notes"] += [WITHOUT_ORIGINAL]
     report["notes"] += unheard
     report |= {
         "suspects": [str(path) for path in suspects],

@@ -72,4 +72,4 @@ def _merge_pairs(
     quats[first] = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
     logits[first] = np.log(joint / (1 - joint))
     sh[first] = sh[first] + share[:, :, None].astype(np.float32) * (sh[second] - sh[first])
-    return GaussianModel(means, log_scales, quats, logits, sh)
+    return model.with_(means=means, log_scales=log_scales, quats=quats, opacity_logits=logits, sh=sh)

@@ -1,4 +1,4 @@
-"""Files in and out: Gaussian models in five formats, cameras in four, point clouds in three.
+"""Files in and out: Gaussian models in seven formats, cameras in four, point clouds in three.
 
 A folder a format; what they share lies beside them: `guards` before anything is read, `repairs` after it is decoded.
 Nothing here draws or judges; everybody above may come in, most by the names below. Start at `reading.read_model`, then

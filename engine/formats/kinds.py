@@ -11,7 +11,7 @@ from engine.formats.repairs import Repair
 from engine.formats.splat import looks_like_splat, read_splat, write_splat
 from engine.model import GaussianModel
 
-__all__ = ["FORMATS", "KINDS", "Kind", "Read", "kind_of"]
+__all__ = ["FORMATS", "KINDS", "READ", "Kind", "Read", "kind_of"]
 
 Read = tuple[GaussianModel, tuple[Repair, ...]]
 
@@ -23,7 +23,8 @@ class Kind:
     name: str
     told_by: Callable[[bytes, str], bool]  # (content, file) -> whether this is one
     read: Callable[[bytes, str, str], Read]  # (content, file, axes of an SPZ file) -> model and repairs
-    write: Callable[[GaussianModel], Iterable[bytes]]  # model of at least one Gaussian -> pieces of the file
+    # model of at least one Gaussian -> pieces of the file; None for a format that is only read
+    write: Callable[[GaussianModel], Iterable[bytes]] | None
 
 
 def _read_spz(data: bytes, file: str, spz_frame: str) -> Read:
@@ -50,13 +51,45 @@ def _write_sog(model: GaussianModel) -> Iterable[bytes]:
     return [write_sog(model)]
 
 
+def _read_gltf(data: bytes, file: str, spz_frame: str) -> Read:
+    from engine.formats.gltf.scene import read_gltf
+
+    return read_gltf(data, file=file)
+
+
+def _write_glb(model: GaussianModel) -> Iterable[bytes]:
+    from engine.formats.gltf.scene import write_glb
+
+    return write_glb(model)
+
+
+def _read_ksplat(data: bytes, file: str, spz_frame: str) -> Read:
+    from engine.formats.ksplat import read_ksplat
+
+    return read_ksplat(data, file=file)
+
+
+def _is_ksplat(data: bytes, file: str) -> bool:
+    """It has no magic either; who calls itself so is taken at its word."""
+    from engine.formats.ksplat import looks_like_ksplat
+
+    named = file.lower().endswith(".ksplat") and len(data) > 0
+    return not data.startswith(_MAGICS) and (named or looks_like_ksplat(data))
+
+
+def _is_gltf(data: bytes, file: str) -> bool:
+    from engine.formats.gltf.scene import looks_like_gltf
+
+    return looks_like_gltf(data)
+
+
 def _is_ply(data: bytes, file: str, compressed: bool) -> bool:
     return data.startswith((b"ply\n", b"ply\r")) and is_compressed(parse_header(data, file=file)) is compressed
 
 
 def _is_splat(data: bytes, file: str) -> bool:
-    """It has no magic: what other formats start with, or call themselves, is none."""
-    return not (data.startswith(_MAGICS) or file.lower().endswith(".ksplat")) and looks_like_splat(data)
+    """It has no magic: what other formats start with is none."""
+    return not data.startswith(_MAGICS) and looks_like_splat(data)
 
 
 _SPZ, _SOG = (b"\x1f\x8b", b"NGSP"), (b"PK",)
@@ -75,18 +108,24 @@ KINDS = (
         lambda data, file, _: read_compressed_ply(data, file=file),
         lambda model: [write_compressed_ply(model)],
     ),
-    Kind("splat", _is_splat, lambda data, file, _: read_splat(data, file=file), lambda model: [write_splat(model)]),
     Kind("spz", lambda data, file: data.startswith(_SPZ), _read_spz, _write_spz),
     Kind("sog", lambda data, file: data.startswith(_SOG), _read_sog, _write_sog),
+    Kind("glb", _is_gltf, _read_gltf, _write_glb),
+    # those without a magic come last
+    Kind("ksplat", _is_ksplat, _read_ksplat, None),
+    Kind("splat", _is_splat, lambda data, file, _: read_splat(data, file=file), lambda model: [write_splat(model)]),
 )
 
-FORMATS = tuple(kind.name for kind in KINDS)
+FORMATS = tuple(kind.name for kind in KINDS if kind.write)
 """What is read and written; also the file name's ending of each."""
+READ = tuple(kind.name for kind in KINDS)
+"""What is read."""
 
 
 def kind_of(name: str) -> Kind:
     """The format whose ending a file's name has."""
-    for kind in sorted(KINDS, key=lambda kind: len(kind.name), reverse=True):  # .compressed.ply before .ply
+    writable = [kind for kind in KINDS if kind.write]
+    for kind in sorted(writable, key=lambda kind: len(kind.name), reverse=True):  # .compressed.ply before .ply
         if name.lower().endswith("." + kind.name):
             return kind
     endings = ", ".join("." + format for format in FORMATS)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.guards import opening, read_regular
-from engine.formats.kinds import FORMATS, KINDS, Kind
+from engine.formats.kinds import KINDS, READ, Kind
 from engine.formats.repairs import Repair
 from engine.model import GaussianModel
 
-_META = "meta.json"
+_META, _LOD_META = "meta.json", "lod-meta.json"
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class LoadedModel:
     """A model as it came from a file, with what is worth knowing about that file."""
 
     model: GaussianModel
-    format: str  # one of `FORMATS`
+    format: str  # one of `READ`
     repairs: tuple[Repair, ...]  # harmless faults that were mended or ignored
     source_bytes: int  # of the file, or of all files of a folder
     sha256: str
@@ -33,14 +33,14 @@ def read_model(
     name: str | None = None,
     spz_frame: str = "auto",
 ) -> LoadedModel:
-    """Read a Gaussian model of any format in `FORMATS`: a file, the folder of an unpacked SOG scene (or its
-    ``meta.json``), or the content of a file.
+    """Read a Gaussian model of any format in `READ`: a file, the folder of an unpacked or streamed SOG scene (or
+    its ``meta.json`` or ``lod-meta.json``), or the content of a file.
 
     `name` is what to call the input in messages, by default its path; it is never opened. `spz_frame` are the axes of
     an SPZ file, which often does not say: "spec" and "ply" overrule "auto", see `read_spz`.
 
     FormatError if the file cannot be read, naming file, element, row and property; UnsupportedFormatError if it is of
-    no known format, or of one that is not read here, such as ``.ksplat``; InputError if there is no such file, or it
+    no known format, or holds what has no place in a model; InputError if there is no such file, or it
     may not be opened.
     """
     if isinstance(path_or_bytes, bytes | bytearray | memoryview):
@@ -48,7 +48,7 @@ def read_model(
     path = Path(path_or_bytes)
     file = name or str(path)
     with opening(path, file):
-        if path.name == _META and path.is_file():
+        if path.name in (_META, _LOD_META) and path.is_file():
             path = path.parent
         if path.is_dir():
             return _read_folder(path, file)
@@ -71,25 +71,25 @@ def _told(data: bytes, file: str) -> Kind:
             return kind
     if not data:
         raise FormatError("is empty", file=file)
-    if file.lower().endswith(".ksplat"):
-        message = ".ksplat is not read here; convert it to .ply, .spz or .sog with a viewer that still reads it"
-        raise UnsupportedFormatError(message, file=file)
-    if data.startswith(b"glTF"):
-        raise UnsupportedFormatError("is glTF, which is not read here; export the scene as .ply", file=file)
-    raise UnsupportedFormatError(f"is none of the formats read here: {', '.join(FORMATS)}", file=file)
+    raise UnsupportedFormatError(f"is none of the formats read here: {', '.join(READ)}", file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:
     from engine.formats.sog.bundle import read_sog_folder
+    from engine.formats.sog.streamed import read_streamed_folder
 
-    if not (path / _META).is_file():
-        raise UnsupportedFormatError(f"is a folder without {_META}: no unpacked SOG scene", file=file)
-    model, repairs = read_sog_folder(path)
+    if (path / _LOD_META).is_file():
+        model, repairs, names = read_streamed_folder(path)
+    elif (path / _META).is_file():
+        model, repairs = read_sog_folder(path)
+        there = sorted(path.iterdir(), key=lambda p: p.name)
+        names = tuple(p.name for p in there if p.is_file() and (p.name == _META or p.suffix == ".webp"))
+    else:
+        raise UnsupportedFormatError(f"is a folder without {_META} or {_LOD_META}: no unpacked SOG scene", file=file)
     size, digests = 0, []
-    for part in sorted(path.iterdir(), key=lambda p: p.name):
-        if part.is_file() and (part.name == _META or part.suffix == ".webp"):
-            content = part.read_bytes()
-            size += len(content)
-            digests.append(f"{hashlib.sha256(content).hexdigest()}  {part.name}\n")
+    for name in names:
+        content = (path / name).read_bytes()
+        size += len(content)
+        digests.append(f"{hashlib.sha256(content).hexdigest()}  {name}\n")
     digest = hashlib.sha256("".join(digests).encode("utf-8", "surrogateescape")).hexdigest()
     return LoadedModel(model, "sog", repairs, size, digest)

@@ -8,7 +8,11 @@ from pathlib import Path
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats.kinds import FORMATS, KINDS, kind_of
+from engine.formats.modes import ANTIALIASED, mode_of
 from engine.model import GaussianModel
+
+_SAY_NOTHING = ("splat", "spz", "glb")
+"""Formats without a word for discs; all but the bit of SPZ have none for antialiasing either."""
 
 
 def encode_model(model: GaussianModel, format: str) -> bytes:
@@ -25,11 +29,16 @@ def loss_note(model: GaussianModel, format: str) -> list[str]:
             ".splat stores no spherical harmonics: colour that changes with the view"
             f" (degree {model.sh_degree}) was dropped; the mark survives"
         )
-    if format != "ply" and model.is_flat:
+    if format in _SAY_NOTHING and model.is_flat:
         thickness = "as thin as it allows" if format == "spz" else "of next to no thickness"
         notes.append(
             f".{format} has three scales: the discs of this 2DGS model were written as Gaussians {thickness},"
             " and other programs draw them as such; .ply keeps two scales; the mark survives"
+        )
+    if format in _SAY_NOTHING and format != "spz" and mode_of(model) == ANTIALIASED:
+        notes.append(
+            f".{format} cannot say that this model is antialiased (SplatRenderMode: mip): viewers draw what is small or"
+            " far too heavily unless told; .ply, .compressed.ply, .spz and .sog say it; the mark survives"
         )
     return notes
 
@@ -71,6 +80,6 @@ def _encode(model: GaussianModel, format: str) -> Iterable[bytes]:
     if len(model) == 0:
         raise InputError("the model holds no Gaussians: there is nothing to write")
     for kind in KINDS:
-        if kind.name == format:
+        if kind.name == format and kind.write:
             return kind.write(model)
     raise UnsupportedFormatError(f"{format!r} is not written here, only {', '.join(FORMATS)}")

@@ -54,7 +54,7 @@ CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
 """Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
 VOTED = 4
 """Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
-PLAIN, ANTIALIASED = RasterSettings(), RasterSettings(antialiased=True)
+OWN = RasterSettings()
 """How viewers draw: most as we do, some as they are told to."""
 CLEARLY = 1.03
 """How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
@@ -82,7 +82,7 @@ class FoundCamera:
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
     mirrored: bool = False  # it is the camera of the picture turned over left to right
-    drawn: RasterSettings = PLAIN  # how the reference is drawn most like it
+    drawn: RasterSettings = OWN  # how the reference is drawn most like it
 
     def face(self, image: Float32) -> Float32:
         """The picture (h, w, 3) as this camera sees it: turned over left to right if it was mirrored."""
@@ -242,10 +242,10 @@ class _Finder:
                 return None
             camera = self._full(refined.camera)
         assert refined is not None
-        drawn = PLAIN
-        softer = self._refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, ANTIALIASED)
+        drawn, otherwise = OWN, RasterSettings(antialiased=not self._model.antialiased)
+        softer = self._refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, otherwise)
         if softer is not None and softer.gain > CLEARLY * refined.gain:
-            refined, drawn, camera = softer, ANTIALIASED, self._full(softer.camera)
+            refined, drawn, camera = softer, otherwise, self._full(softer.camera)
         told = (refined.rms, refined.correlation, refined.step)
         return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)
 
@@ -253,7 +253,7 @@ class _Finder:
         return self._keypoints.turned_over(self._size[0]) if mirrored else self._keypoints
 
     def _refined(
-        self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float, drawn: RasterSettings = PLAIN
+        self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float, drawn: RasterSettings = OWN
     ) -> Refined | None:
         grey = self._greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))

@@ -100,6 +100,7 @@ PLAN: Mapping[str, Rule] = {
     "codes": Rule(_is_codes, f"1 to {MOST_STAGES} numbers of code vectors"),
     "grain": Rule(_is_grain, "two amplitudes from 0 to 1, not both 0", required=False),
     "commitments": Rule(_is_texts, "short texts by name", required=False),
+    "antialiased": Rule(lambda value: value is True, "true, or not there", required=False),
 }
 """JSON values of the plan."""
 

@@ -86,7 +86,13 @@ def make_mark(
         capacity = max(pictured, grain_capacity(len(views.model)) if grain.there else 0)
         check_capacity(bits, capacity)
         promised = plan_of(
-            plan.layout, grain, copy.message, committed.cameras, committed.landmarks, committed.commitments
+            plan.layout,
+            grain,
+            copy.message,
+            committed.cameras,
+            committed.landmarks,
+            committed.commitments,
+            antialiased=views.model.antialiased,
         )
         tint, grain_key = draw_spreading(copy.key, copy.asset, copy.name, plan.layout, promised)
         signed = signed_amplitudes(plan.layout.amplitudes, tint, copy.message)

@@ -80,8 +80,10 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
 
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
     alignment. A model that shares no Gaussian with the reference is placed by what it looks like; then each view's
-    camera is refined on its picture, and the views by which the model was recognised are read, too.
+    camera is refined on its picture, and the views by which the model was recognised are read, too. It is drawn as the
+    reference is, whatever its own tag says, which anybody may change.
     """
+    suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
         return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock), opened), (), True)
     if registration.mirrored:

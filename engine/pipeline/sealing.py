@@ -79,6 +79,8 @@ def plan_of(
     cameras: Sequence[Camera],
     landmarks: Landmarks | None,
     commitments: Mapping[str, str] | None = None,
+    *,
+    antialiased: bool = False,
 ) -> tuple[dict[str, Any], Arrays]:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
     plan: dict[str, Any] = {"message": message_hex(message), "codes": list(layout.codes)}
@@ -86,6 +88,8 @@ def plan_of(
         plan["grain"] = asdict(grain)
     if commitments:
         plan["commitments"] = dict(commitments)
+    if antialiased:  # how the reference is drawn
+        plan["antialiased"] = True
     arrays: Arrays = {"amplitudes": layout.amplitudes.astype(np.float32)}
     for number, (labels, directions) in enumerate(zip(layout.labels, layout.directions, strict=True)):
         arrays[f"labels/{number}"] = labels.astype(np.uint16 if layout.codes[number] <= 65536 else np.int32)
@@ -124,7 +128,7 @@ def open_record(data: bytes, key: OwnerKey, attested: Attested | None = None) ->
 
 
 def _open(record: Record, key: OwnerKey) -> OpenedRecord:
-    reference = record.reference()
+    reference = replace(record.reference(), antialiased=record.plan.get("antialiased", False))
     version = record.header.format_version
     sizes = reference.sh.shape[:2]
     admit(version, record.copy, record.plan, record.extra, record.plan_arrays, *sizes)

@@ -1,6 +1,6 @@
 """The passes that do not depend on colours, in order: project, sort, count, fill."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,7 +74,8 @@ def padded(model: GaussianModel) -> GaussianModel:
         return np.concatenate([array, np.full((missing, *array.shape[1:]), fill, dtype=np.float32)])
 
     means, log_scales, sh = (grown(array, 0.0) for array in (model.means, model.log_scales, model.sh))
-    return GaussianModel(means, log_scales, grown(model.quats, 0.5), grown(model.opacity_logits, -100.0), sh)
+    quats, logits = grown(model.quats, 0.5), grown(model.opacity_logits, -100.0)
+    return model.with_(means=means, log_scales=log_scales, quats=quats, opacity_logits=logits, sh=sh)
 
 
 def build_geometry(
@@ -103,6 +104,8 @@ def build_geometry(
     def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:
         return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
 
+    if settings.antialiased is None:
+        settings = replace(settings, antialiased=model.antialiased)
     flat = settings.kernel == "disc" or (settings.kernel == "auto" and model.is_flat)
     model = padded(model)
     rows = len(model)

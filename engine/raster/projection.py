@@ -59,7 +59,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * w / fx, FRUSTUM_MARGIN * 0.5 * h / fy
     limits = [(w - cx) / fx + margin_x, -cx / fx - margin_x, (h - cy) / fy + margin_y, -cy / fy - margin_y]
     numbers = [*R.ravel(), *t, fx, fy, cx, cy, *limits, w, h, settings.eps2d, settings.near]
-    numbers += [settings.log2_alpha_skip, -(-w // TILE), -(-h // TILE), settings.antialiased]
+    numbers += [settings.log2_alpha_skip, -(-w // TILE), -(-h // TILE), bool(settings.antialiased)]
     return np.array(numbers, dtype=np.float32)
 
 

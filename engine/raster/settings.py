@@ -54,10 +54,10 @@ class RasterSettings:
     alpha_skip: float = ALPHA_SKIP  # smallest alpha that is blended, in (0, alpha_clamp)
     transmittance_stop: float = 1e-4
     """A Gaussian that would bring a pixel's transmittance to this or less is not blended and ends the pixel."""
-    antialiased: bool = False
+    antialiased: bool | None = None
     """Opacity falls as `eps2d` widens the projected Gaussian, so that none gets heavier (Mip-Splatting, Yu et al. 2024,
     Eq 10, in the image plane alone; viewers call it antialiasing). Gaussians only, not discs; no gradients of
-    parameters."""
+    parameters. None: where the model was trained so (`GaussianModel.antialiased`)."""
     kernel: str = "auto"
     """What is drawn: "gaussian", or "disc", those of 2DGS, of the first two scales, which rays meet exactly in
     perspective and which have a low pass of their own in place of `eps2d` (`engine.raster.disc_projection`); "auto":

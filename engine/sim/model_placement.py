@@ -6,7 +6,7 @@ alike: quaternions and SH turn with the centres.
 
 import numpy as np
 
-from engine.model import Float64, GaussianModel
+from engine.model import ATTRIBUTES, Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
@@ -86,11 +86,12 @@ def shuffle(model: GaussianModel, strength: float, rng: np.random.Generator) -> 
 
 
 def join(*models: GaussianModel) -> GaussianModel:
-    """All models in one, in their order; SH padded with zeros to the highest of their degrees."""
+    """All models in one, in their order; SH padded with zeros to the highest of their degrees. Antialiased where all
+    of them are."""
     width = max(model.sh.shape[1] for model in models)
     parts = [m.with_(sh=np.pad(m.sh, ((0, 0), (0, width - m.sh.shape[1]), (0, 0)))) for m in models]
-    names = GaussianModel.__dataclass_fields__
-    return GaussianModel(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
+    return GaussianModel(**whole, antialiased=all(model.antialiased for model in models))
 
 
 def _move(model: GaussianModel, factor: float, rotation: Float64, shift: Float64) -> GaussianModel:

@@ -74,12 +74,12 @@ def quantize(model: GaussianModel, strength: int, rng: np.random.Generator) -> G
     Quaternions are normalised afterwards.
     """
     levels = 2**strength - 1
-    return GaussianModel(
-        _rounded(model.means, levels),
-        _rounded(model.log_scales, levels),
-        _unit(_rounded(model.quats, levels)),
-        _rounded(model.opacity_logits, levels),
-        _rounded(model.sh, levels),
+    return model.with_(
+        means=_rounded(model.means, levels),
+        log_scales=_rounded(model.log_scales, levels),
+        quats=_unit(_rounded(model.quats, levels)),
+        opacity_logits=_rounded(model.opacity_logits, levels),
+        sh=_rounded(model.sh, levels),
     )
 
 

@@ -21,7 +21,7 @@ router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
 CONVERTING_SECONDS = 60.0
 Range = Annotated[str | None, Header(description="bytes=first-last")]
-Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
+Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
 
 
 class Asset(BaseModel):
@@ -85,7 +85,8 @@ def get_model(
     sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
         sha256, kind = _convert(core, sha256, wanted), wanted
-    return send_blob(core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
+    ending = "ply" if kind == "spacetime" else kind  # a clip is one
+    return send_blob(core, sha256, f"{row.id}-{version}.{ending}", MODEL_TYPE, range)
 
 
 @router.get(

@@ -21,7 +21,7 @@ from service.trust.owner_keys import list_keys, open_key, store
 from service.uploads.taking import gather
 
 router = APIRouter(prefix="/v1", tags=["embed"])
-Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
+Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
 
 
 _GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": "integer"}}

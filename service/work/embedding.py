@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.catalogue.entry import Entry
-from engine.formats import encode_model
-from engine.formats.writing import loss_note
+from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import compose
 from engine.registration.sketch import make_sketch
+from engine.sim.variants.scenes import embed_variant, encode_scene, notes_of, output_of, written_as
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from service.work.candidates import find_marks, load_candidates
@@ -37,29 +37,33 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     cameras = load_cameras(request.get("cameras"))
     progress("read", 0.0)
     loaded = load_model(request)
-    kind = request.get("format") or loaded.format
+    kind = request.get("format") or output_of(loaded)
+    written_as(loaded, kind)
     read_seconds = time.perf_counter() - began
     found = find_marks(loaded.model, load_candidates(request), progress)
     screen_seconds = time.perf_counter() - began - read_seconds
     if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
         return {"screening": found}
-    made = embed(
-        loaded.model,
-        key,
-        original_sha256=loaded.sha256,
-        message=message,
-        bits=bits,
-        config=config,
-        cameras=cameras,
-        copy=request.get("copy") or "",
-        registered_at=request.get("registered_at") or "",
-        drawn=request.get("drawn") or "",
-        progress=progress,
-    )
+    request_of_mark: dict[str, Any] = {
+        "original_sha256": loaded.sha256,
+        "message": message,
+        "bits": bits,
+        "config": config,
+        "cameras": cameras,
+        "registered_at": request.get("registered_at") or "",
+        "drawn": request.get("drawn") or "",
+        "progress": progress,
+    }
+    copy, scene = request.get("copy") or "", loaded.scene
+    if isinstance(scene, GaussianModel):
+        made = embed(scene, key, copy=copy, **request_of_mark)
+        scene = made.model
+    else:
+        scene, made = next(embed_variant(loaded, key, [copy], **request_of_mark))
     started = time.perf_counter()
     progress("write", 0.0)
     files = {"model": f"model.{kind}", "record": "model.record", "preview": "preview.png", "sketch": "entry.bin"}
-    record, model = made.record.to_bytes(key), encode_model(made.model, kind)
+    record, model = made.record.to_bytes(key), encode_scene(scene, kind)
     (folder / files["record"]).write_bytes(record)
     (folder / files["model"]).write_bytes(model)
     progress("picture", 0.0)
@@ -75,7 +79,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "record_bytes": len(record),
         "profile": request["profile"],
         "repairs": [asdict(repair) for repair in loaded.repairs],
-        "notes": loss_note(made.model, kind),
+        "notes": notes_of(scene, kind),
         "seconds": ended - began,
         "seconds_by_stage": {
             "read": read_seconds,

@@ -5,8 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from engine.formats import encode_model
-from engine.formats.writing import loss_note
+from engine.sim.variants.scenes import encode_scene, notes_of, written_as
 from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.process import Progress
 
@@ -42,8 +41,9 @@ def convert(request: Mapping[str, Any], folder: Path, progress: Progress) -> dic
     """A model in another format."""
     kind = request["format"]
     progress("read", 0.0)
-    model = load_model(request).model
+    loaded = load_model(request)
+    written_as(loaded, kind)
     progress("write", 0.5)
     name = f"model.{kind}"
-    (folder / name).write_bytes(encode_model(model, kind))
-    return {"format": kind, "notes": loss_note(model, kind), "files": {"model": name}}
+    (folder / name).write_bytes(encode_scene(loaded.scene, kind))
+    return {"format": kind, "notes": notes_of(loaded.scene, kind), "files": {"model": name}}

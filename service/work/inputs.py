@@ -9,9 +9,10 @@ from typing import Any
 from PIL import Image
 
 from engine.errors import CameraError, FormatError, InputError
-from engine.formats import LoadedModel, read_cameras, read_model
+from engine.formats import read_cameras
 from engine.formats.pictures import MAX_PICTURE_PIXELS, is_picture, read_picture
 from engine.model import Camera, Float32
+from engine.sim.variants.scenes import Loaded, read_scene
 from service.problems import Problem
 
 MOST_PICTURES = 64
@@ -19,9 +20,9 @@ MOST_PIXELS = 200_000_000
 """Of all pictures together: 2.4 GB in memory."""
 
 
-def load_model(request: Mapping[str, Any]) -> LoadedModel:
+def load_model(request: Mapping[str, Any]) -> Loaded:
     """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
-    loaded = read_model(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    loaded = read_scene(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
     if len(loaded.model) == 0:
         raise Problem("unreadable-model", "the model holds no Gaussians")
     return loaded

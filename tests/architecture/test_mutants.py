@@ -33,6 +33,7 @@ def test_every_mutation_is_a_program_and_its_tests_exist() -> None:
         "pictures",
         "statistics",
         "numerics",
+        "formats",
     }
     for mutant in table:
         path, text = mutated(ROOT, mutant)

@@ -11,6 +11,7 @@ from engine.cli.app import run
 COMMANDS = (
     ["keygen"],
     ["inspect"],
+    ["convert"],
     ["embed"],
     ["verify"],
     ["trace"],

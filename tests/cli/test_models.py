@@ -23,7 +23,7 @@ def test_splat_drops_spherical_harmonics() -> None:
     assert loss_note(model(1), "splat") == loss_note(model(4), "spz") == []
 
 
-@pytest.mark.parametrize("kind", ["compressed.ply", "splat", "spz", "sog"])
+@pytest.mark.parametrize("kind", ["splat", "spz"])
 def test_only_ply_has_the_two_scales_of_discs(kind: str) -> None:
     discs = flatten(model(1))
     assert loss_note(discs, "ply") == []

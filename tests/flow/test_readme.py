@@ -53,6 +53,7 @@ def test_readme_shows_commands() -> None:
     for command in (
         "keygen",
         "inspect",
+        "convert",
         "embed",
         "verify",
         "render",

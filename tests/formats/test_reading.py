@@ -48,11 +48,9 @@ def test_the_name_is_what_messages_call_the_file() -> None:
 
 
 def test_other_formats_are_refused_by_name() -> None:
-    with pytest.raises(UnsupportedFormatError, match=r"\.ksplat is not read here"):
+    with pytest.raises(UnsupportedFormatError, match=r"\.ksplat version 0\.0"):
         read_model(bytes(4096), name="Scene.KSPLAT")
-    with pytest.raises(UnsupportedFormatError, match="is glTF"):
-        read_model(b"glTF" + bytes(60), name="scene.glb")
-    with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, splat"):
+    with pytest.raises(UnsupportedFormatError, match=r"none of the formats read here: ply, compressed\.ply, spz"):
         read_model(b"hello", name="scene.ply")
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -243,6 +244,10 @@ def test_how_the_viewer_draws_is_told_from_the_picture(plant: GaussianModel, ban
         found = find_camera(bank, plant, jpeg(render(plant, true, settings=settings), 80))
         assert found is not None
         assert found.drawn == settings
+    plain, tagged = RasterSettings(antialiased=False), replace(plant, antialiased=True)
+    found = find_camera(bank, tagged, jpeg(render(plant, true, settings=plain), 80))
+    assert found is not None
+    assert found.drawn == plain
 
 
 def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel) -> None:

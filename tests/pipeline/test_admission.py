@@ -74,6 +74,8 @@ def with_value(name: str, value: float, at: int = 3) -> dict[str, Any]:
 
 def test_a_sound_record_opens() -> None:
     found = opened()
+    assert not found.reference.antialiased
+    assert opened(plan={"antialiased": True}).reference.antialiased
     assert (found.strength, found.grain) == (1.0, Grain(0.05, 0.02))
     early = opened(plan={"grain": NO}, extra={"strength": 2.5}, version=1)
     assert early.strength == pytest.approx(2.5 / FIRST_STRENGTH)
@@ -151,6 +153,8 @@ def test_arrays_are_checked_before_they_are_used(text: str, arrays: dict[str, An
         ("'commitments'", {"commitments": {"a": "x" * 500}}, {}),
         ("'commitments'", {"commitments": {"a": 5}}, {}),
         ("'commitments'", {"commitments": "a"}, {}),
+        ("'antialiased'", {"antialiased": False}, {}),
+        ("'antialiased'", {"antialiased": 1}, {}),
         ("'strength'", {}, {"strength": "nan"}),
         ("'strength'", {}, {"strength": 10**400}),
         ("'strength'", {}, {"strength": 1e300}),

@@ -135,6 +135,8 @@ def test_render_route_sees_the_mark_as_a_black_box(scene: MarkedScene) -> None:
     claim = verify_model(moved, scene.opened, VerifyConfig(route="render")).claim
     assert claim.route == "render"
     assert (claim.verdict.value, claim.bit_accuracy) == ("marked", 1.0)
+    retagged = verify_model(replace(moved, antialiased=True), scene.opened, VerifyConfig(route="render")).claim
+    assert retagged.z == claim.z  # a suspect's word on how to draw it is nobody's evidence
 
 
 def test_paper_decoder_reads_the_unharmed_model_and_only_the_bits_differ(scene: MarkedScene) -> None:

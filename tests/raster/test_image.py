@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -87,6 +89,17 @@ def test_settings(settings: RasterSettings) -> None:
     assert_same_image(render(model, camera(), settings=settings), expected)
     if settings.eps2d or settings.antialiased:
         assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
+
+
+def test_a_model_says_how_it_is_drawn() -> None:
+    plain = random_model(150, 5, 4)
+    tagged, view_from = replace(plain, antialiased=True), camera()
+    told = render(plain, view_from, settings=RasterSettings(antialiased=True))
+    np.testing.assert_array_equal(render(tagged, view_from), told)
+    np.testing.assert_array_equal(render(tagged.take(np.arange(150)), view_from), told)
+    as_before = render(tagged, view_from, settings=RasterSettings(antialiased=False))
+    np.testing.assert_array_equal(as_before, render(plain, view_from))
+    assert np.abs(told - as_before).max() > 0.01
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 8, 16, 19])

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from engine.formats import read_model, write_model
-from engine.model import GaussianModel
+from engine.model import ATTRIBUTES, GaussianModel
 
 
 def resaved(model: GaussianModel, format: str, folder: Path) -> GaussianModel:
@@ -83,7 +83,7 @@ def _merged(model: GaussianModel, first: np.ndarray, second: np.ndarray) -> Gaus
         wa[:, None] * a.sh + wb[:, None] * b.sh,
     )
     rest = model.take(np.setdiff1d(np.arange(len(model)), np.concatenate([first, second])))
-    names = GaussianModel.__dataclass_fields__
+    names = ATTRIBUTES
     return GaussianModel(*(np.concatenate([getattr(rest, name), getattr(new, name)]) for name in names))
 
 

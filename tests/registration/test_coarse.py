@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.model import GaussianModel
+from engine.model import ATTRIBUTES, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.registration import coarse
 from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, describe
@@ -78,7 +78,7 @@ def test_the_same_places_elsewhere_do_not_agree() -> None:
 def test_a_floater_moves_nothing() -> None:
     model = scene(0, 4000)
     far = model.take(np.arange(3)).with_(means=np.float32([[1e7, 0, 0], [0, -1e7, 3], [0, 0, 1e6]]))
-    names = GaussianModel.__dataclass_fields__
+    names = ATTRIBUTES
     with_floaters = GaussianModel(*(np.concatenate([getattr(model, n), getattr(far, n)]) for n in names))
     assert agreement(describe(model, 256), Crowd(describe(with_floaters, 2000, 5))) > 200
 

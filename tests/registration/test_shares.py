@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.formats import read_model
-from engine.model import GaussianModel
+from engine.model import ATTRIBUTES, GaussianModel
 from engine.registration.judge import clipped_at
 from engine.registration.registering import RegistrationConfig, register
 from tests.registration.outside_tools import along_a_curve, moved_elsewhere, resaved
@@ -80,7 +80,7 @@ def test_strangers_in_an_order_are_not_matched() -> None:
     """A third replaced by another scene's Gaussians, at their places in the file."""
     model, other = scene(0), scene(1)
     rows = np.random.default_rng(0).random(len(model)) < 1 / 3
-    names = GaussianModel.__dataclass_fields__
+    names = ATTRIBUTES
     suspect = GaussianModel(
         *(
             np.where(rows.reshape(-1, *[1] * (getattr(model, n).ndim - 1)), getattr(other, n), getattr(model, n))

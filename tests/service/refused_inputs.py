@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import FormatError
-from engine.formats import reading, splat
+from engine.formats import ksplat, reading, splat
+from engine.formats.gltf import scene as gltf
 from engine.formats.ply import compressed as compressed_ply
 from engine.formats.ply import gaussians as ply
 from engine.formats.sog import bundle as sog
@@ -44,6 +45,8 @@ def pytest_configure() -> None:
         (splat, "read_splat"),
         (spz, "read_spz"),
         (sog, "read_sog"),
+        (gltf, "read_gltf"),
+        (ksplat, "read_ksplat"),
         (reading, "_decode"),
     ):
         setattr(module, name, wrapped(getattr(module, name)))

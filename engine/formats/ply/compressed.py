@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError
+from engine.formats.modes import comment_of, mode_of_comments, with_mode
 from engine.formats.morton import morton_order
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import Element, Header, parse_header
@@ -80,7 +81,7 @@ def read_compressed_ply(
     if others:
         text = f"elements that no Gaussian has were ignored: {', '.join(others[:5])}"
         repairs = (Repair("extra_elements", len(others), text), *repairs)
-    return model, repairs
+    return with_mode(model, mode_of_comments(header.comments)), repairs
 
 
 def write_compressed_ply(model: GaussianModel) -> bytes:
@@ -90,7 +91,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     / 2047 (y: 1023), 1/255 in color and opacity; a coefficient within +-4 is off by up to 1/32, one beyond is clipped.
     """
     order = morton_order(model.means)
-    rest = _quantize_rest(model.sh, order)
+    rest, comment = _quantize_rest(model.sh, order), comment_of(model)
     model = model.with_(sh=model.sh[:, :1]).take(order)
     count, chunks = len(model), -(-len(model) // CHUNK)
     colors = 0.5 + SH_C0 * model.sh[:, 0].astype(np.float64)
@@ -107,7 +108,7 @@ def write_compressed_ply(model: GaussianModel) -> bytes:
     packed["packed_rotation"] = _pack_rotations(model.quats)
 
     words = np.column_stack([packed[word] for word in _WORDS]).astype("<u4")  # (N, 4)
-    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}"]
+    lines = ["ply", "format binary_little_endian 1.0", *comment, f"element chunk {chunks}"]
     lines += [f"property float {name}" for name in _BOUNDS]
     lines += [f"element vertex {count}", *(f"property uint {word}" for word in _WORDS)]
     if rest.shape[1]:

@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.modes import ANTIALIASED, comment_of, mode_of_comments, with_mode
 from engine.formats.ply.body import read_tables
+from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codebooks, refuse_motion
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
@@ -25,9 +27,9 @@ def read_ply(
 ) -> tuple[GaussianModel, tuple[Repair, ...]]:
     """Read an uncompressed Gaussian PLY: binary of either byte order or ASCII, 3DGS or 2DGS, degree 0 to 3.
 
-    `header` if it is parsed already. Repairs tell of ``extra_properties``, ``extra_elements`` and ``flat_discs``, too.
-    FormatError if the bytes are not what the header says, or a property is missing; UnsupportedFormatError if the file
-    is a point cloud or a mesh.
+    `header` if it is parsed already. Repairs tell of ``extra_properties``, ``extra_elements``, ``flat_discs`` and
+    ``filter_fused``, too. FormatError if the bytes are not what the header says, or a property is missing;
+    UnsupportedFormatError if the file is a point cloud or a mesh, or its Gaussians move or lie in codebooks.
     """
     header = header or parse_header(data, file=file)
     vertex, repairs = _check_vertex(header, file)
@@ -39,9 +41,18 @@ def read_ply(
         log_scales[:, 2] = np.maximum(log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS), LOG_SCALE_RANGE[0])
         text = f"2DGS discs: their third scale was set to {DISC_THICKNESS:g} of the smaller one"
         repairs.append(Repair("flat_discs", len(records), text))
+    mode = mode_of_comments(header.comments)
+    if FILTER in vertex.names:
+        width = records[FILTER].astype(np.float32)
+        arrays["log_scales"], arrays["opacity_logits"] = fuse_filter(
+            arrays["log_scales"], arrays["opacity_logits"], width
+        )
+        text = f"Mip-Splatting's {FILTER!r} was folded into sizes and opacities, as its own export does"
+        repairs.append(Repair("filter_fused", len(records), text))
+        mode = mode or ANTIALIASED
     logits = arrays["opacity_logits"]
     model, mended = clean(arrays["means"], arrays["log_scales"], arrays["quats"], logits, arrays["sh"], file=file)
-    return model, (*repairs, *mended)
+    return with_mode(model, mode), (*repairs, *mended)
 
 
 def write_ply(model: GaussianModel) -> Iterator[bytes]:
@@ -54,7 +65,8 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
     names += [f"f_rest_{i}" for i in range(rest)]
     scales = ["scale_0", "scale_1"] if model.is_flat else ["scale_0", "scale_1", "scale_2"]
     names += ["opacity", *scales, "rot_0", "rot_1", "rot_2", "rot_3"]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(model)}"]
+    comment = comment_of(model) if not model.is_flat else []  # two scales say it
+    lines = ["ply", "format binary_little_endian 1.0", *comment, f"element vertex {len(model)}"]
     lines += [f"property float {name}" for name in names]
     yield ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
@@ -77,10 +89,15 @@ def write_ply(model: GaussianModel) -> Iterator[bytes]:
 
 def _check_vertex(header: Header, file: str) -> tuple[Element, list[Repair]]:
     """The vertex element once it is known to hold Gaussians, and what the file holds besides."""
+    refuse_codebooks(header, file=file)
     vertex = header.element("vertex")
     if vertex is None:
         there = ", ".join(repr(e.name) for e in header.elements[:5])
         raise FormatError(f"has no element 'vertex', only {there}", file=file)
+    refuse_motion(vertex, file=file)
+    if "f_dc_0" not in vertex.names and "opacity" in vertex.names:
+        message = "is missing; where the colors lie in codebooks beside the file (Compact3D), give the folder"
+        raise FormatError(message, file=file, element="vertex", prop="f_dc_0")
     if "f_dc_0" not in vertex.names:
         colored = {"red", "green", "blue"} <= vertex.names
         what = "a colored point cloud" if colored else "a point cloud or a mesh"
@@ -92,20 +109,15 @@ def _check_vertex(header: Header, file: str) -> tuple[Element, list[Repair]]:
             raise FormatError("is missing", file=file, element="vertex", prop=name)
 
     repairs: list[Repair] = []
-    known = {*needed, *_NORMALS, "f_dc_0", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
+    known = {*needed, *_NORMALS, FILTER, "f_dc_0", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}
     known |= {f"f_rest_{i}" for i in range(_count_rest(vertex, file))}
     extra = [p.name for p in vertex.properties if p.name not in known]
     if extra:
-        repairs.append(Repair("extra_properties", len(extra), _ignored("properties", extra)))
+        repairs.append(ignored("properties", extra))
     others = [e.name for e in header.elements if e is not vertex]
     if others:
-        repairs.append(Repair("extra_elements", len(others), _ignored("elements", others)))
+        repairs.append(ignored("elements", others))
     return vertex, repairs
-
-
-def _ignored(what: str, names: list[str]) -> str:
-    shown = ", ".join(repr(name[:40]) for name in names[:5])
-    return f"{what} that no Gaussian has were ignored: {shown}" + (", ..." if len(names) > 5 else "")
 
 
 def _count_rest(vertex: Element, file: str) -> int:

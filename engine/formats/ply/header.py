@@ -63,11 +63,12 @@ class Element:
 @dataclass(frozen=True)
 class Header:
     """A parsed header: ``"<"`` or ``">"`` for binary files, empty for ASCII; uniquely named elements in the order of
-    the file; and its length in bytes, up to and with the newline after ``end_header``."""
+    the file; its length in bytes, up to and with the newline after ``end_header``; and the comments, as they are."""
 
     byte_order: str
     elements: tuple[Element, ...]
     size: int
+    comments: tuple[str, ...] = ()
 
     def element(self, name: str) -> Element | None:
         """The element of that name."""
@@ -102,11 +103,13 @@ class _Parser:
         self.byte_order: str | None = None
         self.tables: dict[str, tuple[int, dict[str, Property]]] = {}
         self.current: str | None = None
+        self.comments: list[str] = []
 
     def take(self, line: bytes) -> None:
         words = line.decode("latin-1").split()
         keyword = words[0] if words else ""
         if keyword in ("comment", "obj_info"):
+            self.comments.append(" ".join(words[1:]))
             return
         if keyword == "format" and len(words) == 3:
             self._format(words[1], words[2])
@@ -130,7 +133,7 @@ class _Parser:
             if not properties:
                 raise FormatError("has no properties", file=self.file, element=name)
             elements.append(Element(name, count, tuple(properties.values())))
-        return Header(self.byte_order, tuple(elements), size)
+        return Header(self.byte_order, tuple(elements), size, tuple(self.comments))
 
     def _format(self, encoding: str, version: str) -> None:
         if self.byte_order is not None:

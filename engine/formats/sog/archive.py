@@ -15,6 +15,9 @@ MAX_META_BYTES = 1 << 20
 
 _MAX_DIRECTORY_BYTES = 1 << 16
 """A bundle has eight entries of some 60 bytes; junk of operating systems may add a few dozen."""
+_MAX_STREAMED_BYTES = 1 << 22
+"""A streamed scene has seven entries a chunk: some 8,000 chunks."""
+_STREAMED = b"lod-meta.json"
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _DAMAGE = (
@@ -70,6 +73,35 @@ class ZipArchive:
             raise FormatError(message, file=self._file, element=name)
         return part
 
+    def folder_of(self, name: str) -> str:
+        """The folder, ending in a slash, that holds a part of this name: the outermost; empty for the top.
+
+        FormatError if there is none.
+        """
+        found = [path for path in self._entries if path == name or path.endswith("/" + name)]
+        if not found:
+            raise FormatError("zip archive lacks this entry", file=self._file, element=name)
+        return min(found, key=lambda path: (path.count("/"), path)).removesuffix(name)
+
+    def has(self, name: str) -> bool:
+        """Whether there is a part of this name, at the top."""
+        return name in self._entries
+
+    @property
+    def streamed(self) -> bool:
+        """Whether this is the archive of a streamed scene."""
+        return any(path.encode().endswith(_STREAMED) for path in self._entries)
+
+
+class Within:
+    """A folder inside an archive, by its path, which ends in a slash."""
+
+    def __init__(self, archive: Archive, folder: str) -> None:
+        self._archive, self._folder, self.size = archive, folder, archive.size
+
+    def read(self, name: str, limit: int) -> bytes:
+        return self._archive.read(self._folder + name, limit)
+
 
 class Folder:
     """An unbundled scene; the folder is the user's own, the names in it come from the caller checked."""
@@ -110,5 +142,6 @@ def _check_directory(data: bytes, *, file: str) -> None:
     if end < 0 or end + 22 > len(data):
         raise FormatError("is no zip archive, or its end is cut off", file=file)
     size = struct.unpack_from("<I", data, end + 12)[0]
-    if data[max(0, end - 20) : end].startswith(b"PK\x06\x07") or size > _MAX_DIRECTORY_BYTES:
+    most = _MAX_STREAMED_BYTES if _STREAMED in data[max(0, end - size) : end] else _MAX_DIRECTORY_BYTES
+    if data[max(0, end - 20) : end].startswith(b"PK\x06\x07") or size > most:
         raise FormatError("zip archive lists far more entries than a scene has", file=file)

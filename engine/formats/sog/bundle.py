@@ -18,12 +18,17 @@ __all__ = ["SogPalette", "read_sog", "read_sog_folder", "write_sog"]
 
 
 def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
-    """Read a bundled scene, version 1 or 2. Only meta.json and the images it names are ever unpacked.
+    """Read a bundled scene, version 1 or 2, or the archive of a streamed one. Only meta.json and the images it names
+    are ever unpacked.
 
     UnsupportedFormatError for another version, or images that are lossy; FormatError if the archive or an image is
     damaged, or sizes and counts do not agree; checked before it is decoded.
     """
     archive = ZipArchive(data, file=file)
+    if not archive.has(META) and archive.streamed:
+        from engine.formats.sog.streamed import read_streamed
+
+        return read_streamed(archive, file=file)
     meta = parse_meta(archive.read(META, MAX_META_BYTES), file=file)
     return decode_scene(meta, archive, file=file)
 

@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from engine.errors import FormatError
 from engine.formats.guards import check_count
+from engine.formats.modes import with_mode
 from engine.formats.repairs import Repair, clean
 from engine.formats.sog.archive import Archive
 from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW, REST_COEFFICIENTS, Palette, SogMeta
@@ -29,7 +30,7 @@ def decode_scene(meta: SogMeta, archive: Archive, *, file: str) -> tuple[Gaussia
     rest, rest_repairs = scene.rest()
     sh = dc[:, None] if rest is None else np.concatenate([dc[:, None], rest], axis=1)  # (N, K, 3)
     model, repairs = clean(scene.means(), scene.log_scales(), quats, logits, sh, file=file, element="gaussians")
-    return model, (*meta.repairs, *quat_repairs, *rest_repairs, *repairs)
+    return with_mode(model, meta.mode), (*meta.repairs, *quat_repairs, *rest_repairs, *repairs)
 
 
 class _Scene:

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
+from engine.formats.modes import mode_of
 from engine.formats.morton import morton_order
 from engine.formats.sog.archive import META
 from engine.formats.sog.codebook import learn_codebook, nearest_codes
@@ -53,6 +54,8 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
         "quats": {"files": FILES["quats"]},
         "sh0": {"codebook": dc.tolist(), "files": FILES["sh0"]},
     }
+    if mode := mode_of(model):
+        meta["model"] = mode
     parts: dict[str, bytes] = {}
     if model.sh_degree > 0:
         if palette is None:

@@ -50,6 +50,7 @@ class SogMeta:
     dc: Float64  # (3, 256) DC coefficient of each pixel value, by channel
     opacity: Float64  # (256,) logit of each alpha; infinite for 0 and 255 in version 2
     palette: Palette | None  # None for spherical harmonics of degree 0
+    mode: object  # how it is to be drawn, see `engine.formats.modes`
     repairs: tuple[Repair, ...]  # faults of meta.json that were mended
 
     @property
@@ -105,6 +106,7 @@ class _Reader:
             dc=dc,
             opacity=opacity,
             palette=self._palette(codebooks) if "shN" in files else None,
+            mode=self._meta.get("model"),
             repairs=tuple(self._repairs),
         )
 

@@ -14,7 +14,7 @@ MAGIC = 0x5053474E
 """The bytes "NGSP"."""
 
 GZIP_MAGIC = b"\x1f\x8b"
-HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x02, 0x80
+ANTIALIASED, HAS_EXTENSIONS, LEVELS_OF_DETAIL = 0x01, 0x02, 0x80
 """Bits of the header's flags. The last is Spark's: the rows are a tree of nested levels, not one scene."""
 
 MAX_EXTENSION_BYTES = 1 << 16

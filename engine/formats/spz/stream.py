@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from engine.errors import InputError
+from engine.formats import modes
 from engine.formats.repairs import Repair, clean
 from engine.formats.spz.attributes import (
     choose_fractional_bits,
@@ -20,7 +21,7 @@ from engine.formats.spz.attributes import (
     decode_smallest_three,
     encode_all,
 )
-from engine.formats.spz.container import Header, pack, unpack
+from engine.formats.spz.container import ANTIALIASED, Header, pack, unpack
 from engine.formats.spz.frames import RUB, SPECIFICATION, Frame, coordinate_system_record, frame_change
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
@@ -52,7 +53,7 @@ def read_spz(data: bytes, *, file: str, frame: str = "auto") -> tuple[GaussianMo
     model, repairs = clean(means, log_scales, quats, logits, sh, file=file, element="points")
     if change.turn is not None:
         model = transform_model(model, 1.0, change.turn, np.zeros(3))
-    return model, repairs
+    return modes.with_mode(model, modes.ANTIALIASED if header.flags & ANTIALIASED else None), repairs
 
 
 def write_spz(
@@ -91,6 +92,7 @@ def write_spz(
     means = model.means * change.signs.astype(np.float32)
     signs = change.coefficient_signs(model.sh.shape[1])
     arrays = (means, model.log_scales, quats, model.opacities, model.sh)
-    header = Header(version, len(model), model.sh_degree, places)
+    flags = ANTIALIASED if modes.mode_of(model) == modes.ANTIALIASED else 0
+    header = Header(version, len(model), model.sh_degree, places, flags)
     extensions = coordinate_system_record(RUB) if version == 4 else b""
     return pack(header, encode_all(arrays, places, signs, sh_bits), extensions)

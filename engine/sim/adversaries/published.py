@@ -34,12 +34,12 @@ def inject(model: GaussianModel, strength: float, rng: np.random.Generator) -> G
     pick = [rng.integers(len(model), size=count) for _ in range(5)]
     reach = INJECTED_REACH * measure_extent(model).radius
     places = model.means[pick[0]] + reach * rng.standard_normal((count, 3))
-    return GaussianModel(
-        np.concatenate([model.means, places.astype(np.float32)]),
-        np.concatenate([model.log_scales, model.log_scales[pick[1]]]),
-        np.concatenate([model.quats, model.quats[pick[2]]]),
-        np.concatenate([model.opacity_logits, model.opacity_logits[pick[3]]]),
-        np.concatenate([model.sh, model.sh[pick[4]]]),
+    return model.with_(
+        means=np.concatenate([model.means, places.astype(np.float32)]),
+        log_scales=np.concatenate([model.log_scales, model.log_scales[pick[1]]]),
+        quats=np.concatenate([model.quats, model.quats[pick[2]]]),
+        opacity_logits=np.concatenate([model.opacity_logits, model.opacity_logits[pick[3]]]),
+        sh=np.concatenate([model.sh, model.sh[pick[4]]]),
     )
 
 
@@ -87,12 +87,12 @@ def round_floats(model: GaussianModel, strength: int, rng: np.random.Generator) 
     """
     quats = _short(model.quats, strength)
     norm = np.linalg.norm(quats, axis=1, keepdims=True)
-    return GaussianModel(
-        _short(model.means, strength),
-        _short(model.log_scales, strength),
-        quats / np.maximum(norm, np.float32(1e-6)),
-        _short(model.opacity_logits, strength),
-        _short(model.sh, strength),
+    return model.with_(
+        means=_short(model.means, strength),
+        log_scales=_short(model.log_scales, strength),
+        quats=quats / np.maximum(norm, np.float32(1e-6)),
+        opacity_logits=_short(model.opacity_logits, strength),
+        sh=_short(model.sh, strength),
     )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from engine.errors import InputError
-from engine.model import GaussianModel
+from engine.model import ATTRIBUTES, GaussianModel
 
 __all__ = ["half_precision"]
 
@@ -22,6 +22,6 @@ def half_precision(model: GaussianModel) -> GaussianModel:
         rows = np.flatnonzero((np.abs(array) > _LARGEST).reshape(len(array), -1).any(axis=1))
         if len(rows):
             raise InputError(f"{name}: row {rows[0]} is too large for float16: {array[rows[0]].tolist()}")
-    half = GaussianModel(**{name: array.astype(np.float16) for name, array in vars(model).items()})
+    half = model.with_(**{name: getattr(model, name).astype(np.float16) for name in ATTRIBUTES})
     quats = half.quats.astype(np.float64)
     return half.with_(quats=quats / np.linalg.norm(quats, axis=1, keepdims=True))

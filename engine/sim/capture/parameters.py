@@ -1,5 +1,7 @@
 """The arrays under training, each with its Adam moments; the only mutable thing of a training."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -27,7 +29,8 @@ class Parameters:
     @property
     def model(self) -> GaussianModel:
         """The parameters as they are now: a view, which the next step changes."""
-        return GaussianModel(**self.arrays)
+        arrays: dict[str, Any] = dict(self.arrays)
+        return GaussianModel(**arrays)
 
     def finished(self) -> GaussianModel:
         """A model of its own, with unit quaternions."""

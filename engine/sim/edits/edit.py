@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
+from engine.model import ATTRIBUTES, SH_C0, Float32, Float64, GaussianModel, Int64
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 from engine.sim.model_placement import join
@@ -125,8 +125,8 @@ class Edit:
 
 def _replaced(model: GaussianModel, rows: Int64, part: GaussianModel) -> GaussianModel:
     new = model.take(np.arange(len(model)))
-    for name, array in vars(new).items():
-        array[rows] = getattr(part, name)
+    for name in ATTRIBUTES:
+        getattr(new, name)[rows] = getattr(part, name)
     return new
 
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from engine.errors import InputError
-from engine.formats import read_model
+from engine.formats import read_model, write_model
 from engine.model import Float32, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
 
-__all__ = ["FrameSequence", "read_frames"]
+__all__ = ["FrameSequence", "frame_files", "read_frames", "write_frames"]
 
 COLOR_TOLERANCE = 1e-3
 """Largest difference of a colour coefficient between frames: more is a scene whose colours change with time."""
@@ -101,6 +101,17 @@ def _displace(frame: GaussianModel, before: GaussianModel, after: GaussianModel)
     )
 
 
+def frame_files(folder: str | os.PathLike[str]) -> list[Path]:
+    """The files of a folder of frames in the order of their moments: its ``.ply`` files, by name."""
+    return sorted(Path(folder).glob("*.ply"))
+
+
+def write_frames(sequence: FrameSequence, folder: str | os.PathLike[str]) -> int:
+    """Write every frame as ``time_00000.ply`` and so on, as 4DGS exports them, into a folder; returns their bytes."""
+    base = Path(folder)
+    return sum(write_model(frame, base / f"time_{k:05d}.ply") for k, frame in enumerate(sequence.frames))
+
+
 def read_frames(
     source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], times: Sequence[float] | None = None
 ) -> FrameSequence:
@@ -113,7 +124,7 @@ def read_frames(
         folder = Path(source)
         if not folder.is_dir():
             raise InputError(f"{source}: is no folder")
-        paths: list[str | os.PathLike[str]] = [*sorted(folder.glob("*.ply"))]
+        paths: list[str | os.PathLike[str]] = [*frame_files(folder)]
     else:
         paths = list(source)
     if not paths:

@@ -5,7 +5,7 @@ import { problemBox } from "./problem.js";
 import { Viewer } from "./viewer.js";
 import { count, when } from "./words.js";
 
-const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog"];
+const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog", "glb"];
 const HEAVY = 1_500_000; // Gaussians; two of those are asked for, not sent
 
 /** View of an asset: {element, heading, opened(), destroy()}. */

@@ -1,0 +1,114 @@
+"""`mark3dgs convert`: a model in another format, with a word on what that cannot hold."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from engine.cli.console import Console, Progress
+from engine.cli.files import check_folder, check_target, refuse_same, whole_file, whole_folder
+from engine.cli.models import format_for, say_repairs
+from engine.cli.options import Json, SpzFrame
+from engine.errors import InputError
+
+if TYPE_CHECKING:
+    from engine.model import GaussianModel
+
+STREAMED = "lod-meta.json"
+KEPT = 0.25
+"""Share of its Gaussians that each level of detail has of the one before it."""
+
+
+def convert(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here.")],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="File to write; its ending names the format. NEW_FOLDER/lod-meta.json: streamed SOG."
+        ),
+    ],
+    levels: Annotated[
+        int, typer.Option("--levels", metavar="N", min=1, max=8, help="Levels of detail of streamed SOG.")
+    ] = 1,
+    spz_frame: SpzFrame = "auto",
+    json: Json = False,
+) -> int:
+    """Write a model in another format.
+
+    A mark stays in what is converted. Each further level of detail is merged
+    from the one before it, as publishing tools do, to a quarter of its
+    Gaussians. A clip that moves stays a clip: only .ply holds it.
+
+    Examples:
+
+      mark3dgs convert scene.ksplat scene.ply
+      mark3dgs convert scene.ply scene.glb
+      mark3dgs convert scene.ply published/lod-meta.json --levels 3
+    """
+    console = Console(json)
+    began = time.perf_counter()
+    streamed = out.name == STREAMED
+    if levels > 1 and not streamed:
+        raise InputError(f"levels of detail are those of streamed SOG: name the output {STREAMED}, in a new folder")
+    kind = STREAMED if streamed else format_for(out)
+    if streamed:
+        check_folder(out.parent)
+    else:
+        refuse_same(model, out)
+        check_target(out)
+
+    from engine.sim.variants.codebook import CodebookModel
+    from engine.sim.variants.scenes import notes_of, read_scene, write_scene, written_as
+
+    with console.progress() as progress:
+        progress("read", 0.0)
+        loaded = read_scene(model, spz_frame=spz_frame)
+        scene = loaded.scene
+        if isinstance(scene, CodebookModel):
+            scene = loaded.model  # every index looked up: nothing is lost but the file's size
+        else:
+            kind = written_as(loaded, kind)
+        progress("write", 0.5)
+        if streamed:
+            counts, bytes_out = _write_streamed(loaded.model, out.parent, levels, progress)
+        else:
+            with whole_file(out) as part:
+                bytes_out = write_scene(scene, part, kind)
+            counts = [len(scene)]
+    report = {
+        "out": str(out),
+        "format_in": loaded.format,
+        "format_out": kind,
+        "bytes_in": loaded.source_bytes,
+        "bytes_out": bytes_out,
+        "gaussians": counts[0],
+        "levels": counts,
+        "repairs": [asdict(repair) for repair in loaded.repairs],
+        "notes": notes_of(scene, kind),
+        "seconds": time.perf_counter() - began,
+    }
+    say_repairs(console, loaded.repairs)
+    console.say(
+        f"{model} ({loaded.format}) -> {out} ({kind}): {' + '.join(f'{count:,}' for count in counts)} Gaussians,"
+        f" {loaded.source_bytes:,} -> {bytes_out:,} bytes"
+    )
+    for note in notes_of(scene, kind):
+        console.say(f"  note: {note}")
+    console.emit(report)
+    return 0
+
+
+def _write_streamed(model: GaussianModel, folder: Path, levels: int, progress: Progress) -> tuple[list[int], int]:
+    from engine.formats.sog.chunks import write_streamed
+    from engine.sim.attacks import model_attack
+
+    made = [model]
+    while len(made) < levels:
+        progress("merge", len(made) / levels)
+        made.append(model_attack("merge").apply(made[-1], KEPT, rng=0, reading="as_code"))
+    with whole_folder(folder) as part:
+        return [len(level) for level in made], write_streamed(made, part)

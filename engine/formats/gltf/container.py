@@ -1,0 +1,175 @@
+"""A glTF asset as its JSON and the bytes of its buffers: a GLB, or a .gltf that carries its buffers in data URIs.
+
+Khronos Group, "glTF 2.0 Specification", sections 3.6 (buffers, accessors) and 4 (GLB).
+"""
+
+import base64
+import binascii
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError, UnsupportedFormatError
+
+__all__ = ["MAGIC", "MAX_JSON_BYTES", "Asset", "pack_glb", "unpack"]
+
+MAGIC = b"glTF"
+MAX_JSON_BYTES = 1 << 24
+"""A scene of one primitive takes 10 kB; 16 MB is a city of them."""
+
+_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_DATA_URI = ("data:application/octet-stream;base64,", "data:application/gltf-buffer;base64,")
+_CODES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_PADDING = {_JSON: b" ", _BIN: b"\0"}
+
+
+@dataclass(frozen=True)
+class Asset:
+    """The JSON of an asset, which is an object, and its binary chunk."""
+
+    json: Mapping[str, Any]
+    binary: memoryview
+    file: str
+    decoded: dict[int, memoryview] = field(default_factory=dict)  # buffers out of data URIs
+
+    def rows(self, kind: str) -> list[Any]:
+        """A list at the top of the JSON, empty where there is none; FormatError if it is no list."""
+        found = self.json.get(kind, [])
+        if not isinstance(found, list):
+            raise self.fault("is no list", kind)
+        return found
+
+    def row(self, kind: str, index: object) -> Mapping[str, Any]:
+        """An object of such a list; FormatError if the index is none, or leads nowhere."""
+        rows = self.rows(kind)
+        if type(index) is not int or not 0 <= index < len(rows):
+            raise self.fault(f"index {index!r:.40} leads nowhere: there are {len(rows)}", kind)
+        row = rows[index]
+        if not isinstance(row, dict):
+            raise self.fault(f"number {index} is no object", kind)
+        return row
+
+    def fault(self, message: str, element: str, prop: str | None = None) -> FormatError:
+        """What is wrong, and where."""
+        return FormatError(message, file=self.file, element=element, prop=prop)
+
+    def length(self, index: object) -> int:
+        """Number of rows that an accessor claims."""
+        return _whole(self, self.row("accessors", index), "count", f"accessor {index}")
+
+    def values(self, index: object, width: int, prop: str) -> npt.NDArray[np.float32]:
+        """(N, width) values of an accessor, integers as their component type says (normalised, or as they are).
+
+        FormatError where it does not lie in its buffer, which is checked before anything is decoded, or has another
+        width; UnsupportedFormatError if it is sparse.
+        """
+        accessor, element = self.row("accessors", index), f"accessor {index}"
+        if "sparse" in accessor:
+            raise UnsupportedFormatError("is sparse", file=self.file, element=element, prop=prop)
+        code, kind = accessor.get("componentType"), accessor.get("type")
+        if not isinstance(code, int) or code not in _CODES or _WIDTHS.get(str(kind)) != width:
+            raise self.fault(f"is of {kind!r:.20} and {code!r:.20}, expected {width} numbers a row", element, prop)
+        view = self.row("bufferViews", accessor.get("bufferView"))
+        if "extensions" in view:
+            message = f"its buffer view has extensions: {ascii(view['extensions'])[:120]}"
+            raise UnsupportedFormatError(message, file=self.file, element=element)
+        count, dtype = _whole(self, accessor, "count", element), np.dtype(_CODES[code])
+        buffer = self._buffer(view.get("buffer"))
+        start, room = (_whole(self, view, key, "bufferView", 0) for key in ("byteOffset", "byteLength"))
+        stride = _whole(self, view, "byteStride", "bufferView", 0) or width * dtype.itemsize
+        first = _whole(self, accessor, "byteOffset", element, 0)
+        end = first + (count - 1) * stride + width * dtype.itemsize if count else first
+        if start + room > len(buffer) or end > room or not width * dtype.itemsize <= stride <= 252:
+            message = f"{count} rows end at byte {end} of a view of {room} in a buffer of {len(buffer)}"
+            raise self.fault(message, element, prop)
+        at, strides = start + first, (stride, dtype.itemsize)
+        table: npt.NDArray[Any] = np.ndarray((count, width), dtype, buffer, at, strides)
+        found = table.astype(np.float32)
+        if accessor.get("normalized") is True and dtype.kind in "iu":
+            found = np.maximum(found / np.float32(np.iinfo(dtype).max), np.float32(-1.0))
+        return found
+
+    def _buffer(self, index: object) -> memoryview:
+        buffer = self.row("buffers", index)
+        assert isinstance(index, int)  # `row` has seen to it
+        if index in self.decoded:
+            return self.decoded[index]
+        uri = buffer.get("uri")
+        if uri is None:
+            if index != 0 or not len(self.binary):
+                raise self.fault(f"buffer {index} is nowhere: there is no binary chunk", "buffers")
+            return self.binary
+        if not isinstance(uri, str) or not uri.startswith(_DATA_URI):
+            message = f"buffer {index} lies in another file ({uri!r:.60}); give the scene as .glb"
+            raise UnsupportedFormatError(message, file=self.file, element="buffers")
+        try:
+            self.decoded[index] = memoryview(base64.b64decode(uri[uri.index(",") + 1 :], validate=True))
+        except (binascii.Error, ValueError):
+            raise self.fault(f"buffer {index} is no base64", "buffers") from None
+        return self.decoded[index]
+
+
+def unpack(data: bytes, *, file: str) -> Asset:
+    """Take an asset apart. FormatError if a GLB's lengths do not agree, or the JSON is none; UnsupportedFormatError for
+    another version than 2."""
+    if data[:4] != MAGIC:
+        return Asset(_parse(data, file, limit=len(data)), memoryview(b""), file)
+    if len(data) < _HEADER.size + _CHUNK.size:
+        raise FormatError(f"has {len(data)} bytes, its headers alone take {_HEADER.size + _CHUNK.size}", file=file)
+    _, version, total = _HEADER.unpack_from(data)
+    if version != 2:
+        raise UnsupportedFormatError(f"glTF version {version}, read is 2", file=file, element="header")
+    if total != len(data):
+        raise FormatError(f"says it has {total} bytes, but {len(data)} are there", file=file, element="header")
+    length, kind = _CHUNK.unpack_from(data, _HEADER.size)
+    start = _HEADER.size + _CHUNK.size
+    if kind != _JSON or start + length > total:
+        raise FormatError(f"the first chunk is {kind:#010x} of {length} bytes", file=file, element="header")
+    parsed = _parse(data[start : start + length], file, limit=MAX_JSON_BYTES)
+    start += length
+    if start == total:
+        return Asset(parsed, memoryview(b""), file)
+    if start + _CHUNK.size > total:
+        raise FormatError("a chunk's header is cut off", file=file)
+    length, kind = _CHUNK.unpack_from(data, start)
+    start += _CHUNK.size
+    if kind != _BIN or start + length > total:
+        raise FormatError(f"the second chunk is {kind:#010x} of {length} bytes", file=file, element="header")
+    return Asset(parsed, memoryview(data)[start : start + length], file)
+
+
+def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
+    """A GLB in pieces, from its JSON and the parts of its binary chunk; no date, no trace of the machine."""
+    text = json.dumps(parsed, separators=(",", ":"), allow_nan=False).encode()
+    text += _PADDING[_JSON] * (-len(text) % 4)
+    size = sum(map(len, binary))
+    tail = _PADDING[_BIN] * (-size % 4)
+    total = _HEADER.size + 2 * _CHUNK.size + len(text) + size + len(tail)
+    head = _HEADER.pack(MAGIC, 2, total) + _CHUNK.pack(len(text), _JSON)
+    return [head, text, _CHUNK.pack(size + len(tail), _BIN), *binary, tail]
+
+
+def _parse(text: bytes, file: str, limit: int) -> dict[str, Any]:
+    if len(text) > limit:
+        raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
+    try:
+        parsed = json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise FormatError(f"is no JSON ({ascii(str(fault))[:120]})", file=file, element="JSON") from None
+    if not isinstance(parsed, dict):
+        raise FormatError("is no JSON object", file=file, element="JSON")
+    return parsed
+
+
+def _whole(asset: Asset, row: Mapping[str, Any], key: str, element: str, default: int | None = None) -> int:
+    value = row.get(key, default)
+    if type(value) is not int or not 0 <= value < 1 << 53:
+        raise asset.fault(f"{value!r:.40} is no number of bytes or rows", element, key)
+    return value

@@ -1,0 +1,217 @@
+"""Gaussians in glTF: the extension KHR_gaussian_splatting, read and written (as .glb; .gltf with data URIs is read).
+
+Specification: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting (complete, ratified): points with
+linear scales and opacities, quaternions x, y, z, w, spherical harmonics with INRIA's signs, one accessor a
+coefficient. glTF's axes (left, up, front) are those of PLY turned by half a turn about z, as playcanvas/splat-transform
+and SPZ's converter take them. The compression by SPZ (KHR_gaussian_splatting_compression_spz_2, glTF pull request 2531)
+and by L-GSC (2551) are drafts: files that need them are refused by name.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats.gltf.container import MAGIC, Asset, pack_glb, unpack
+from engine.formats.gltf.nodes import as_similarity, shown_meshes
+from engine.formats.guards import check_count
+from engine.formats.repairs import Repair, clean
+from engine.formats.spz.frames import FrameChange
+from engine.model import ATTRIBUTES, Float32, GaussianModel
+from engine.numerics.similarity import transform_model
+
+__all__ = ["EXTENSION", "looks_like_gltf", "read_gltf", "write_glb"]
+
+EXTENSION = "KHR_gaussian_splatting"
+COLOR_SPACE = "srgb_rec709_display"
+TO_PLY = FrameChange(np.array([-1.0, -1.0, 1.0]))
+"""Half a turn about z; its own inverse."""
+
+_KNOWN = {EXTENSION, "KHR_mesh_quantization", "KHR_materials_unlit"}
+"""What a file may require: the second allows integers for positions, the third says how points look elsewhere."""
+_FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
+_DRAFTS = ("KHR_gaussian_splatting_", "KHR_spz_", "EXT_gaussian_splatting")
+_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+def looks_like_gltf(data: bytes | memoryview) -> bool:
+    """Whether bytes begin as a GLB, or as the JSON object of a .gltf."""
+    head = bytes(data[:1024])
+    text = head.lstrip()[:1] == b"{" and not any(byte < 32 and byte not in b"\t\n\r" for byte in head)
+    return head.startswith(MAGIC) or text
+
+
+def read_gltf(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    """All Gaussians that the scene shows, in PLY's axes, primitive after primitive.
+
+    FormatError if lengths, indices and counts do not agree, which is checked before anything is decoded;
+    UnsupportedFormatError if there are no Gaussians, or they need an extension, a kernel, a color space or a
+    transformation that has no place here.
+    """
+    asset = unpack(data, file=file)
+    _check_required(asset)
+    shown = [(primitive, matrix) for mesh, matrix in shown_meshes(asset) for primitive in _primitives(asset, mesh)]
+    if not shown:
+        message = f"holds no Gaussians: no primitive that is shown has {EXTENSION}"
+        raise UnsupportedFormatError(message, file=file, element="meshes")
+    total = sum(asset.length(_attributes(asset, primitive)["POSITION"]) for primitive, _ in shown)
+    check_count(total, len(data), file=file)
+    degree = max(_degree(asset, primitive) for primitive, _ in shown)
+    parts: list[GaussianModel] = []
+    repairs: list[Repair] = []
+    for primitive, matrix in shown:
+        model, mended = _read_primitive(asset, primitive, (degree + 1) ** 2)
+        repairs += mended
+        if (matrix != np.eye(4)).any():
+            flip = np.diag([*TO_PLY.signs, 1.0])
+            model = transform_model(model, *as_similarity(flip @ matrix @ flip, file=file))
+        parts.append(model)
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ATTRIBUTES}
+    return (parts[0] if len(parts) == 1 else GaussianModel(**whole)), tuple(repairs)  # type: ignore[arg-type]
+
+
+def write_glb(model: GaussianModel) -> list[bytes]:
+    """The file in pieces, float32 throughout: centres, quaternions and harmonics come back with the same bits, scales
+    and opacities to within float32's rounding of the exponential and the logistic function."""
+    names = [f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")]
+    names += [f"{EXTENSION}:{name}" for name in coefficient_names(model.sh_degree)]
+    means, quats, sh = model.means.copy(), model.quats.copy(), model.sh.copy()
+    TO_PLY.apply_signs(means, quats, sh)
+    opacities = 1.0 / (1.0 + np.exp(-model.opacity_logits.astype(np.float64)))
+    columns = [means, quats[:, [1, 2, 3, 0]], model.scales, opacities[:, None], *np.moveaxis(sh, 1, 0)]
+    views, accessors, binary, offset = [], [], [], 0
+    for number, column in enumerate(columns):
+        part = np.ascontiguousarray(column, dtype="<f4").tobytes()
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": len(part), "target": _ARRAY_BUFFER})
+        kind = _TYPES[column.shape[1]]
+        accessors.append({"bufferView": number, "componentType": _FLOAT, "count": len(model), "type": kind})
+        binary.append(part)
+        offset += len(part)
+    accessors[0] |= {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
+    said = {"kernel": "ellipse", "colorSpace": COLOR_SPACE}
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(["POSITION", *names])},
+        "mode": _POINTS,
+        "extensions": {EXTENSION: said},
+    }
+    parsed: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "Mark3DGS"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": offset}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    return pack_glb(parsed, binary)
+
+
+def coefficient_names(degree: int) -> list[str]:
+    """Semantics of the coefficients up to a degree, in INRIA's order."""
+    return [f"SH_DEGREE_{band}_COEF_{order}" for band in range(degree + 1) for order in range(2 * band + 1)]
+
+
+def _check_required(asset: Asset) -> None:
+    required = asset.rows("extensionsRequired")
+    unknown = [name for name in map(str, required) if name not in _KNOWN]
+    if unknown:
+        raise _unsupported(asset, unknown[0])
+
+
+def _unsupported(asset: Asset, name: str) -> UnsupportedFormatError:
+    draft = ", a draft that is not settled" if name.startswith(_DRAFTS) else ""
+    message = f"needs the extension {ascii(name)[:80]}{draft}; export uncompressed {EXTENSION}, .spz or .ply"
+    return UnsupportedFormatError(message, file=asset.file, element="extensions")
+
+
+def _primitives(asset: Asset, mesh: object) -> Iterator[Mapping[str, Any]]:
+    """Those of a mesh that hold Gaussians, once their extension says nothing that is not known here."""
+    found = asset.row("meshes", mesh).get("primitives")
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise asset.fault("has no list of primitives", f"mesh {mesh}")
+    for primitive in found:
+        extensions = primitive.get("extensions", {})
+        if not isinstance(extensions, dict):
+            raise asset.fault("is no object", f"mesh {mesh}", "extensions")
+        said = extensions.get(EXTENSION)
+        if said is None:
+            drafts = [name for name in extensions if name.startswith(_DRAFTS)]
+            if drafts:
+                raise _unsupported(asset, drafts[0])
+            continue
+        if not isinstance(said, dict):
+            raise asset.fault("is no object", f"mesh {mesh}", EXTENSION)
+        if nested := said.get("extensions"):
+            raise _unsupported(asset, next(map(str, nested)) if isinstance(nested, dict) else str(nested))
+        for key, wanted in (("kernel", "ellipse"), ("colorSpace", COLOR_SPACE), ("projection", "perspective")):
+            if said.get(key, wanted if key == "projection" else None) != wanted:
+                message = f"{said.get(key)!r:.60} is not read here, only {wanted!r}"
+                raise UnsupportedFormatError(message, file=asset.file, element=EXTENSION, prop=key)
+        if primitive.get("mode") != _POINTS:
+            raise asset.fault(f"mode is {primitive.get('mode')!r:.20}, expected {_POINTS}", f"mesh {mesh}", "mode")
+        yield primitive
+
+
+def _attributes(asset: Asset, primitive: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = primitive.get("attributes")
+    if not isinstance(found, dict):
+        raise asset.fault("is missing", "primitive", "attributes")
+    for name in ("POSITION", *(f"{EXTENSION}:{n}" for n in ("ROTATION", "SCALE", "OPACITY", "SH_DEGREE_0_COEF_0"))):
+        if name not in found:
+            raise asset.fault("is missing", "primitive", name)
+    return found
+
+
+def _degree(asset: Asset, primitive: Mapping[str, Any]) -> int:
+    """Degree of the harmonics, once each is there whole with all below it."""
+    there = {name.partition(":")[2] for name in _attributes(asset, primitive) if name.startswith(EXTENSION + ":SH_")}
+    for degree in range(4):
+        if there == set(coefficient_names(degree)):
+            return degree
+    if any(name.startswith("SH_DEGREE_4") for name in there):
+        message = "spherical harmonics of degree 4, read are 0 to 3"
+        raise UnsupportedFormatError(message, file=asset.file, element="primitive")
+    message = f"{len(there)} coefficients of spherical harmonics are no whole degrees"
+    raise FormatError(message, file=asset.file, element="primitive")
+
+
+def _read_primitive(
+    asset: Asset, primitive: Mapping[str, Any], coefficients: int
+) -> tuple[GaussianModel, tuple[Repair, ...]]:
+    attributes = _attributes(asset, primitive)
+    count = asset.length(attributes["POSITION"])
+
+    def values(name: str, width: int) -> npt.NDArray[np.float32]:
+        semantic = name if name == "POSITION" else f"{EXTENSION}:{name}"
+        found = asset.values(attributes[semantic], width, semantic)
+        if len(found) != count:
+            raise asset.fault(f"has {len(found)} rows, POSITION {count}", "primitive", semantic)
+        return found
+
+    means, quats = values("POSITION", 3), values("ROTATION", 4)[:, [3, 0, 1, 2]]
+    scales, opacities = values("SCALE", 3), values("OPACITY", 1)[:, 0].astype(np.float64)
+    sh = np.zeros((count, coefficients, 3), dtype=np.float32)
+    for k, name in enumerate(coefficient_names(_degree(asset, primitive))):
+        sh[:, k] = values(name, 3)
+    TO_PLY.apply_signs(means, quats, sh)
+    repairs: tuple[Repair, ...] = ()
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0 and 1 are mended, what lies outside is a fault
+        log_scales: Float32 = np.log(scales)
+        logits = np.log(opacities) - np.log1p(-opacities)
+    if _is_log(asset, scales):
+        log_scales = scales
+        text = "sizes were stored as logarithms, as early splat-transform did against the specification"
+        repairs = (Repair("scales_logarithmic", count, text),)
+    model, mended = clean(means, log_scales, quats, logits, sh, file=asset.file, element="primitive")
+    return model, (*repairs, *mended)
+
+
+def _is_log(asset: Asset, scales: Float32) -> bool:
+    """Whether sizes are logarithms: its writer is known to have stored them so, and some are negative."""
+    about = asset.json.get("asset")
+    generator = about.get("generator") if isinstance(about, dict) else None
+    return isinstance(generator, str) and generator.startswith("splat-transform") and bool((scales < 0).any())

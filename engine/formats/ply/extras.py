@@ -1,0 +1,73 @@
+"""What a PLY's vertices have beside the properties of a Gaussian: what moves them, what widens them, what is nobody's.
+
+Names as public code writes them: Spacetime Gaussians (``trbf_*``, ``motion_*``, ``omega_*``, ``f_t_*``), 4-D Gaussians
+(Yang et al., ICLR 2024, and those built on it: ``t``, ``mu_t``, ``scale_t*``, ``t_scale``, ``rot_l_*``, ``rot_r_*``),
+FreeTimeGS and viewers of its kind (``vx``, ``velocity_*``, ``time``, ``duration``), tracks (``delta_x_t0``).
+"""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import UnsupportedFormatError
+from engine.formats.ply.header import Element, Header
+from engine.formats.repairs import Repair
+from engine.model import Float32
+
+__all__ = ["FILTER", "fuse_filter", "ignored", "is_motion", "named", "refuse_codebooks", "refuse_motion"]
+
+FILTER = "filter_3D"
+"""Deviation of Mip-Splatting's 3D smoothing filter, scene units."""
+
+_MOTION = re.compile(
+    r"(trbf|motion|omega|velocity|vel|delta|rot_l|rot_r|rotation_r)_\w+|f_t_\d+"
+    r"|t|mu_t|time|duration|t_scale|(scale|scaling)_t(_\d+)?|v[xyz]"
+)
+
+
+def is_motion(name: str) -> bool:
+    """Whether a property says where, how large or how opaque a Gaussian is at some time."""
+    return _MOTION.fullmatch(name) is not None
+
+
+def refuse_motion(vertex: Element, *, file: str) -> None:
+    """UnsupportedFormatError naming the properties if these Gaussians move: nothing of it has a place in a model."""
+    moving = [p.name for p in vertex.properties if is_motion(p.name)]
+    if moving:
+        lite = ": a Spacetime clip, which embed and verify take as what it is" if "trbf_center" in moving else ""
+        message = f"the Gaussians move{lite}; as a model that stands still it would lose {named(moving)}"
+        raise UnsupportedFormatError(message, file=file, element="vertex", prop=moving[0])
+
+
+def refuse_codebooks(header: Header, *, file: str) -> None:
+    """UnsupportedFormatError if the vertices are indices into codebooks (Papantonakis et al. 2024, "V2" of INRIA)."""
+    if header.element("codebook_centers") is not None:
+        message = "the Gaussians are indices into codebooks; export plain float properties"
+        raise UnsupportedFormatError(message, file=file, element="codebook_centers")
+
+
+def fuse_filter(log_scales: Float32, logits: Float32, width: npt.NDArray[np.float32]) -> tuple[Float32, Float32]:
+    """Log scales (N, 3) and opacity logits (N,) with the 3D filter (N,) folded in, as Mip-Splatting exports them.
+
+    Each variance grows by the filter's, each opacity falls by the root of the ratio of determinants (Yu et al., CVPR
+    2024, equation 9; ``create_fused_ply`` of its code). Anything that is no number stays to be found.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        before = 2.0 * log_scales.astype(np.float64)  # log variances
+        after = np.logaddexp(before, 2.0 * np.log(np.abs(width.astype(np.float64)))[:, None])
+        log_opacity = -np.logaddexp(0.0, -logits.astype(np.float64)) + 0.5 * (before - after).sum(axis=1)
+        faded = log_opacity - np.log(-np.expm1(log_opacity))
+        return (0.5 * after).astype(np.float32), np.where(width == 0, logits, faded).astype(np.float32)
+
+
+def named(names: Iterable[str]) -> str:
+    """Names for a message: the first eight, made harmless."""
+    listed = list(names)
+    return ", ".join(repr(name[:40]) for name in listed[:8]) + (", ..." if len(listed) > 8 else "")
+
+
+def ignored(what: str, names: list[str]) -> Repair:
+    """What is said of properties or elements that no Gaussian has."""
+    return Repair(f"extra_{what}", len(names), f"{what} that no Gaussian has were ignored: {named(names)}")

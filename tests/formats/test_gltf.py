@@ -1,0 +1,175 @@
+"""glTF with KHR_gaussian_splatting: the specification row by row, what others write, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats import encode_model, read_model
+from engine.formats.gltf.scene import looks_like_gltf
+from engine.model import Camera, GaussianModel, look_at
+from engine.numerics.similarity import transform_model
+from engine.raster import render, sh_colors
+from tests.formats.gltf_files import EXTENSION, asset_of, glb_of, gltf_of, read_slowly, splats
+from tests.formats.models import assert_same, random_model
+
+FLIP = np.diag([-1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_what_is_written_is_what_the_specification_says(degree: int) -> None:
+    """Values in glTF's own terms, and colours seen from glTF's own directions by the specification's formulas."""
+    model = random_model(degree, 50)
+    data = encode_model(model, "glb")
+    found = {name: np.array(rows) for name, rows in read_slowly(data).items()}
+    np.testing.assert_array_equal(found["POSITION"], model.means * np.float32([-1, -1, 1]))
+    np.testing.assert_allclose(found[f"{EXTENSION}:SCALE"], np.exp(model.log_scales), rtol=1e-6)
+    np.testing.assert_allclose(found[f"{EXTENSION}:OPACITY"][:, 0], model.opacities, rtol=1e-6)
+    theirs = Rotation.from_quat(found[f"{EXTENSION}:ROTATION"]).as_matrix()  # x, y, z, w
+    ours = Rotation.from_quat(model.quats[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(theirs @ FLIP, FLIP @ ours @ FLIP @ FLIP, atol=1e-6)
+    x, y, z = direction = np.array([0.36, 0.48, 0.8])
+    c1, c2 = 0.4886025119029199, (1.092548430592079, 0.3153915652525200, 0.5462742152960395)
+    c3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644657, 0.3731763325901154, 1.445305721320277)
+    basis = [0.2820947917738781, -c1 * y, c1 * z, -c1 * x]
+    basis += [c2[0] * x * y, -c2[0] * y * z, c2[1] * (2 * z * z - x * x - y * y), -c2[0] * x * z]
+    basis += [c2[2] * (x * x - y * y), -c3[0] * y * (3 * x * x - y * y), c3[1] * x * y * z]
+    basis += [-c3[2] * y * (4 * z * z - x * x - y * y), c3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y)]
+    basis += [-c3[2] * x * (4 * z * z - x * x - y * y), c3[4] * z * (x * x - y * y), -c3[0] * x * (x * x - 3 * y * y)]
+    names = [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{m}" for band in range(degree + 1) for m in range(2 * band + 1)]
+    colors = 0.5 + sum(b * found[name] for b, name in zip(basis, names, strict=False))
+    eye = model.means.mean(axis=0) - 1e6 * (FLIP @ direction)
+    np.testing.assert_allclose(sh_colors(model.sh, model.means, eye), np.maximum(colors, 0), atol=1e-4)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_there_and_back(degree: int) -> None:
+    model = random_model(degree)
+    loaded = read_model(encode_model(model, "glb"))
+    assert (loaded.format, loaded.repairs) == ("glb", ())
+    for name in ("means", "quats", "sh"):
+        np.testing.assert_array_equal(getattr(loaded.model, name), getattr(model, name))
+    np.testing.assert_allclose(loaded.model.log_scales, model.log_scales, atol=2e-7)
+    np.testing.assert_allclose(loaded.model.opacity_logits, model.opacity_logits, atol=2e-5)
+
+
+def test_text_with_its_buffer_inside_is_the_same() -> None:
+    parsed, binary = asset_of(splats(40, 2))
+    packed, text = read_model(glb_of(parsed, binary)), read_model(gltf_of(parsed, binary), name="scene.gltf")
+    assert_same(packed.model, text.model)
+    away = json.dumps(parsed | {"buffers": [{"byteLength": len(binary), "uri": "scene.bin"}]}).encode()
+    with pytest.raises(UnsupportedFormatError, match=r"another file \('scene\.bin'\)"):
+        read_model(away)
+
+
+def test_integers_are_what_their_accessors_say() -> None:
+    """KHR_gaussian_splatting's own table of component types, and strides between rows."""
+    plain = splats(60, 0)
+    small = dict(plain)
+    quats, scales = plain[f"{EXTENSION}:ROTATION"], plain[f"{EXTENSION}:SCALE"].clip(0, 1)
+    small[f"{EXTENSION}:ROTATION"] = np.round(quats * 32767).astype("<i2")
+    small[f"{EXTENSION}:OPACITY"] = np.round(plain[f"{EXTENSION}:OPACITY"] * 255).astype("u1")
+    small[f"{EXTENSION}:SCALE"] = np.round(scales * 65535).astype("<u2")
+    parsed, binary = asset_of(small)
+    parsed["accessors"][2]["normalized"] = True
+    model, expected = read_model(glb_of(parsed, binary)).model, read_model(glb_of(*asset_of(plain))).model
+    np.testing.assert_allclose(model.quats, expected.quats, atol=2e-4)
+    np.testing.assert_allclose(model.opacities, expected.opacities, atol=0.51 / 255)
+    np.testing.assert_allclose(model.scales, expected.scales.clip(0, 1), atol=0.51 / 65535)
+    wide = np.zeros((60, 5), np.float32)
+    wide[:, 1:4] = plain["POSITION"]
+    parsed, binary = asset_of(plain)
+    parsed["bufferViews"][0] = {"buffer": 0, "byteOffset": len(binary), "byteLength": wide.nbytes, "byteStride": 20}
+    parsed["accessors"][0]["byteOffset"] = 4
+    parsed["buffers"][0]["byteLength"] += wide.nbytes
+    assert_same(read_model(glb_of(parsed, binary + wide.tobytes())).model, expected)
+
+
+def test_nodes_place_what_they_show() -> None:
+    """Two primitives under nodes in each other, one of them shown twice, against moving the Gaussians ourselves."""
+    one, two = splats(30, 2), splats(20, 0, seed=1)
+    parsed, binary = asset_of(one, two)
+    turn = Rotation.from_euler("xyz", [20, -30, 50], degrees=True)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = 2.0 * Rotation.from_euler("z", 90, degrees=True).as_matrix(), (1, 2, 3)
+    parsed["nodes"] = [
+        {"children": [1, 2], "rotation": turn.as_quat().tolist(), "scale": [0.5] * 3, "translation": [4, 0, -1]},
+        {"mesh": 0},
+        {"mesh": 0, "matrix": matrix.T.ravel().tolist()},
+        {"mesh": 1},
+    ]
+    parsed["scenes"] = [{"nodes": [0, 3]}]
+    model = read_model(glb_of(parsed, binary)).model
+    alone, other = (read_model(glb_of(*asset_of(part))).model for part in (one, two))
+
+    def moved(part: GaussianModel, *steps: tuple[float, Any, Any]) -> GaussianModel:
+        for scale, R, t in steps:
+            part = transform_model(part, scale, FLIP @ R @ FLIP, FLIP @ np.array(t))
+        return part
+
+    outer = (0.5, turn.as_matrix(), (4.0, 0.0, -1.0))
+    inner = (2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), (1.0, 2.0, 3.0))
+    expected = [moved(alone, outer), moved(alone, inner, outer), other]
+    assert len(model) == 80
+    np.testing.assert_allclose(model.means, np.concatenate([part.means for part in expected]), atol=1e-5)
+    np.testing.assert_allclose(model.log_scales, np.concatenate([part.log_scales for part in expected]), atol=1e-5)
+    np.testing.assert_allclose(model.sh[:60], np.concatenate([part.sh for part in expected[:2]]), atol=1e-5)
+    assert not model.sh[60:, 1:].any()
+
+
+def test_sizes_that_were_stored_as_logarithms() -> None:
+    """splat-transform's writer did so for a while; nobody else's negative sizes are taken for that."""
+    parsed, binary = asset_of(splats(40, 0) | {f"{EXTENSION}:SCALE": np.full((40, 3), -3.0, np.float32)})
+    parsed["asset"]["generator"] = "splat-transform 1.8.0"
+    loaded = read_model(glb_of(parsed, binary))
+    np.testing.assert_allclose(loaded.model.log_scales, -3.0)
+    assert [repair.code for repair in loaded.repairs] == ["scales_logarithmic"]
+    parsed["asset"]["generator"] = "somebody"
+    with pytest.raises(FormatError):
+        read_model(glb_of(parsed, binary))
+
+
+def test_a_glb_shows_what_the_ply_shows() -> None:
+    model = random_model(2, 300)
+    view: Camera = look_at((0, 0, -4), (0, 0, 0), (0, -1, 0), 120.0, 96, 96)
+    back = read_model(encode_model(model, "glb")).model
+    np.testing.assert_allclose(render(back, view), render(model, view), atol=2e-4)
+
+
+def said(**changes: Any) -> bytes:
+    parsed, binary = asset_of(splats(5, 0))
+    parsed["meshes"][0]["primitives"][0]["extensions"][EXTENSION] |= changes
+    return glb_of(parsed, binary)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (said(kernel="ellipse2d"), "'ellipse2d' is not read here, only 'ellipse'"),
+        (said(colorSpace="lin_rec709_display"), "'lin_rec709_display' is not read here"),
+        (said(projection="orthographic"), "'orthographic' is not read here"),
+        (said(extensions={f"{EXTENSION}_compression_spz_2": {"bufferView": 0}}), "compression_spz_2'.*not settled"),
+        (said(extensions={f"{EXTENSION}_lgsc": {}}), "lgsc'.*not settled"),
+        (glb_of(*asset_of(splats(5, 0), extensionsRequired=["EXT_meshopt_compression"])), "EXT_meshopt_compression"),
+        (glb_of(*asset_of(splats(5, 0), nodes=[{"mesh": 0, "scale": [1, 2, 1]}])), "stretches"),
+        (glb_of(*asset_of(splats(5, 0), nodes=[{"mesh": 0, "scale": [-1, 1, 1]}])), "mirrors"),
+        (glb_of({"asset": {"version": "2.0"}, "meshes": [{"primitives": [{"attributes": {}}]}]}, b""), "no Gaussians"),
+        (b"glTF\1\0\0\0" + bytes(60), "glTF version 1"),
+    ],
+)
+def test_what_has_no_place_here_is_refused_by_name(data: bytes, what: str) -> None:
+    with pytest.raises(UnsupportedFormatError, match=what):
+        read_model(data, name="scene.glb")
+
+
+def test_it_is_told_by_its_first_bytes() -> None:
+    assert looks_like_gltf(encode_model(random_model(0, 10), "glb"))
+    assert looks_like_gltf(b' {"asset": {}}')
+    for seed in range(300):
+        noise = np.random.default_rng(seed).bytes(2000)
+        assert not looks_like_gltf(b"{" + noise)
