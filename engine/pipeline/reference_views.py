@@ -18,6 +18,8 @@ from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, gather_image_evidence
 from engine.watermark.spreading import public_signs
 
+PLAIN = RasterSettings(antialiased=False)
+
 
 class ReferenceViews:
     """A record's reference, and one with a mark of public signs, to be seen from many cameras."""
@@ -41,7 +43,8 @@ class ReferenceViews:
         )
         geometry = None
         if grain.there:  # which has no gradient of antialiased Gaussians: those without are near enough
-            geometry = GrainView(draw(model, camera) if settings.antialiased else drawn, grain)
+            smoothed = drawn.view.geometry.settings.antialiased
+            geometry = GrainView(draw(model, camera, settings=PLAIN) if smoothed else drawn, grain)
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
 
 
