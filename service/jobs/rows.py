@@ -14,6 +14,8 @@ from service.db.schema import jobs
 from service.jobs.port import FINAL, Job, State
 
 _OPEN = jobs.c.state.not_in([state.value for state in FINAL])
+_QUEUED = jobs.c.state == State.QUEUED.value
+_ORDER = (jobs.c.created_at, jobs.c.id)
 _CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
 
 
@@ -57,7 +59,7 @@ class Rows:
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """A queued job is cancelled at once; a running one is asked to stop."""
         mine = _mine(tenant, job_id)
-        queued = mine & (jobs.c.state == State.QUEUED.value)
+        queued = mine & _QUEUED
         running = mine & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
@@ -119,11 +121,32 @@ class Rows:
         with self._db.write() as connection:
             connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
-    def open_before(self, time: str) -> Sequence[str]:
-        """Ids of jobs that are not final and were asked for before that time, oldest first."""
-        query = sa.select(jobs.c.id).where(_OPEN & (jobs.c.created_at < time)).order_by(jobs.c.created_at)
+    def waiting(self, tenant: str) -> int:
+        """How many jobs of a tenant are not final."""
+        return self._count((jobs.c.tenant == tenant) & _OPEN)
+
+    def running(self, tenant: str) -> int:
+        """How many of them are at work."""
+        return self._count((jobs.c.tenant == tenant) & (jobs.c.state == State.RUNNING.value))
+
+    def oldest(self, tenant: str) -> str | None:
+        """Id of the tenant's queued job that was asked for first."""
+        query = sa.select(jobs.c.id).where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
         with self._db.read() as connection:
-            return [str(job_id) for job_id in connection.execute(query).scalars()]
+            found: str | None = connection.execute(query).scalar_one_or_none()
+        return found
+
+    def due_before(self, time: str) -> Sequence[tuple[str, str]]:
+        """Ids and tenants of jobs that were asked for before that time and are at work, or the next of their tenant."""
+        turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
+        known = sa.select(jobs.c.id, jobs.c.tenant, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
+        due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
+        with self._db.read() as connection:
+            return [(row.id, row.tenant) for row in connection.execute(sa.select(known).where(due))]
+
+    def _count(self, which: sa.ColumnElement[bool]) -> int:
+        with self._db.read() as connection:
+            return int(connection.execute(sa.select(sa.func.count()).select_from(jobs).where(which)).scalar_one())
 
 
 def dumps(value: Mapping[str, Any]) -> str:
