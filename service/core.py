@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from concurrent.futures import Future
+from dataclasses import dataclass, field
 from typing import Any
 
 from service.blobs import Blobs
@@ -26,6 +27,7 @@ class Service:
     blobs: Blobs
     master: MasterKey
     jobs: DurableJobs
+    making: dict[tuple[str, str], tuple[str, Future[str]]] = field(default_factory=dict)  # conversions, whose they are
 
     @classmethod
     def open(cls, settings: Settings) -> Service:

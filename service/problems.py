@@ -16,6 +16,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "request-in-flight": (409, "A request with this Idempotency-Key is being answered"),
     "length-required": (411, "The length must be known"),
     "too-large": (413, "Too large"),
+    "quota-exceeded": (413, "This tenant's storage is used up"),
     "unsupported-media-type": (415, "This content type is not taken here"),
     "range-not-satisfiable": (416, "There is no such range"),
     "invalid-request": (422, "A value is not acceptable"),

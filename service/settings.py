@@ -45,6 +45,12 @@ class Settings(BaseSettings):
     subject_verifies_per_day: int = Field(
         200, gt=0, description="Verifications a day of suspects that derive from one asset (near duplicates)."
     )
+    queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
+    conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")
+    open_uploads: int = Field(100, gt=0, description="Uploads of a tenant that may be under way at a time.")
+    tenant_bytes: int = Field(
+        100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
+    )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
 
     def database(self) -> str:

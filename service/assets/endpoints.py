@@ -1,25 +1,22 @@
 """/v1/assets: what was marked, and its files."""
 
+import asyncio
 from typing import Annotated, Any, Literal
 
-import sqlalchemy as sa
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
-from service.core import Service
+from service.assets.conversions import converted
 from service.db import own, page
-from service.db.schema import assets, conversions
+from service.db.schema import assets
 from service.http.access import After, Core, Limit, Reader
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
-from service.jobs.child import run_once, task_folder
-from service.problems import Problem
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
-CONVERTING_SECONDS = 60.0
 Range = Annotated[str | None, Header(description="bytes=first-last")]
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
 
@@ -69,9 +66,9 @@ def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
     "/{asset_id}/model",
     operation_id="getModel",
     response_class=Response,
-    responses=file_responses(MODEL_TYPE, "invalid-request"),
+    responses=file_responses(MODEL_TYPE, "invalid-request", "budget-exceeded"),
 )
-def get_model(
+async def get_model(
     asset_id: str,
     core: Core,
     caller: Reader,
@@ -80,12 +77,12 @@ def get_model(
     range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
-    row = own(core.db, assets, caller.tenant, asset_id)
+    row = await asyncio.to_thread(own, core.db, assets, caller.tenant, asset_id)
     marked = version == "marked"
     sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
-        sha256, kind = _convert(core, sha256, wanted), wanted
-    return send_blob(core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
+        sha256, kind = await converted(core, caller.tenant, sha256, wanted), wanted
+    return await asyncio.to_thread(send_blob, core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
 
 
 @router.get(
@@ -105,23 +102,3 @@ def get_preview(asset_id: str, core: Core, caller: Reader, range: Range = None) 
     """Original, marked, and twenty times their difference."""
     row = own(core.db, assets, caller.tenant, asset_id)
     return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)
-
-
-def _convert(service: Service, sha256: str, kind: str) -> str:
-    """Digest of a stored model in another format: made once, in a process of its own."""
-    known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
-    with service.db.read() as connection:
-        found = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
-    if found is not None:
-        return str(found)
-    with task_folder(service.settings) as folder:
-        request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
-        reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS)
-        if reply is None:
-            text = f"converting took over {CONVERTING_SECONDS:.0f} s"
-            raise Problem("unavailable", text, headers={"Retry-After": "60"})
-        digest = service.blobs.put(folder / reply["files"]["model"])
-    with service.db.write() as connection:
-        if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:
-            connection.execute(conversions.insert().values(model_sha256=sha256, format=kind, sha256=digest))
-    return digest

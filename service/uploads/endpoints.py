@@ -11,7 +11,7 @@ from service.http.failures import OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.taking import inspect, receive
+from service.uploads.taking import take
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -88,18 +88,7 @@ async def put_upload(
     if upload_offset != row.received:
         text = f"bytes from {upload_offset} on were sent, {row.received} are here"
         raise Problem("conflict", text, offset=row.received)
-    room = (row.size or core.settings.max_upload_bytes) - row.received
-    with core.blobs.new_file() as path:
-        got = await receive(request.stream(), path, room)
-        if got.whole and not got.length:
-            raise Problem("invalid-request", "no bytes were sent")
-        missing = row.size is not None and got.length < room
-        if missing or not got.whole:
-            if got.length:
-                await asyncio.to_thread(store.add_part, core, row, path, got.length)
-            return Upload.model_validate(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
-        row = await asyncio.to_thread(store.complete, core, row, path, got.length, got.sha256)
-    return Upload.model_validate(await asyncio.to_thread(inspect, core, row))
+    return Upload.model_validate(await take(core, row, request.stream()))
 
 
 @router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)

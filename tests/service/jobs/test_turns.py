@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -29,9 +28,9 @@ def in_line(jobs: DurableJobs) -> set[str]:
 
 
 @pytest.fixture
-def shop(workshop: Workshop) -> Iterator[Workshop]:
+def shop(workshop: Workshop) -> Workshop:
     workshop.gate.touch()
-    yield workshop
+    return workshop
 
 
 def test_a_long_queue_of_one_keeps_nobody_waiting(shop: Workshop) -> None:
