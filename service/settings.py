@@ -51,6 +51,10 @@ class Settings(BaseSettings):
     tenant_bytes: int = Field(
         100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
     )
+    issuer_name: str = Field("Mark3DGS", min_length=1, max_length=200, description="Who issues claims, as they say.")
+    public_url: str = Field(
+        "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."
+    )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
 
     def database(self) -> str:

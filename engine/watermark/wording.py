@@ -106,7 +106,8 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
     Parameters
     ----------
     claim : mapping
-        Keys of `verify --json`; `message` is None and `record_id` empty where nothing could be compared.
+        Keys of `verify --json`; `message` is None and `record_id` empty where nothing could be compared. `searched`
+        says among how many `assets` the suspect was looked for, where no single one was named.
     suspect : str
         Its name; left out, it is "this model" or "these pictures".
     pictures : int
@@ -118,7 +119,7 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
         against.append((math.log10(rate), f"needed here: {form.rate(rate)}"))
         against.sort(reverse=True)
     return Words(
-        headline=HEADLINES[claim["verdict"]],
+        headline=HEADLINES[claim["verdict"]] if _recognised(claim) else "Not recognised",
         finding=_finding(claim, form, suspect, pictures),
         facts=tuple(sorted(_facts(claim, form), key=lambda fact: not fact.leading)),
         meaning={
@@ -146,10 +147,25 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
             return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
             return f"{derived}; whether this copy's mark is in it, the evidence does not decide."
-        return f"Nothing of your asset was recognised in {it}: neither a yes nor a no."
+        return f"{_nothing_of(claim)} was recognised in {it}."
     whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
     shows = {0: "contains", 1: "shows"}.get(pictures, "show")
     return f"{this} {shows} {whose}, or something made from it: its hidden mark was found."
+
+
+def _recognised(claim: Mapping[str, Any]) -> bool:
+    return bool(
+        claim["verdict"] != "inconclusive" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
+    )
+
+
+def _nothing_of(claim: Mapping[str, Any]) -> str:
+    """What was not found: the one asset that was named, or one of all."""
+    if not (searched := claim.get("searched")) or searched["scope"] == "one":
+        return "Nothing of your asset"
+    if searched["assets"] == 1:
+        return "Nothing of your registered asset"
+    return f"None of your {searched['assets']} registered assets"
 
 
 _WOULD = "This would be a claim if the registration were attested by somebody else, before the suspect was known"
@@ -247,7 +263,10 @@ def _says(claim: Mapping[str, Any], form: Form) -> str:
             return f"{_WOULD}: a key that had no part in the suspect hardly comes this far, but many tried ones may."
         if claim["derivation"]["derived"]:
             return "That the suspect is derived from your asset stands. Of the mark, neither yes nor no is said."
-        return "Neither yes nor no: more pictures, or more of the model, can decide it."
+        return (
+            f"{_nothing_of(claim)} was recognised in the suspect. That is no proof: more pictures, or more of the"
+            " model, may show what these do not, and there are ways to hide a model that no search undoes."
+        )
     least = surely(claim["power"]).removeprefix("more than ")
     return (
         f"That the suspect is derived from your asset stands, mark or no mark. With a probability of at least {least},"

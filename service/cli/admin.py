@@ -73,6 +73,26 @@ def revoke(
     return 0
 
 
+def tenant(
+    tenant: Annotated[str, typer.Argument(metavar="ID", help="As its API keys name it.")],
+    name: Annotated[str, typer.Argument(help="What people call it: claims and reports name it as the owner.")],
+    json: Json = False,
+) -> int:
+    """Say what people call a tenant.
+
+    Examples:
+
+      mark3dgs tenant acme "Studio Acme, Hamburg"
+    """
+    from service.trust.tenants import name_tenant
+
+    console, service = _opened(json)
+    name_tenant(service.db, tenant, name)
+    console.say(f"{tenant} is called {name}")
+    console.emit({"tenant": tenant, "name": name})
+    return 0
+
+
 @audit.command("verify")
 def verify(json: Json = False) -> int:
     """Recompute the whole log: its chain, its tree, and every asset and claim it commits to.

@@ -5,7 +5,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.clock import now
 from service.core import Service
+from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.screening import screen
@@ -77,11 +79,12 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED.value, "result": {"text": text}}
-    row = _row(job, made)
     with service.db.write() as connection:
+        alone(connection)  # so that the log's times follow one another
+        row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, _drawn(service, job))
+            commit_asset(connection, row, _drawn(service, job), row["registered_at"])
     report = made["report"]
     result = {
         "asset_id": row["id"],
@@ -92,7 +95,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     return {"state": State.SUCCEEDED.value, "result": result}
 
 
-def _row(job: Job, made: dict[str, Any]) -> dict[str, Any]:
+def _row(job: Job, made: dict[str, Any], registered_at: str) -> dict[str, Any]:
     asked, kept = job.request, made["kept"]
     return {
         "id": "as_" + job.id.removeprefix("job_"),
@@ -108,5 +111,5 @@ def _row(job: Job, made: dict[str, Any]) -> dict[str, Any]:
         "original_sha256": asked["model"],
         "model_format": made["format"],
         **{f"{name}_sha256": kept[name] for name in ("model", "record", "preview", "sketch")},
-        "registered_at": job.created_at[:19] + "+00:00",
+        "registered_at": registered_at,
     }

@@ -14,6 +14,7 @@ from service.db.schema import api_keys
 from service.problems import Problem
 from service.trust import audit
 from service.trust.master import MasterKey
+from service.trust.tenants import check_tenant
 
 OPERATOR = "operator"
 SCOPES = ("embed", "verify", "read", "admin", OPERATOR)
@@ -94,6 +95,7 @@ def list_keys(db: Database, tenant: str) -> list[ApiKey]:
 
 
 def _issue(connection: sa.Connection, master: MasterKey, tenant: str, scopes: Iterable[str], label: str) -> str:
+    check_tenant(tenant)
     wanted = set(scopes)
     if not wanted or not wanted <= set(SCOPES):
         raise Problem("invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}")

@@ -21,16 +21,17 @@ def asset_digest(row: Mapping[str, Any]) -> str:
     return digest({column.name: row[column.name] for column in assets.columns})
 
 
-def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "") -> Entry:
+def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "", at: str = "") -> Entry:
     """Log the registration of an asset, in the transaction that inserts its row (every column of it).
 
-    `drawn` is what the service drew for the record's plan; the log keeps its digest.
+    `drawn` is what the service drew for the record's plan; the log keeps its digest. `at` is the time that the caller
+    wrote into the row, now and under the log's lock: an asset has one.
     """
     payload = {name: row[name] for name in ("original_sha256", "record_id", "record_sha256")}
     payload["digest"] = asset_digest(row)
     if drawn:
         payload["drawn_sha256"] = sha256(drawn.encode()).hexdigest()
-    return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"])
+    return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"], at)
 
 
 def registration_of(connection: sa.Connection, asset: str) -> Entry:
