@@ -10,10 +10,11 @@ from service.assets.attested import attested_record
 from service.assets.conversions import converted
 from service.db import own, page
 from service.db.schema import assets
-from service.http.access import After, Core, Limit, Reader
+from service.http.access import After, Core, Follower, Limit, OriginalsReader, Reader, visible
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
+from service.problems import Problem
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
@@ -57,9 +58,9 @@ def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
 
 
 @router.get("/{asset_id}", operation_id="getAsset", responses=OF_OWN)
-def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
+def get_asset(asset_id: str, core: Core, caller: Follower) -> Asset:
     """One asset."""
-    return Asset.model_validate(own(core.db, assets, caller.tenant, asset_id))
+    return Asset.model_validate(visible(core, caller, assets, asset_id))
 
 
 @router.get(
@@ -71,14 +72,15 @@ def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
 async def get_model(
     asset_id: str,
     core: Core,
-    caller: Reader,
+    caller: Follower,
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
     version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
     range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
-    row = await asyncio.to_thread(own, core.db, assets, caller.tenant, asset_id)
-    marked = version == "marked"
+    row, marked = await asyncio.to_thread(visible, core, caller, assets, asset_id), version == "marked"
+    if not marked and not caller.may("originals"):
+        raise Problem("forbidden", "this API key lacks the scope 'originals', which the unmarked original needs")
     sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
         sha256, kind = await converted(core, caller.tenant, sha256, wanted), wanted
@@ -88,7 +90,7 @@ async def get_model(
 @router.get(
     "/{asset_id}/record", operation_id="getRecord", response_class=Response, responses=file_responses(RECORD_TYPE)
 )
-def get_record(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
+def get_record(asset_id: str, core: Core, caller: OriginalsReader, range: Range = None) -> Response:
     """The sealed record, and this service's signed word on when it was registered: with the owner key it proves the
     mark without this service, at 1 in 10^9 for whoever trusts its public keys."""
     row = own(core.db, assets, caller.tenant, asset_id)
@@ -98,7 +100,7 @@ def get_record(asset_id: str, core: Core, caller: Reader, range: Range = None) -
 @router.get(
     "/{asset_id}/preview.png", operation_id="getPreview", response_class=Response, responses=file_responses("image/png")
 )
-def get_preview(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
+def get_preview(asset_id: str, core: Core, caller: Follower, range: Range = None) -> Response:
     """Original, marked, and twenty times their difference."""
-    row = own(core.db, assets, caller.tenant, asset_id)
+    row = visible(core, caller, assets, asset_id)
     return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)

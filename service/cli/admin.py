@@ -23,7 +23,7 @@ Tenant = Annotated[str, typer.Option("--tenant", help="Whose key; tenants never 
 def create(
     tenant: Tenant = "default",
     scopes: Annotated[
-        str, typer.Option("--scopes", help="Of embed, verify, read, admin, operator; with commas.")
+        str, typer.Option("--scopes", help="Of embed, verify, read, originals, admin, operator; with commas.")
     ] = "embed,verify,read",
     label: Annotated[str, typer.Option("--label", help="For people.")] = "",
     json: Json = False,

@@ -92,8 +92,13 @@ def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
     with db.read() as connection:
         row = connection.execute(sa.select(table).where(mine)).first()
     if row is None:
-        raise Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
+        raise missing(table, row_id)
     return row
+
+
+def missing(table: sa.Table, row_id: str) -> Problem:
+    """What is said of a row that is not there, or not to be seen."""
+    return Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
 
 
 def page(

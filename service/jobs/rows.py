@@ -49,12 +49,12 @@ class Rows:
         """A tenant's job."""
         with self._db.read() as connection:
             row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
-        return None if row is None else _job(row)
+        return None if row is None else job_of(row)
 
     def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
         """Jobs of a tenant, newest first, after the job with this id."""
         with self._db.read() as connection:
-            return [_job(row) for row in page(connection, jobs, tenant, limit, after)[0]]
+            return [job_of(row) for row in page(connection, jobs, tenant, limit, after)[0]]
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """A queued job is cancelled at once; a running one is asked to stop."""
@@ -81,7 +81,7 @@ class Rows:
             if not connection.execute(sa.update(jobs).where(this & _OPEN).values(begun | _CHANGED)).rowcount:
                 return None
             row = connection.execute(sa.select(jobs).where(this)).one()
-        return Attempt(_job(row), row.attempts, row.tries)
+        return Attempt(job_of(row), row.attempts, row.tries)
 
     def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
         """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
@@ -163,7 +163,8 @@ def _held(job_id: str, attempt: int | None) -> sa.ColumnElement[bool]:
     return this if attempt is None else this & (jobs.c.attempts == attempt)
 
 
-def _job(row: sa.Row[Any]) -> Job:
+def job_of(row: sa.Row[Any]) -> Job:
+    """The job that a row of the table says."""
     plain = {each.name: getattr(row, each.name) for each in fields(Job)}
     parsed = {name: plain[name] and json.loads(plain[name]) for name in ("request", "result", "problem")}
     dates = {name: plain[name] or "" for name in ("started_at", "finished_at")}

@@ -17,9 +17,9 @@ from service.trust.master import MasterKey
 from service.trust.tenants import check_tenant
 
 OPERATOR = "operator"
-SCOPES = ("embed", "verify", "read", "admin", OPERATOR)
-"""`admin` implies those before it, within its tenant; `operator` is for whoever runs the service: disputes between any
-two tenants."""
+SCOPES = ("embed", "verify", "read", "originals", "admin", OPERATOR)
+"""`originals`: unmarked originals and records. `admin` implies those before it, within its tenant; `operator` is for
+whoever runs the service: metrics, and disputes between any two tenants."""
 
 _TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
 _PURPOSE = "api key"
@@ -32,6 +32,10 @@ class Caller:
     tenant: str
     key_id: str
     scopes: frozenset[str]
+
+    def may(self, *scopes: str) -> bool:
+        """Whether the key has one of these scopes."""
+        return bool(self.scopes.intersection(scopes)) or ("admin" in self.scopes and scopes != (OPERATOR,))
 
 
 @dataclass(frozen=True)

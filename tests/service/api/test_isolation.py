@@ -16,7 +16,7 @@ from service.db.schema import assets, claims
 from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api
 
-PUBLIC = {"/healthz", "/readyz", "/metrics", "/.well-known/jwks.json"}
+PUBLIC = {"/healthz", "/readyz", "/.well-known/jwks.json"}
 
 
 def _rows(service: Service, tenant: str, job: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""An asset has one time of registration: the row's is the log's, when the work was done and not when it was asked for."""
+"""An asset has one time of registration, the log's: when the work was done, not when it was asked for."""
 
 from __future__ import annotations
 
