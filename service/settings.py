@@ -31,6 +31,9 @@ class Settings(BaseSettings):
     upload_hours: float = Field(24.0, gt=0, description="An upload not finished by then is dropped.")
 
     suspect_days: float = Field(30.0, gt=0, description="Uploads are kept that long; what was made of them stays.")
+    job_days: float = Field(
+        90.0, gt=0, description="Rows of ended jobs are kept that long; assets, claims and disputes stay."
+    )
 
     inspect_seconds: float = Field(
         4.5, gt=0, description="A look at an upload that takes longer is left to the job that uses it."

@@ -31,6 +31,12 @@ def keep(service: Service, sha256: str, kind: str, digest: str) -> None:
             connection.execute(conversions.insert().values(model_sha256=sha256, format=kind, sha256=digest))
 
 
+def drop(service: Service, *sha256: str) -> None:
+    """Forget what was made of these files. Who has the same file may have it made again."""
+    with service.db.write() as connection:
+        connection.execute(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
+
+
 async def converted(service: Service, tenant: str, sha256: str, kind: str) -> str:
     """Digest of a stored model in another format. Who asks for one in the making waits for that.
 

@@ -7,14 +7,15 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
-from service.assets.conversions import converted
+from service.assets.conversions import converted, drop
 from service.db import own, page
 from service.db.schema import assets
-from service.http.access import After, Core, Follower, Limit, OriginalsReader, Reader, visible
+from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, visible
 from service.http.downloads import MODEL_TYPE, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
 from service.problems import Problem
+from service.trust.commitments import forget
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
@@ -104,3 +105,12 @@ def get_preview(asset_id: str, core: Core, caller: Follower, range: Range = None
     """Original, marked, and twenty times their difference."""
     row = visible(core, caller, assets, asset_id)
     return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)
+
+
+@router.delete("/{asset_id}", status_code=204, operation_id="deleteAsset", responses=OF_OWN)
+def delete_asset(asset_id: str, core: Core, caller: Admin) -> None:
+    """Delete an asset for good, with its record: its mark can never be claimed again. Claims about it stay; its files
+    go with the next tidying up. The log keeps that it was registered, and that it was deleted."""
+    row = own(core.db, assets, caller.tenant, asset_id)
+    forget(core.db, assets, caller.tenant, asset_id)
+    drop(core, row.model_sha256, row.original_sha256, row.record_sha256)

@@ -10,8 +10,9 @@ from pydantic import BaseModel, Field
 from service.claims.document import document_words, summary_of
 from service.db import page
 from service.db.schema import claims
-from service.http.access import After, Core, Follower, Limit, Reader, visible
+from service.http.access import Admin, After, Core, Follower, Limit, Reader, visible
 from service.http.failures import OF_LIST, OF_OWN, responses
+from service.trust.commitments import forget
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
@@ -114,6 +115,12 @@ def get_claim(claim_id: str, core: Core, caller: Follower) -> SignedClaim:
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
     document = json.loads(row.document)
     return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
+
+
+@router.delete("/v1/claims/{claim_id}", status_code=204, operation_id="deleteClaim", responses=OF_OWN)
+def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
+    """Delete a claim and its pictures here. What was handed out stays signed; the log keeps that it was issued."""
+    forget(core.db, claims, caller.tenant, claim_id)
 
 
 @router.get(

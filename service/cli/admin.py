@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -95,14 +96,14 @@ def tenant(
 
 @audit.command("verify")
 def verify(json: Json = False) -> int:
-    """Recompute the whole log: its chain, its tree, and every asset and claim it commits to.
+    """Recompute the whole log: its chain, its tree, and every asset and claim it commits to; and hash every file.
 
-    Exit codes: 0 all holds, 3 something was altered.
+    Exit codes: 0 all holds, 3 something was altered, is damaged or missing.
     """
     from service.trust.audit_check import verify_log
 
     console, service = _opened(json)
-    found = verify_log(service.db)
+    found = verify_log(service.db, service.blobs)
     console.say(found.text())
     console.emit(found.to_json())
     return 0 if found.ok else 3
@@ -116,6 +117,28 @@ def rotate_signing_key(json: Json = False) -> int:
     kid = rotate(service.db, service.master)
     console.say(f"claims are now signed by key {kid}")
     console.emit({"kid": kid})
+    return 0
+
+
+def rotate_master_key(
+    new_key_file: Annotated[
+        Path | None, typer.Option("--new-key-file", help="64 hex digits; needed where MARK3DGS_MASTER_KEY is set.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Seal all secrets anew under another master key. Stop the service before: workers are looked for, API processes
+    are not.
+
+    The file master.key is replaced. API keys, marks and claims stay valid. Put
+    the new key where your backup of the old one is.
+    """
+    from service.trust.rotation import rotate_master
+
+    console = Console(json)
+    settings, service = start(console)
+    count = rotate_master(settings, service.db, service.master, new_key_file)
+    console.say(f"{count} secrets are sealed under the new master key; a backup of the old one opens nothing new")
+    console.emit({"resealed": count})
     return 0
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from engine.cli.console import Console
+from engine.cli.options import Json
 from engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def serve(
 
     console = Console(machine=False)
     _check_free(host, port)
-    settings, service = start(console)
+    settings, service = start(console, may_make=True)
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")
@@ -87,11 +88,29 @@ def worker(
     run_worker(service, name, die_with_parent)
 
 
-def start(console: Console) -> tuple[Settings, Service]:
-    """Open the service; the very first start makes its keys, and says so."""
+def init(json: Json = False) -> int:
+    """Make a service's data folder, its keys and its first API key, and start nothing.
+
+    `serve` does that by itself; every other command wants a service that is there.
+
+    Examples:
+
+      MARK3DGS_DATA_DIR=~/mark3dgs mark3dgs init
+    """
+    console = Console(json)
+    settings, service = start(console, may_make=True)
+    console.say(f"The service in {settings.data_dir} is ready: 'mark3dgs serve' runs it.")
+    console.emit({"data_dir": str(settings.data_dir)})
+    service.close()
+    return 0
+
+
+def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
+    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
     from pydantic import ValidationError
 
     from service.core import Service
+    from service.db import Database
     from service.settings import Settings
     from service.trust.api_keys import issue_first
     from service.trust.signing import ensure_key
@@ -101,6 +120,10 @@ def start(console: Console) -> tuple[Settings, Service]:
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"MARK3DGS_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
+    os.umask(0o077)  # what is written is nobody else's
+    if not may_make and not Database(settings.database()).exists:
+        place = "MARK3DGS_DATABASE_URL" if settings.database_url else str(settings.data_dir)
+        raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")
     service = Service.open(settings)
     ensure_key(service.db, service.master)
     token = issue_first(service.db, service.master, "default", "first admin key")

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError
 
+from engine.errors import InputError
 from service.db.schema import metadata
 from service.problems import Problem
 
@@ -35,12 +36,28 @@ class Database:
     def __init__(self, url: str) -> None:
         self.url = url
         self.is_sqlite = url.startswith("sqlite")
+        try:
+            self.engine = self._engine(url)
+        except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ValueError):  # without the URL: a password is in it
+            raise InputError("MARK3DGS_DATABASE_URL is no address of a PostgreSQL database: postgresql://...") from None
+
+    def _engine(self, url: str) -> sa.Engine:
         if self.is_sqlite:
-            self.engine = sa.create_engine(url, connect_args={"check_same_thread": False})
-            event.listen(self.engine, "connect", _set_up_sqlite)
-            event.listen(self.engine, "begin", _begin_immediate)
-        else:
-            self.engine = sa.create_engine(url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT))
+            engine = sa.create_engine(url, connect_args={"check_same_thread": False})
+            event.listen(engine, "connect", _set_up_sqlite)
+            event.listen(engine, "begin", _begin_immediate)
+            return engine
+        if not url.startswith("postgresql"):
+            raise ValueError(url)
+        return sa.create_engine(url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT))
+
+    @property
+    def exists(self) -> bool:
+        """Whether there are tables of this service; nothing is made by asking."""
+        if self.is_sqlite and not Path(str(self.engine.url.database)).exists():
+            return False
+        with self.read() as connection:
+            return sa.inspect(connection).has_table("alembic_version")
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
@@ -59,6 +76,7 @@ class Database:
         one is changed step by step."""
         from alembic import command
         from alembic.config import Config
+        from alembic.util.exc import CommandError
 
         config = Config()
         config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
@@ -66,7 +84,11 @@ class Database:
             alone(connection)
             config.attributes["connection"] = connection
             if sa.inspect(connection).has_table("alembic_version"):
-                command.upgrade(config, "head")
+                try:
+                    command.upgrade(config, "head")
+                except CommandError:  # it knows no such step
+                    text = "a later version of this program has changed this database: use that one"
+                    raise InputError(text) from None
             else:
                 metadata.create_all(connection)
                 command.stamp(config, "head")

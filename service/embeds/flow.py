@@ -29,7 +29,7 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
     asked = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
-    rows = _to_screen(service, run, model)
+    rows, drawn = _to_screen(service, run, model), _drawn(service, run.job)
     return service.do_task(
         run,
         "embed",
@@ -40,12 +40,12 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "drawn": _drawn(service, run.job),
+            "drawn": drawn,
             "candidates": service.candidates(rows, run),
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-    )
+    ) | {"drawn": drawn}
 
 
 def _drawn(service: Service, job: Job) -> str:
@@ -84,7 +84,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, _drawn(service, job), row["registered_at"])
+            commit_asset(connection, row, made.get("drawn") or _drawn(service, job), row["registered_at"])
     report = made["report"]
     result = {
         "asset_id": row["id"],

@@ -116,6 +116,14 @@ class DurableJobs(Rows):
                     problem = Problem("internal", "the work ended without a result")
                     self.result(job_id, State.FAILED, problem.to_json())
 
+    def prune(self, hours: float) -> int:
+        """Forget jobs that ended so long ago, here and in the engine's tables; how many."""
+        old = self.ended_before(ago(hours))
+        for start in range(0, len(old), _PAGE):
+            self._client().delete_workflows(list(old[start : start + _PAGE]))
+            self.remove(old[start : start + _PAGE])
+        return len(old)
+
     def close(self) -> None:
         """Give connections back."""
         with self._lock:

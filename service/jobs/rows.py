@@ -144,6 +144,17 @@ class Rows:
         with self._db.read() as connection:
             return [(row.id, row.tenant) for row in connection.execute(sa.select(known).where(due))]
 
+    def ended_before(self, time: str) -> Sequence[str]:
+        """Ids of jobs that ended before that time. A dispute's finding is in its row: these stay."""
+        old = sa.not_(_OPEN) & (jobs.c.finished_at < time) & (jobs.c.kind != "dispute")
+        with self._db.read() as connection:
+            return list(connection.execute(sa.select(jobs.c.id).where(old)).scalars())
+
+    def remove(self, job_ids: Sequence[str]) -> None:
+        """Delete rows."""
+        with self._db.write() as connection:
+            connection.execute(sa.delete(jobs).where(jobs.c.id.in_(job_ids)))
+
     def _count(self, which: sa.ColumnElement[bool]) -> int:
         with self._db.read() as connection:
             return int(connection.execute(sa.select(sa.func.count()).select_from(jobs).where(which)).scalar_one())

@@ -6,6 +6,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.db import Database, alone, missing
 from service.db.schema import assets
 from service.problems import Problem
 from service.trust import audit
@@ -14,6 +15,8 @@ from service.trust.canonical import digest
 
 ASSET_REGISTERED = "asset.registered"
 CLAIM_ISSUED = "claim.issued"
+DELETED = {"assets": "asset.deleted", "claims": "claim.deleted"}
+"""Tombstones, by table."""
 
 
 def asset_digest(row: Mapping[str, Any]) -> str:
@@ -32,6 +35,16 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str =
     if drawn:
         payload["drawn_sha256"] = sha256(drawn.encode()).hexdigest()
     return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"], at)
+
+
+def forget(db: Database, table: sa.Table, tenant: str, row_id: str) -> None:
+    """Delete an asset or a claim for good; the log keeps what it said, and says that the row was deleted."""
+    with db.write() as connection:
+        alone(connection)
+        this = (table.c.id == row_id) & (table.c.tenant == tenant)
+        if connection.execute(sa.delete(table).where(this)).rowcount == 0:
+            raise missing(table, row_id)
+        audit.append(connection, tenant, DELETED[table.name], {}, row_id)
 
 
 def registration_of(connection: sa.Connection, asset: str) -> Entry:

@@ -6,8 +6,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.http.access import Core, Uploader
-from service.http.failures import OF_OWN, responses
+from service.db import page
+from service.db.schema import uploads
+from service.http.access import After, Core, Limit, Uploader
+from service.http.failures import OF_LIST, OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
@@ -43,6 +45,13 @@ class Upload(BaseModel):
     created_at: str
 
 
+class UploadList(BaseModel):
+    """A page of uploads, newest first."""
+
+    items: list[Upload]
+    next: str | None
+
+
 @router.post(
     "",
     status_code=201,
@@ -54,6 +63,14 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
     row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
     response.headers["Location"] = f"/v1/uploads/{row.id}"
     return Upload.model_validate(row)
+
+
+@router.get("", operation_id="listUploads", responses=OF_LIST)
+def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After = "") -> UploadList:
+    """Uploads of this tenant that are still here, newest first."""
+    with core.db.read() as connection:
+        rows, following = page(connection, uploads, caller.tenant, limit, after)
+    return UploadList(items=[Upload.model_validate(row) for row in rows], next=following)
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)

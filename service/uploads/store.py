@@ -48,7 +48,8 @@ def room(service: Service, row: Any) -> int:
     if row.size is not None:
         return int(row.size - row.received)
     limits = service.settings
-    return min(limits.max_upload_bytes - row.received, limits.tenant_bytes - stored_bytes(service.db, row.tenant))
+    left = limits.tenant_bytes - stored_bytes(service.db, row.tenant)
+    return min(limits.max_upload_bytes - int(row.received), left)
 
 
 def add_part(service: Service, row: Any, path: Path, length: int) -> None:
