@@ -62,13 +62,8 @@ class LogReport:
         damaged = all(fault.code == "file" for fault in self.faults)
         lines = [f"{'FILES ARE MISSING OR DAMAGED' if damaged else 'THE LOG WAS ALTERED'} ({seen}):"]
         for fault in self.faults:
-            where = (
-                f"entry {fault.index}"
-                if fault.index is not None
-                else "the store"
-                if fault.code == "file"
-                else "no entry"
-            )
+            nowhere = "the store" if fault.code == "file" else "no entry"
+            where = f"entry {fault.index}" if fault.index is not None else nowhere
             lines.append(f"  {where}: {fault.code}: {fault.text}")
         return "\n".join(lines)
 
