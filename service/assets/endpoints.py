@@ -3,7 +3,7 @@
 import asyncio
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
@@ -11,7 +11,7 @@ from service.assets.conversions import converted, drop
 from service.db import own, page
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, visible
-from service.http.downloads import MODEL_TYPE, file_responses, send_blob
+from service.http.downloads import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
 from service.problems import Problem
@@ -19,7 +19,6 @@ from service.trust.commitments import forget
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
-Range = Annotated[str | None, Header(description="bytes=first-last")]
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog"]
 
 
@@ -74,9 +73,9 @@ async def get_model(
     asset_id: str,
     core: Core,
     caller: Follower,
+    want: Want,
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
     version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
-    range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
     row, marked = await asyncio.to_thread(visible, core, caller, assets, asset_id), version == "marked"
@@ -85,26 +84,26 @@ async def get_model(
     sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
         sha256, kind = await converted(core, caller.tenant, sha256, wanted), wanted
-    return await asyncio.to_thread(send_blob, core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, range)
+    return await asyncio.to_thread(send_blob, core, sha256, f"{row.id}-{version}.{kind}", MODEL_TYPE, want)
 
 
 @router.get(
     "/{asset_id}/record", operation_id="getRecord", response_class=Response, responses=file_responses(RECORD_TYPE)
 )
-def get_record(asset_id: str, core: Core, caller: OriginalsReader, range: Range = None) -> Response:
+def get_record(asset_id: str, core: Core, caller: OriginalsReader, want: Want) -> Response:
     """The sealed record, and this service's signed word on when it was registered: with the owner key it proves the
     mark without this service, at 1 in 10^9 for whoever trusts its public keys."""
     row = own(core.db, assets, caller.tenant, asset_id)
-    return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, range)
+    return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, want)
 
 
 @router.get(
     "/{asset_id}/preview.png", operation_id="getPreview", response_class=Response, responses=file_responses("image/png")
 )
-def get_preview(asset_id: str, core: Core, caller: Follower, range: Range = None) -> Response:
+def get_preview(asset_id: str, core: Core, caller: Follower, want: Want) -> Response:
     """Original, marked, and twenty times their difference."""
     row = visible(core, caller, assets, asset_id)
-    return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)
+    return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", want)
 
 
 @router.delete("/{asset_id}", status_code=204, operation_id="deleteAsset", responses=OF_OWN)

@@ -46,6 +46,7 @@ def serve(
     import uvicorn
 
     from service.app import make_app
+    from service.http.patience import ImpatientProtocol
 
     console = Console(machine=False)
     _check_free(host, port)
@@ -62,6 +63,7 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
+            http=ImpatientProtocol,
             timeout_graceful_shutdown=5,
         )
     finally:

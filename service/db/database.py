@@ -132,7 +132,8 @@ def page(
     time: str = "created_at",
     where: sa.ColumnElement[bool] | None = None,
 ) -> tuple[list[Any], str | None]:
-    """At most `limit` rows after the one with the id `after`, and the cursor of the next page: its last id."""
+    """At most `limit` rows after the one with the id `after` (invalid-request if there is none), and the cursor of the
+    next page: its last id."""
     moment, key = table.c[time], table.c.id
     query = sa.select(table).where(table.c.tenant == tenant).order_by(moment.desc(), key.desc()).limit(limit + 1)
     if where is not None:
@@ -140,8 +141,8 @@ def page(
     if after:
         last = sa.select(moment, key).where((key == after) & (table.c.tenant == tenant))
         found = connection.execute(last).first()
-        if found is None:
-            return [], None
+        if found is None:  # another tenant's, too
+            raise Problem("invalid-request", f"after: {after!r} is on no page of this list")
         query = query.where((moment < found[0]) | ((moment == found[0]) & (key < found[1])))
     rows = list(connection.execute(query))
     return rows[:limit], rows[limit - 1].id if len(rows) > limit else None

@@ -57,12 +57,13 @@ def install(app: FastAPI) -> None:
 
 
 def _methods(app: FastAPI, request: Request) -> set[str]:
-    """Methods of all routes at the request's address: the framework names those of the first only."""
+    """Methods of all routes at the request's address: the framework names those of the first only, or none."""
+    routers = [getattr(route, "original_router", None) for route in app.routes]
     found: set[str] = set()
-    for route in app.routes:
+    for route in (*app.routes, *(route for router in routers if router is not None for route in router.routes)):
         if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
             found |= route.methods or set()
-    return found
+    return found | {"HEAD"} if "GET" in found else found
 
 
 def invalid(errors: list[Any]) -> Problem:

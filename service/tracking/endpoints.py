@@ -12,6 +12,7 @@ from service.db import missing
 from service.db.schema import jobs
 from service.http.access import After, Core, Follower, Limit, Reader, Uploader, visible
 from service.http.answers import JobView, view
+from service.http.downloads import tags
 from service.http.failures import OF_LIST, OF_OWN, responses
 from service.jobs.port import FINAL, Job, State
 from service.jobs.rows import job_of
@@ -53,7 +54,7 @@ def get_job(
     job = _found(job_id, core, caller)
     etag = f'"{job.revision}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
-    if if_none_match is not None and etag in [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]:
+    if etag in tags(if_none_match):
         return Response(status_code=304, headers=headers)
     return Response(view(job).model_dump_json(), headers=headers, media_type="application/json")
 
