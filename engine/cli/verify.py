@@ -86,7 +86,8 @@ def verify(
     from engine.pipeline.verification import VerifyConfig
     from engine.records.attestation import attach
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.wording import PLAIN, words_of
+    from engine.watermark.numerals import PLAIN
+    from engine.watermark.wording import words_of
 
     config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
     trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]

@@ -8,7 +8,8 @@ from typing import Any
 
 from engine.watermark.checks import named
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.wording import TYPOGRAPHIC, Form, Words, words_of
+from engine.watermark.numerals import TYPOGRAPHIC, Form
+from engine.watermark.wording import Words, words_of
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.clock import LOG
 

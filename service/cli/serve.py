@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -135,9 +136,20 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
             console.note(
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
+        _hand_over(console, token, settings.data_dir / "admin.key")
+    return settings, service
+
+
+def _hand_over(console: Console, token: str, path: Path) -> None:
+    """Show the first API key to a person; what is written to a log is there for long, so it gets a file instead."""
+    from service.trust.master import write_key
+
+    if sys.stderr.isatty():
         console.note(f"  API key      {token}")
         console.note("This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others.")
-    return settings, service
+        return
+    write_key(path, token)
+    console.note(f"  API key      in {path}: read it, then delete that file. 'mark3dgs apikey' makes others.")
 
 
 def _check_free(host: str, port: int) -> None:

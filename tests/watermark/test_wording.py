@@ -4,7 +4,8 @@ import pytest
 
 from engine.errors import MalformedRecordError, WrongKeyError
 from engine.watermark.checks import CHECKS, checks_of, named
-from engine.watermark.wording import PLAIN, TYPOGRAPHIC, Words, percent, surely, when, words_of
+from engine.watermark.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
+from engine.watermark.wording import Words, words_of
 
 
 def report(verdict: str, **changes: object) -> dict[str, object]:

@@ -60,12 +60,23 @@ def test_no_command_makes_a_service_where_none_is(mark3dgs: Mark3dgs, tmp_path: 
 
 
 def test_init_makes_one(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
-    code, _, err = mark3dgs("init")
+    code, out, err = mark3dgs("init")
     assert code == 0
-    assert err.count("mk_") == 1
+    key = tmp_path / "data" / "admin.key"
+    assert (key.read_text()[:3], stat.S_IMODE(key.stat().st_mode)) == ("mk_", 0o600)
+    assert "mk_" not in err + out, "a log is no place for a key"
+    assert str(key) in err
     assert mark3dgs("audit", "verify")[0] == 0
-    code, out, _ = mark3dgs("init")
-    assert (code, "mk_" in out) == (0, False), "twice is once"
+    code, out, err = mark3dgs("init")
+    assert (code, "API key" in out + err) == (0, False), "twice is once"
+
+
+def test_a_person_is_shown_the_key(
+    mark3dgs: Mark3dgs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert "mk_" in mark3dgs("init")[2]
+    assert not (tmp_path / "data" / "admin.key").exists()
 
 
 def test_the_folder_is_nobody_elses(mark3dgs: Mark3dgs, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
