@@ -31,7 +31,7 @@ class SafeHeaders:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        scope = {**scope, "request_id": secrets.token_hex(8), "head": scope["method"] == "HEAD"}
+        scope = {**scope, "request_id": secrets.token_hex(8), "head": _is_head(scope)}
         if scope["head"]:
             scope["method"] = "GET"
 
@@ -48,6 +48,10 @@ class SafeHeaders:
             await send(message)
 
         await self.app(scope, receive, tell)
+
+
+def _is_head(scope: Scope) -> bool:
+    return scope["method"] == "HEAD" and not scope["path"].endswith("/events")  # a stream has no headers of its own
 
 
 class BodyLimit:

@@ -17,6 +17,7 @@ from service.core import Service
 from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 from service.uploads import store
+from service.uploads.quota import check_quota
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
@@ -81,6 +82,8 @@ async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
             if got.length:
                 await asyncio.to_thread(store.add_part, service, row, path, got.length)
             return await asyncio.to_thread(store.get, service, row.tenant, row.id)
+        if row.size is None:  # others may have come meanwhile
+            await asyncio.to_thread(check_quota, service, row.tenant, got.length)
         row = await asyncio.to_thread(store.complete, service, row, path, got.length, got.sha256)
     return await asyncio.to_thread(inspect, service, row)
 

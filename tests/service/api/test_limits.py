@@ -7,18 +7,24 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from fastapi.testclient import TestClient
 
+from service.app import make_app
 from service.assets import conversions
+from service.core import Service
 from service.db.schema import assets
 from service.jobs.turns import Turns
 from service.settings import Settings
+from service.uploads import store, taking
 from service.uploads.quota import stored_bytes
-from tests.service.api.conftest import SMALL, Api
+from tests.service.api.conftest import SMALL, Api, _api
 
 Limited = Callable[..., None]
 
@@ -162,6 +168,46 @@ def test_conversions(api: Api, stranger: Api, slow: Slow) -> None:
     assert slow.begun == 2
     assert api.client.get(f"/v1/assets/{asset}/model?format=spz").content == b"spz"
     assert slow.begun == 2, "kept"
+
+
+def test_looks_that_wait_keep_nobody_else_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forty uploads of one tenant wait to be looked at; another's job is taken on and followed meanwhile."""
+    service = Service.open(Settings(data_dir=tmp_path))
+    hostile, honest = _api(service, "hostile", ["admin"]), _api(service, "honest", ["admin"])
+    theirs = {"upload_id": honest.upload(SMALL.read_bytes())}
+    slots = [hostile.client.post("/v1/uploads", json={}).json()["id"] for _ in range(40)]
+    go, waiting = threading.Event(), threading.Semaphore(0)
+
+    def look(*_: Any) -> None:
+        waiting.release()
+        assert go.wait(60)
+
+    monkeypatch.setattr(taking, "run_once", look)
+    with TestClient(make_app(service)) as client, ThreadPoolExecutor(40) as pool:
+        garbage = [
+            pool.submit(client.put, f"/v1/uploads/{slot}", content=b"x", headers=dict(hostile.client.headers))
+            for slot in slots
+        ]
+        try:
+            assert all(waiting.acquire(timeout=30) for _ in slots)
+            headers = {**dict(honest.client.headers), "Prefer": "wait=1"}
+            answer = client.post("/v1/verify", json=theirs, headers=headers)
+            assert answer.status_code == 202, answer.text
+        finally:
+            go.set()
+        assert {each.result().status_code for each in garbage} == {200}
+
+
+def test_unannounced_uploads_at_a_time_do_not_pass_the_limit(
+    api: Api, limited: Limited, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What there was room for when it began to come may find none when it has come."""
+    data = SMALL.read_bytes()
+    limited(tenant_bytes=len(data) + 10)
+    slots = [api.client.post("/v1/uploads", json={}).json()["id"] for _ in range(2)]
+    monkeypatch.setattr(store, "room", lambda service, row: 1 << 30)
+    statuses = [api.client.put(f"/v1/uploads/{slot}", content=data).status_code for slot in slots]
+    assert statuses == [200, 413]
 
 
 def test_two_turns_go_to_two_tenants() -> None:
