@@ -10,6 +10,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.options import Json
+from engine.errors import InputError
 from service.cli.serve import start
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ def list_(tenant: Tenant = "default", json: Json = False) -> int:
 
     console, service = _opened(json)
     keys = list_keys(service.db, tenant)
+    if not keys:
+        raise InputError(f"there is no tenant {tenant!r}: it has no API key")
     for key in keys:
         state = f"revoked {key.revoked_at[:19]}" if key.revoked_at else "active"
         console.say(f"{key.id}  {','.join(key.scopes):<24} {state:<28} {key.label}")
