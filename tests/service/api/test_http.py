@@ -28,6 +28,8 @@ from tests.service.api.conftest import SMALL, Api, _api
         ("PUT", "/v1/keys", "GET, HEAD, POST"),
         ("POST", "/v1/uploads/x", "DELETE, GET, HEAD, PUT"),
         ("POST", "/v1/assets/x/model", "GET, HEAD"),
+        ("PUT", "/v1/claims/x", "DELETE, GET, HEAD"),
+        ("PUT", "/v1/claims/x.jws", "GET, HEAD"),
         ("GET", "/v1/embed", "POST"),
         ("POST", "/", "GET, HEAD"),
     ],
