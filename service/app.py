@@ -1,7 +1,9 @@
 """The application: routes, middleware, static files. Made by a factory; nothing happens on import."""
 
+import asyncio
 import json
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +28,7 @@ from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
 
 WEB = Path(__file__).parent / "web"
+THREADS = 128
 DESCRIPTION = """Ownership watermarks for 3D Gaussian Splatting models: mark a model under a key, and later prove,
 with a bound on a false claim, whose mark a found model or screenshot carries. Extraction is informed: it uses the
 record that was made at embedding."""
@@ -67,6 +70,8 @@ def make_app(service: Service) -> FastAPI:
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
+        # Looks at uploads wait for their turn in these threads; with the default's few, everybody would wait for them.
+        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(THREADS))
         yield
         service.close()
 

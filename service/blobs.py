@@ -11,6 +11,7 @@ from pathlib import Path
 import obstore
 from obstore.store import LocalStore, ObjectStore, from_url
 
+from engine.errors import InputError
 from service.problems import Problem
 
 _CHUNK = 4 << 20
@@ -30,7 +31,10 @@ class Blobs:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.store: ObjectStore = LocalStore(self.folder, mkdir=True)
         else:
-            self.store = from_url(url)
+            try:
+                self.store = from_url(url)
+            except Exception as error:  # the library's own kinds
+                raise InputError(f"MARK3DGS_BLOB_URL is no address of a store: {error}") from None
 
     @contextmanager
     def new_file(self) -> Iterator[Path]:
@@ -85,6 +89,16 @@ class Blobs:
             return bytes(obstore.get(self.store, blob_name(sha256)).bytes())
         except FileNotFoundError:
             raise Problem("not-found", f"the blob {sha256} is gone") from None
+
+    def digest_found(self, sha256: str) -> str:
+        """SHA-256 of the bytes that lie under that digest; "" where there are none."""
+        found = hashlib.sha256()
+        try:
+            for chunk in obstore.get(self.store, blob_name(sha256)).stream(min_chunk_size=_CHUNK):
+                found.update(chunk)
+        except (FileNotFoundError, ValueError):
+            return ""
+        return found.hexdigest()
 
     def remove_part(self, name: str) -> None:
         """Forget a part of an upload."""

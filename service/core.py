@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+import stat
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from engine.errors import InputError
 from service.blobs import Blobs
 from service.db import Database
 from service.jobs.durable import DurableJobs
@@ -15,6 +20,8 @@ from service.settings import Settings
 from service.trust.commitments import registration_of
 from service.trust.master import MasterKey
 from service.trust.owner_keys import open_key
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -26,11 +33,12 @@ class Service:
     blobs: Blobs
     master: MasterKey
     jobs: DurableJobs
+    making: dict[tuple[str, str], tuple[str, Future[str]]] = field(default_factory=dict)  # conversions, whose they are
 
     @classmethod
     def open(cls, settings: Settings) -> Service:
         """Open what the settings name; tables are brought up to date, the master key is made on the first start."""
-        settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _keep_apart(settings.data_dir)
         db = Database(settings.database())
         db.migrate()
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
@@ -90,3 +98,15 @@ class Service:
     def close(self) -> None:
         """Give connections back."""
         self.db.close()
+
+
+def _keep_apart(folder: Path) -> None:
+    """Make the data folder, or take the others' rights to it away: what is in it is nobody else's."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    mode = stat.S_IMODE(folder.stat().st_mode)
+    if mode & 0o077:
+        try:
+            folder.chmod(0o700)
+        except OSError:
+            raise InputError(f"{folder} has mode {mode:04o}, so others may read it: run chmod 700 on it") from None
+        _log.warning("%s had mode %04o: others could read it, and now cannot", folder, mode)

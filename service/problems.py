@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from engine.errors import Mark3DGSError
+
 TYPE_PREFIX = "urn:mark3dgs:problem:"
 MEDIA_TYPE = "application/problem+json"
 
@@ -16,6 +18,7 @@ KINDS: dict[str, tuple[int, str]] = {
     "request-in-flight": (409, "A request with this Idempotency-Key is being answered"),
     "length-required": (411, "The length must be known"),
     "too-large": (413, "Too large"),
+    "quota-exceeded": (413, "This tenant's storage is used up"),
     "unsupported-media-type": (415, "This content type is not taken here"),
     "range-not-satisfiable": (416, "There is no such range"),
     "invalid-request": (422, "A value is not acceptable"),
@@ -34,7 +37,7 @@ KINDS: dict[str, tuple[int, str]] = {
 """Kind -> (HTTP status, title). The kind is the last part of `type` and never changes its meaning."""
 
 
-class Problem(Exception):
+class Problem(Mark3DGSError):
     """An error that the client is told: `kind` is a key of KINDS, `detail` what is wrong, with the offending value.
 
     `headers` are of the response, such as Retry-After; `extra` are further members of the problem object.

@@ -31,6 +31,9 @@ class Settings(BaseSettings):
     upload_hours: float = Field(24.0, gt=0, description="An upload not finished by then is dropped.")
 
     suspect_days: float = Field(30.0, gt=0, description="Uploads are kept that long; what was made of them stays.")
+    job_days: float = Field(
+        90.0, gt=0, description="Rows of ended jobs are kept that long; assets, claims and disputes stay."
+    )
 
     inspect_seconds: float = Field(
         4.5, gt=0, description="A look at an upload that takes longer is left to the job that uses it."
@@ -44,6 +47,16 @@ class Settings(BaseSettings):
     verifies_per_hour: int = Field(600, gt=0, description="Verify jobs an API key may start in an hour.")
     subject_verifies_per_day: int = Field(
         200, gt=0, description="Verifications a day of suspects that derive from one asset (near duplicates)."
+    )
+    queued_jobs: int = Field(200, gt=0, description="Jobs of a tenant that may wait or run at a time.")
+    conversions_at_once: int = Field(2, gt=0, description="Models that are converted for a tenant at a time.")
+    open_uploads: int = Field(100, gt=0, description="Uploads of a tenant that may be under way at a time.")
+    tenant_bytes: int = Field(
+        100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
+    )
+    issuer_name: str = Field("Mark3DGS", min_length=1, max_length=200, description="Who issues claims, as they say.")
+    public_url: str = Field(
+        "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."
     )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
 

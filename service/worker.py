@@ -30,5 +30,6 @@ def _tidy(service: Service) -> None:
         try:
             sweep(service)
             forget(service.db)
+            service.jobs.prune(24 * service.settings.job_days)
         except Exception as error:  # the jobs matter more; the next hour tries again
             log.warning("tidying up failed: %s", error)

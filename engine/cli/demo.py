@@ -63,7 +63,8 @@ def demo(
 
       mark3dgs demo --out demo-out
     """
-    from engine.watermark.wording import PLAIN, words_of
+    from engine.watermark.numerals import PLAIN
+    from engine.watermark.wording import words_of
 
     console = Console(json)
     began = time.perf_counter()
@@ -217,7 +218,7 @@ def _trials(
 
 
 def _summary(report: Mapping[str, Any]) -> str:
-    from engine.watermark.wording import PLAIN, surely
+    from engine.watermark.numerals import PLAIN, surely
 
     verdict = report["verdict"].replace("_", " ")
     bits = f"{report['matching_bits']}/{report['bits']} bits"

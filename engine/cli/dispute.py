@@ -57,7 +57,7 @@ def dispute(
     from engine.pipeline.dispute import Party, settle
     from engine.pipeline.dispute_text import dispute_page, dispute_words
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.wording import PLAIN
+    from engine.watermark.numerals import PLAIN
 
     trust = read_trust(tsa_certificates, jwks)
     with console.progress() as progress:

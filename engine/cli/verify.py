@@ -95,7 +95,8 @@ def verify(
     from engine.records.attestation import attach
     from engine.sim.variants.clips import is_clip, verify_in_motion
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.wording import PLAIN, words_of
+    from engine.watermark.numerals import PLAIN
+    from engine.watermark.wording import words_of
 
     config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
     trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]

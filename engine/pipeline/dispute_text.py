@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Template
 
 from engine.pipeline.pages import templates
-from engine.watermark.wording import TYPOGRAPHIC, Form, percent, when
+from engine.watermark.numerals import TYPOGRAPHIC, Form, percent, when
 
 __all__ = ["DEEDS", "DisputeWords", "dispute_page", "dispute_words"]
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from engine.errors import RecordError, WrongKeyError
-from engine.watermark.wording import TYPOGRAPHIC, derivation_text
+from engine.watermark.numerals import TYPOGRAPHIC
+from engine.watermark.wording import derivation_text
 
 CHECKS = {
     "record_intact": "Record",

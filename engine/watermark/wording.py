@@ -7,10 +7,10 @@ measured is called certain.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from engine.watermark.layers import SCATTERED
+from engine.watermark.numerals import Form, percent, surely, when
 from engine.watermark.rates import BASES
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
@@ -22,62 +22,6 @@ ROUTES = {
     "render": "the suspect model seen at the owner's secret views, as a black box",
     "image": "the pictures, compared with renders of the registered original",
 }
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_CERTAIN = 0.9999
-"""No measured probability is said to be larger."""
-
-
-@dataclass(frozen=True)
-class Form:
-    """How powers and names are written: the one difference between words in a terminal and words on a page."""
-
-    raised: bool
-
-    def power(self, base: int, exponent: int) -> str:
-        """10^-9, or with the exponent raised."""
-        return f"{base}{str(exponent).translate(_RAISED)}" if self.raised else f"{base}^{exponent}"
-
-    def name(self, text: str) -> str:
-        """A name that somebody gave, in quotes."""
-        return f"“{text}”" if self.raised else repr(text)
-
-    def odds(self, log10_probability: float) -> str:
-        """A bound on a probability as "at most 1 in 10^N", rounded so that nothing is overstated."""
-        exponent = math.floor(-log10_probability + 1e-9)
-        if exponent >= 1:
-            return f"at most 1 in {self.power(10, exponent)}"
-        hundredths = math.ceil(100.0 * 10.0**log10_probability)
-        return f"at most {hundredths} in 100" if hundredths < 100 else "no better than chance"
-
-    def rate(self, probability: float) -> str:
-        """A small probability that somebody chose: "1 in 10^9"."""
-        digits, exponent = f"{probability:.1e}".split("e")
-        return f"{digits.removesuffix('.0')} in {self.power(10, -int(exponent))}"
-
-
-PLAIN, TYPOGRAPHIC = Form(raised=False), Form(raised=True)
-
-
-def percent(share: float) -> str:
-    """A share in percent that says 100 % only of the whole."""
-    if 0.999 <= share < 1.0:
-        return "more than 99.9 %"
-    return f"{100.0 * share:.1f} %".replace(".0 %", " %")
-
-
-def surely(probability: float) -> str:
-    """A probability in percent; nothing measured is ever certain."""
-    return percent(min(probability, _CERTAIN))
-
-
-def when(at: str) -> str:
-    """2026-11-03T09:14:07.123456+00:00 as a person writes it; what is no such time stays as it is."""
-    try:
-        time = datetime.fromisoformat(at)
-    except ValueError:
-        return at
-    return f"{time.day} {time:%B %Y}, {time:%H:%M:%S} UTC"
 
 
 @dataclass(frozen=True)
@@ -107,7 +51,8 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
     Parameters
     ----------
     claim : mapping
-        Keys of `verify --json`; `message` is None and `record_id` empty where nothing could be compared.
+        Keys of `verify --json`; `message` is None and `record_id` empty where nothing could be compared. `searched`
+        says among how many `assets` the suspect was looked for, where no single one was named.
     suspect : str
         Its name; left out, it is "this model" or "these pictures".
     pictures : int
@@ -119,7 +64,7 @@ def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", picture
         against.append((math.log10(rate), f"needed here: {form.rate(rate)}"))
         against.sort(reverse=True)
     return Words(
-        headline=HEADLINES[claim["verdict"]],
+        headline=HEADLINES[claim["verdict"]] if _recognised(claim) else "Not recognised",
         finding=_finding(claim, form, suspect, pictures),
         facts=tuple(sorted(_facts(claim, form), key=lambda fact: not fact.leading)),
         meaning={
@@ -147,10 +92,25 @@ def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) 
             return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
         if claim["derivation"]["derived"]:
             return f"{derived}; whether this copy's mark is in it, the evidence does not decide."
-        return f"Nothing of your asset was recognised in {it}: neither a yes nor a no."
+        return f"{_nothing_of(claim)} was recognised in {it}."
     whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
     shows = {0: "contains", 1: "shows"}.get(pictures, "show")
     return f"{this} {shows} {whose}, or something made from it: its hidden mark was found."
+
+
+def _recognised(claim: Mapping[str, Any]) -> bool:
+    return bool(
+        claim["verdict"] != "inconclusive" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
+    )
+
+
+def _nothing_of(claim: Mapping[str, Any]) -> str:
+    """What was not found: the one asset that was named, or one of all."""
+    if not (searched := claim.get("searched")) or searched["scope"] == "one":
+        return "Nothing of your asset"
+    if searched["assets"] == 1:
+        return "Nothing of your registered asset"
+    return f"None of your {searched['assets']} registered assets"
 
 
 _WOULD = "This would be a claim if the registration were attested by somebody else, before the suspect was known"
@@ -250,7 +210,10 @@ def _says(claim: Mapping[str, Any], form: Form) -> str:
             return f"{_WOULD}: a key that had no part in the suspect hardly comes this far, but many tried ones may."
         if claim["derivation"]["derived"]:
             return "That the suspect is derived from your asset stands. Of the mark, neither yes nor no is said."
-        return "Neither yes nor no: more pictures, or more of the model, can decide it."
+        return (
+            f"{_nothing_of(claim)} was recognised in the suspect. That is no proof: more pictures, or more of the"
+            " model, may show what these do not, and there are ways to hide a model that no search undoes."
+        )
     least = surely(claim["power"]).removeprefix("more than ")
     return (
         f"That the suspect is derived from your asset stands, mark or no mark. With a probability of at least {least},"

@@ -2,12 +2,10 @@
 
 from typing import Any
 
-import sqlalchemy as sa
-
 from engine.records.attestation import LOG, Attestation, attach, header_digest
 from engine.records.signatures import REGISTRATION
+from service.assets.conversions import keep, kept
 from service.core import Service
-from service.db.schema import conversions
 from service.trust import audit
 from service.trust.canonical import canonical
 from service.trust.commitments import registration_of
@@ -18,12 +16,8 @@ _FORMAT = "attested record"
 
 def attested_record(service: Service, row: Any) -> str:
     """Digest of an asset's record with the log's proof attached; made once."""
-    known = (conversions.c.model_sha256 == row.record_sha256) & (conversions.c.format == _FORMAT)
-    query = sa.select(conversions.c.sha256).where(known)
-    with service.db.read() as connection:
-        found = connection.execute(query).scalar()
-    if found is not None:
-        return str(found)
+    if (found := kept(service, row.record_sha256, _FORMAT)) is not None:
+        return found
     data = service.blobs.read(row.record_sha256)
     with service.db.read() as connection:
         entry = registration_of(connection, row.id)
@@ -39,9 +33,5 @@ def attested_record(service: Service, row: Any) -> str:
     with service.blobs.new_file() as file:
         file.write_bytes(attach(data, Attestation(LOG, statement)))
         digest = service.blobs.put(file)
-    with service.db.write() as connection:
-        if connection.execute(query).scalar() is None:
-            connection.execute(
-                conversions.insert().values(model_sha256=row.record_sha256, format=_FORMAT, sha256=digest)
-            )
+    keep(service, row.record_sha256, _FORMAT, digest)
     return digest

@@ -1,26 +1,24 @@
 """/v1/assets: what was marked, and its files."""
 
+import asyncio
 from typing import Annotated, Any, Literal
 
-import sqlalchemy as sa
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
-from service.core import Service
+from service.assets.conversions import converted, drop
 from service.db import own, page
-from service.db.schema import assets, conversions
-from service.http.access import After, Core, Limit, Reader
-from service.http.downloads import MODEL_TYPE, file_responses, send_blob
+from service.db.schema import assets
+from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, visible
+from service.http.downloads import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
-from service.jobs.child import run_once, task_folder
 from service.problems import Problem
+from service.trust.commitments import forget
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 RECORD_TYPE = "application/vnd.mark3dgs.record"
-CONVERTING_SECONDS = 60.0
-Range = Annotated[str | None, Header(description="bytes=first-last")]
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
 
 
@@ -60,69 +58,59 @@ def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
 
 
 @router.get("/{asset_id}", operation_id="getAsset", responses=OF_OWN)
-def get_asset(asset_id: str, core: Core, caller: Reader) -> Asset:
+def get_asset(asset_id: str, core: Core, caller: Follower) -> Asset:
     """One asset."""
-    return Asset.model_validate(own(core.db, assets, caller.tenant, asset_id))
+    return Asset.model_validate(visible(core, caller, assets, asset_id))
 
 
 @router.get(
     "/{asset_id}/model",
     operation_id="getModel",
     response_class=Response,
-    responses=file_responses(MODEL_TYPE, "invalid-request"),
+    responses=file_responses(MODEL_TYPE, "invalid-request", "budget-exceeded"),
 )
-def get_model(
+async def get_model(
     asset_id: str,
     core: Core,
-    caller: Reader,
+    caller: Follower,
+    want: Want,
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
     version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
-    range: Range = None,
 ) -> Response:
     """The marked model (or your original), converted where another format is asked for."""
-    row = own(core.db, assets, caller.tenant, asset_id)
-    marked = version == "marked"
+    row, marked = await asyncio.to_thread(visible, core, caller, assets, asset_id), version == "marked"
+    if not marked and not caller.may("originals"):
+        raise Problem("forbidden", "this API key lacks the scope 'originals', which the unmarked original needs")
     sha256, kind = (row.model_sha256, row.model_format) if marked else (row.original_sha256, row.original_format)
     if wanted is not None and wanted != kind:
-        sha256, kind = _convert(core, sha256, wanted), wanted
+        sha256, kind = await converted(core, caller.tenant, sha256, wanted), wanted
     ending = "ply" if kind == "spacetime" else kind  # a clip is one
-    return send_blob(core, sha256, f"{row.id}-{version}.{ending}", MODEL_TYPE, range)
+    return await asyncio.to_thread(send_blob, core, sha256, f"{row.id}-{version}.{ending}", MODEL_TYPE, want)
 
 
 @router.get(
     "/{asset_id}/record", operation_id="getRecord", response_class=Response, responses=file_responses(RECORD_TYPE)
 )
-def get_record(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
+def get_record(asset_id: str, core: Core, caller: OriginalsReader, want: Want) -> Response:
     """The sealed record, and this service's signed word on when it was registered: with the owner key it proves the
     mark without this service, at 1 in 10^9 for whoever trusts its public keys."""
     row = own(core.db, assets, caller.tenant, asset_id)
-    return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, range)
+    return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, want)
 
 
 @router.get(
     "/{asset_id}/preview.png", operation_id="getPreview", response_class=Response, responses=file_responses("image/png")
 )
-def get_preview(asset_id: str, core: Core, caller: Reader, range: Range = None) -> Response:
+def get_preview(asset_id: str, core: Core, caller: Follower, want: Want) -> Response:
     """Original, marked, and twenty times their difference."""
+    row = visible(core, caller, assets, asset_id)
+    return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", want)
+
+
+@router.delete("/{asset_id}", status_code=204, operation_id="deleteAsset", responses=OF_OWN)
+def delete_asset(asset_id: str, core: Core, caller: Admin) -> None:
+    """Delete an asset for good, with its record: its mark can never be claimed again. Claims about it stay; its files
+    go with the next tidying up. The log keeps that it was registered, and that it was deleted."""
     row = own(core.db, assets, caller.tenant, asset_id)
-    return send_blob(core, row.preview_sha256, f"{row.id}.png", "image/png", range)
-
-
-def _convert(service: Service, sha256: str, kind: str) -> str:
-    """Digest of a stored model in another format: made once, in a process of its own."""
-    known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
-    with service.db.read() as connection:
-        found = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
-    if found is not None:
-        return str(found)
-    with task_folder(service.settings) as folder:
-        request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
-        reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS)
-        if reply is None:
-            text = f"converting took over {CONVERTING_SECONDS:.0f} s"
-            raise Problem("unavailable", text, headers={"Retry-After": "60"})
-        digest = service.blobs.put(folder / reply["files"]["model"])
-    with service.db.write() as connection:
-        if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:
-            connection.execute(conversions.insert().values(model_sha256=sha256, format=kind, sha256=digest))
-    return digest
+    forget(core.db, assets, caller.tenant, asset_id)
+    drop(core, row.model_sha256, row.original_sha256, row.record_sha256)

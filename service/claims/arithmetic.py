@@ -11,6 +11,7 @@ from engine.watermark.claim import ClaimConfig
 from engine.watermark.rates import DEMANDS
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, log10_false_claim_bound, z_threshold
 from service.claims.document import document_words
+from service.claims.schema import SCHEMA_VERSION
 
 
 class Status(StrEnum):
@@ -52,6 +53,12 @@ def arithmetic_fault(document: Mapping[str, Any]) -> str:
         return "a mark without evidence"
     if document["schema_version"] > 1 and (fault := _rate_fault(document) or _derivation_fault(document)):
         return fault
+    if (searched := document.get("searched")) is not None:
+        derived = document["derivation"]["derived"] or document["would_be_claim_if_attested"]
+        if searched["recognised"] != (document["verdict"] == "marked" or derived):
+            return "whether an asset was recognised does not follow from the verdict"
+        if (document["asset"] is not None) != (searched["recognised"] or searched["scope"] == "one"):
+            return "the claim speaks of an asset that was neither named nor recognised, or of none that was"
     if message is not None:
         if len(message["reliability"]) != message["bits"]:
             return "the message does not have a reliability for each bit"
@@ -94,7 +101,7 @@ def _derivation_fault(document: Mapping[str, Any]) -> str:
 def meaning_check(document: Mapping[str, Any]) -> Check:
     """Whether the signed words are those that follow from the signed numbers."""
     made_by = document["tool"]["version"]
-    if document["schema_version"] == 1 or made_by != version("mark3dgs"):
+    if document["schema_version"] != SCHEMA_VERSION or made_by != version("mark3dgs"):
         text = f"The meaning is in the words of version {made_by}; they were not made anew."
         return Check("meaning", Status.NOT_CHECKED, text)
     if document_words(document).meaning == document["meaning"]:

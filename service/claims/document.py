@@ -8,9 +8,29 @@ from typing import Any
 
 from engine.watermark.checks import named
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.wording import TYPOGRAPHIC, Form, Words, words_of
+from engine.watermark.numerals import TYPOGRAPHIC, Form
+from engine.watermark.wording import Words, words_of
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.clock import LOG
+
+
+def of_what_was_found(reply: Mapping[str, Any]) -> dict[str, Any]:
+    """The reply of the task `verify` with what was `searched` told in full; of all of an owner's assets, it speaks of
+    one only where that one was recognised."""
+    claim, tried = reply["claim"], reply["tried"]
+    recognised = claim is not None and bool(
+        claim["verdict"] == "marked" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
+    )
+    unreadable = sum(each["verdict"] == "could_not_check" for each in tried)
+    counted = {"compared": len(tried), "unreadable": unreadable, "recognised": recognised}
+    told = {**reply, "searched": {**reply["searched"], **counted}}
+    if recognised or reply["searched"]["scope"] == "one":
+        return told
+    text = f"None of {reply['searched']['assets']} registered assets was recognised; records compared: {len(tried)}"
+    text += f", of which {unreadable} could not be opened." if unreadable else "."
+    nobody = dict.fromkeys(("asset", "claim", "attested", "registered_message"))
+    kept = {name: digest for name, digest in reply["kept"].items() if name == "suspect"}  # the others show an asset
+    return told | nobody | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
 
 def build_document(
@@ -23,12 +43,15 @@ def build_document(
     registered_at: str,
     original_registered_at: str,
     pictures: Mapping[str, str],
+    issuer: Mapping[str, str] | None = None,
+    owner: str = "",
 ) -> dict[str, Any]:
     """The document without its member `audit`, as JSON values.
 
     Made of the `reply` of the task `verify`, the `sha256` of each file handed in, and those of the report's `pictures`
     by name. `asset` is the row of the asset that the reply names, if it names one; the two dates say when it entered
-    the log, and when a copy of its original was first registered.
+    the log, and when a copy of its original was first registered. `issuer` has `name` and `address`; `owner` is the
+    display name of who asked.
     """
     claim, subject = reply["claim"], reply["subject"]
     plain: dict[str, Any] = {
@@ -36,6 +59,9 @@ def build_document(
         "claim_id": claim_id,
         "created_at": created_at,
         "tool": {"name": "mark3dgs", "version": version("mark3dgs")},
+        "issuer": dict(issuer) if issuer is not None else None,
+        "owner": {"name": owner} if owner else None,
+        "searched": reply["searched"],
         "subject": {
             "kind": "pictures" if subject["pictures"] else "model",
             "sha256": list(sha256),
@@ -49,6 +75,8 @@ def build_document(
         "pictures": dict(pictures),
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }
+    if claim is None and reply["searched"]["compared"] > reply["searched"]["unreadable"]:
+        plain["missing"] = "something of a registered asset that can be recognised"
     if asset is not None:
         plain |= {
             "asset": asset["id"],
@@ -118,6 +146,7 @@ def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Wor
         **{theirs: message.get(name) for name, theirs in _MESSAGE.items()},
         **{theirs: threshold.get(name) for name, theirs in _THRESHOLD.items()},
         **{name: evidence.get(name) for name in _EVIDENCE},
+        "searched": document.get("searched"),
         "registered_at": "",  # what the owner says is not in it: the log's word is
         "attested": document.get("attested"),
     }

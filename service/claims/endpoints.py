@@ -8,10 +8,11 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
-from service.db import own, page
+from service.db import page
 from service.db.schema import claims
-from service.http.access import After, Core, Limit, Reader
+from service.http.access import Admin, After, Core, Follower, Limit, Reader, visible
 from service.http.failures import OF_LIST, OF_OWN, responses
+from service.trust.commitments import forget
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
@@ -100,20 +101,26 @@ def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = ""
     response_class=Response,
     responses={200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"}, **OF_OWN},
 )
-def get_jws(claim_id: str, core: Core, caller: Reader) -> Response:
+def get_jws(claim_id: str, core: Core, caller: Follower) -> Response:
     """The signed claim alone: hand it to whoever must be convinced."""
-    row = own(core.db, claims, caller.tenant, claim_id)
+    row = visible(core, caller, claims, claim_id)
     headers = {"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
     return Response(row.jws, media_type=JWS_TYPE, headers=headers)
 
 
 @router.get("/v1/claims/{claim_id}", operation_id="getClaim", responses=OF_OWN)
-def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
+def get_claim(claim_id: str, core: Core, caller: Follower) -> SignedClaim:
     """A claim."""
-    row = own(core.db, claims, caller.tenant, claim_id)
+    row = visible(core, caller, claims, claim_id)
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
     document = json.loads(row.document)
     return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
+
+
+@router.delete("/v1/claims/{claim_id}", status_code=204, operation_id="deleteClaim", responses=OF_OWN)
+def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
+    """Delete a claim and its pictures here. What was handed out stays signed; the log keeps that it was issued."""
+    forget(core.db, claims, caller.tenant, claim_id)
 
 
 @router.get(
@@ -125,11 +132,11 @@ def get_claim(claim_id: str, core: Core, caller: Reader) -> SignedClaim:
         **OF_OWN,
     },
 )
-def get_report(claim_id: str, core: Core, caller: Reader) -> Response:
+def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
     from service.claims.report import report_html
 
-    row = own(core.db, claims, caller.tenant, claim_id)
+    row = visible(core, caller, claims, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 

@@ -21,6 +21,7 @@ from service.trust.canonical import canonical
 from service.trust.commitments import commit_claim, registration_of
 from service.trust.master import MasterKey
 from service.trust.signing import sign
+from service.trust.tenants import display_name
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,21 @@ class IssuedClaim:
 
 
 def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any]:
-    """The claim of a verify job (`reply`: of its task), issued and, where a time-stamping service is set, stamped.
+    """The claim of a verify job (`reply`: what was found), issued and, where a time-stamping service is set, stamped.
 
     Returns the job's result.
     """
     files = [job.request["model"]] if job.request["model"] else list(job.request["images"])
     with service.db.write() as connection:
         claim = issue_claim(
-            connection, service.master, tenant=job.tenant, job=job.id, reply=reply, pictures=reply["kept"], sha256=files
+            connection,
+            service.master,
+            tenant=job.tenant,
+            job=job.id,
+            reply=reply,
+            pictures=reply["kept"],
+            sha256=files,
+            issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
         )
     result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
         name: claim.document[name] for name in ("verdict", "confidence", "log10_false_claim", "checks")
@@ -60,9 +68,11 @@ def issue_claim(
     reply: Mapping[str, Any],
     sha256: Sequence[str],
     pictures: Mapping[str, str],
+    issuer: Mapping[str, str] | None = None,
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
+    `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
     `sha256` is of each file handed in, in order; `pictures` names those of the report, stored already, by SHA-256.
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
@@ -81,6 +91,8 @@ def issue_claim(
         registered_at=registration.at if registration is not None else "",
         original_registered_at=first.at if first is not None else "",
         pictures=pictures,
+        issuer=issuer,
+        owner=display_name(connection, tenant),
     )
     document["audit"] = commit_claim(connection, tenant, document, registration, first)
     payload = canonical(ClaimDocument.model_validate(document).model_dump(by_alias=True))
@@ -118,7 +130,7 @@ def _registered(
     mine = assets.c.tenant == tenant
     row = connection.execute(assets.select().where(mine, assets.c.id == asset_id)).one_or_none()
     if row is None:
-        raise Problem("internal", "the verification named an asset that is not this tenant's")
+        raise Problem("conflict", "the asset in question was deleted, or is not this tenant's")
     same = sa.select(assets.c.id).where(mine, assets.c.original_sha256 == row.original_sha256)
     entries = [registration_of(connection, name) for name in connection.execute(same).scalars()]
     first = min(entries, key=lambda entry: entry.index)

@@ -14,7 +14,8 @@ from jinja2 import Template
 from engine.pipeline.pages import templates
 from engine.records.timestamps import TimestampFault, stamped_at
 from engine.watermark.checks import named
-from engine.watermark.wording import ROUTES, TYPOGRAPHIC, when
+from engine.watermark.numerals import TYPOGRAPHIC, when
+from engine.watermark.wording import ROUTES
 from service.claims.document import document_words
 
 BITS_PER_LINE = 32

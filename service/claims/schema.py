@@ -1,11 +1,11 @@
 """The claim document: its exact form. Version 1 had no derivation, no basis of its rate, no proof of the original's
-registration; it is still read."""
+registration; version 2 did not say who issued it for whom, and what was searched. Both are still read."""
 
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
 Share = Field(ge=0.0, le=1.0)
@@ -29,6 +29,29 @@ class Subject(_Part):
     sha256: list[str] = Field(min_length=1, description="Of each file handed in, hex, in order.")
     format: str = Field(description="File format of a model, or `pictures`.")
     gaussians: int | None = Field(description="Of a model.")
+
+
+class Issuer(_Part):
+    """The service that signed."""
+
+    name: str
+    address: str = Field(description="Where it answers, and its public keys are; empty where its operator set none.")
+
+
+class Owner(_Part):
+    """Who asked; the log's entries name the tenant."""
+
+    name: str = Field(description="Display name of the tenant, as whoever runs the service entered it.")
+
+
+class Searched(_Part):
+    """Among what the suspect was looked for."""
+
+    scope: Literal["one", "all"] = Field(description="One asset that was named, or all of the owner's.")
+    assets: int = Field(gt=0)
+    compared: int = Field(ge=0, description="Records that were held against the suspect; the index ruled out the rest.")
+    unreadable: int = Field(ge=0, description="Of these, records that could not be opened.")
+    recognised: bool = Field(description="Something of the asset named below was found in the suspect.")
 
 
 class Original(_Part):
@@ -142,12 +165,15 @@ class Audit(_Part):
 class ClaimDocument(_Part):
     """The answer of one verification, as it is signed."""
 
-    schema_version: Literal[1, 2]
+    schema_version: Literal[1, 2, 3]
     claim_id: str
     created_at: str
     tool: Tool
+    issuer: Issuer | None = None
+    owner: Owner | None = None
     subject: Subject
-    asset: str | None = Field(description="The asset that the answer is about; null where none could be compared.")
+    searched: Searched | None = None
+    asset: str | None = Field(description="The asset that the answer is about; null where none was recognised of all.")
     original: Original | None
     record_id: str | None
     copy_name: str | None = Field(alias="copy", description="Recipient of the copy whose mark was looked for.")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.cli.console import Console
 from engine.cli.options import Json
+from engine.errors import InputError
 from service.cli.serve import start
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ Tenant = Annotated[str, typer.Option("--tenant", help="Whose key; tenants never 
 def create(
     tenant: Tenant = "default",
     scopes: Annotated[
-        str, typer.Option("--scopes", help="Of embed, verify, read, admin, operator; with commas.")
+        str, typer.Option("--scopes", help="Of embed, verify, read, originals, admin, operator; with commas.")
     ] = "embed,verify,read",
     label: Annotated[str, typer.Option("--label", help="For people.")] = "",
     json: Json = False,
@@ -50,6 +52,8 @@ def list_(tenant: Tenant = "default", json: Json = False) -> int:
 
     console, service = _opened(json)
     keys = list_keys(service.db, tenant)
+    if not keys:
+        raise InputError(f"there is no tenant {tenant!r}: it has no API key")
     for key in keys:
         state = f"revoked {key.revoked_at[:19]}" if key.revoked_at else "active"
         console.say(f"{key.id}  {','.join(key.scopes):<24} {state:<28} {key.label}")
@@ -73,16 +77,36 @@ def revoke(
     return 0
 
 
+def tenant(
+    tenant: Annotated[str, typer.Argument(metavar="ID", help="As its API keys name it.")],
+    name: Annotated[str, typer.Argument(help="What people call it: claims and reports name it as the owner.")],
+    json: Json = False,
+) -> int:
+    """Say what people call a tenant.
+
+    Examples:
+
+      mark3dgs tenant acme "Studio Acme, Hamburg"
+    """
+    from service.trust.tenants import name_tenant
+
+    console, service = _opened(json)
+    name_tenant(service.db, tenant, name)
+    console.say(f"{tenant} is called {name}")
+    console.emit({"tenant": tenant, "name": name})
+    return 0
+
+
 @audit.command("verify")
 def verify(json: Json = False) -> int:
-    """Recompute the whole log: its chain, its tree, and every asset and claim it commits to.
+    """Recompute the whole log: its chain, its tree, and every asset and claim it commits to; and hash every file.
 
-    Exit codes: 0 all holds, 3 something was altered.
+    Exit codes: 0 all holds, 3 something was altered, is damaged or missing.
     """
     from service.trust.audit_check import verify_log
 
     console, service = _opened(json)
-    found = verify_log(service.db)
+    found = verify_log(service.db, service.blobs)
     console.say(found.text())
     console.emit(found.to_json())
     return 0 if found.ok else 3
@@ -96,6 +120,28 @@ def rotate_signing_key(json: Json = False) -> int:
     kid = rotate(service.db, service.master)
     console.say(f"claims are now signed by key {kid}")
     console.emit({"kid": kid})
+    return 0
+
+
+def rotate_master_key(
+    new_key_file: Annotated[
+        Path | None, typer.Option("--new-key-file", help="64 hex digits; needed where MARK3DGS_MASTER_KEY is set.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Seal all secrets anew under another master key. Stop the service before: workers are looked for, API processes
+    are not.
+
+    The file master.key is replaced. API keys, marks and claims stay valid. Put
+    the new key where your backup of the old one is.
+    """
+    from service.trust.rotation import rotate_master
+
+    console = Console(json)
+    settings, service = start(console)
+    count = rotate_master(settings, service.db, service.master, new_key_file)
+    console.say(f"{count} secrets are sealed under the new master key; a backup of the old one opens nothing new")
+    console.emit({"resealed": count})
     return 0
 
 

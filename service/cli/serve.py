@@ -8,11 +8,13 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.cli.console import Console
+from engine.cli.options import Json
 from engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,10 +47,11 @@ def serve(
     import uvicorn
 
     from service.app import make_app
+    from service.http.patience import ImpatientProtocol
 
     console = Console(machine=False)
     _check_free(host, port)
-    settings, service = start(console)
+    settings, service = start(console, may_make=True)
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")
@@ -61,6 +64,7 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
+            http=ImpatientProtocol,
             timeout_graceful_shutdown=5,
         )
     finally:
@@ -87,11 +91,29 @@ def worker(
     run_worker(service, name, die_with_parent)
 
 
-def start(console: Console) -> tuple[Settings, Service]:
-    """Open the service; the very first start makes its keys, and says so."""
+def init(json: Json = False) -> int:
+    """Make a service's data folder, its keys and its first API key, and start nothing.
+
+    `serve` does that by itself; every other command wants a service that is there.
+
+    Examples:
+
+      MARK3DGS_DATA_DIR=~/mark3dgs mark3dgs init
+    """
+    console = Console(json)
+    settings, service = start(console, may_make=True)
+    console.say(f"The service in {settings.data_dir} is ready: 'mark3dgs serve' runs it.")
+    console.emit({"data_dir": str(settings.data_dir)})
+    service.close()
+    return 0
+
+
+def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
+    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
     from pydantic import ValidationError
 
     from service.core import Service
+    from service.db import Database
     from service.settings import Settings
     from service.trust.api_keys import issue_first
     from service.trust.signing import ensure_key
@@ -101,6 +123,10 @@ def start(console: Console) -> tuple[Settings, Service]:
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"MARK3DGS_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
+    os.umask(0o077)  # what is written is nobody else's
+    if not may_make and not Database(settings.database()).exists:
+        place = "MARK3DGS_DATABASE_URL" if settings.database_url else str(settings.data_dir)
+        raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")
     service = Service.open(settings)
     ensure_key(service.db, service.master)
     token = issue_first(service.db, service.master, "default", "first admin key")
@@ -110,9 +136,20 @@ def start(console: Console) -> tuple[Settings, Service]:
             console.note(
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
+        _hand_over(console, token, settings.data_dir / "admin.key")
+    return settings, service
+
+
+def _hand_over(console: Console, token: str, path: Path) -> None:
+    """Show the first API key to a person; what is written to a log is there for long, so it gets a file instead."""
+    from service.trust.master import write_key
+
+    if sys.stderr.isatty():
         console.note(f"  API key      {token}")
         console.note("This API key is shown once and kept nowhere: write it down. 'mark3dgs apikey' makes others.")
-    return settings, service
+        return
+    write_key(path, token)
+    console.note(f"  API key      in {path}: read it, then delete that file. 'mark3dgs apikey' makes others.")
 
 
 def _check_free(host: str, port: int) -> None:

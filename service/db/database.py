@@ -9,6 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DBAPIError
 
+from engine.errors import InputError
 from service.db.schema import metadata
 from service.problems import Problem
 
@@ -35,12 +36,28 @@ class Database:
     def __init__(self, url: str) -> None:
         self.url = url
         self.is_sqlite = url.startswith("sqlite")
+        try:
+            self.engine = self._engine(url)
+        except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ValueError):  # without the URL: a password is in it
+            raise InputError("MARK3DGS_DATABASE_URL is no address of a PostgreSQL database: postgresql://...") from None
+
+    def _engine(self, url: str) -> sa.Engine:
         if self.is_sqlite:
-            self.engine = sa.create_engine(url, connect_args={"check_same_thread": False})
-            event.listen(self.engine, "connect", _set_up_sqlite)
-            event.listen(self.engine, "begin", _begin_immediate)
-        else:
-            self.engine = sa.create_engine(url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT))
+            engine = sa.create_engine(url, connect_args={"check_same_thread": False})
+            event.listen(engine, "connect", _set_up_sqlite)
+            event.listen(engine, "begin", _begin_immediate)
+            return engine
+        if not url.startswith("postgresql"):
+            raise ValueError(url)
+        return sa.create_engine(url, pool_pre_ping=True, pool_timeout=5, connect_args=dict(POSTGRES_CONNECT))
+
+    @property
+    def exists(self) -> bool:
+        """Whether there are tables of this service; nothing is made by asking."""
+        if self.is_sqlite and not Path(str(self.engine.url.database)).exists():
+            return False
+        with self.read() as connection:
+            return sa.inspect(connection).has_table("alembic_version")
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
@@ -59,6 +76,7 @@ class Database:
         one is changed step by step."""
         from alembic import command
         from alembic.config import Config
+        from alembic.util.exc import CommandError
 
         config = Config()
         config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
@@ -66,7 +84,11 @@ class Database:
             alone(connection)
             config.attributes["connection"] = connection
             if sa.inspect(connection).has_table("alembic_version"):
-                command.upgrade(config, "head")
+                try:
+                    command.upgrade(config, "head")
+                except CommandError:  # it knows no such step
+                    text = "a later version of this program has changed this database: use that one"
+                    raise InputError(text) from None
             else:
                 metadata.create_all(connection)
                 command.stamp(config, "head")
@@ -92,8 +114,13 @@ def own(db: Database, table: sa.Table, tenant: str, row_id: str) -> Any:
     with db.read() as connection:
         row = connection.execute(sa.select(table).where(mine)).first()
     if row is None:
-        raise Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
+        raise missing(table, row_id)
     return row
+
+
+def missing(table: sa.Table, row_id: str) -> Problem:
+    """What is said of a row that is not there, or not to be seen."""
+    return Problem("not-found", f"there is no {table.name.removesuffix('s')} {row_id!r}")
 
 
 def page(
@@ -105,7 +132,8 @@ def page(
     time: str = "created_at",
     where: sa.ColumnElement[bool] | None = None,
 ) -> tuple[list[Any], str | None]:
-    """At most `limit` rows after the one with the id `after`, and the cursor of the next page: its last id."""
+    """At most `limit` rows after the one with the id `after` (invalid-request if there is none), and the cursor of the
+    next page: its last id."""
     moment, key = table.c[time], table.c.id
     query = sa.select(table).where(table.c.tenant == tenant).order_by(moment.desc(), key.desc()).limit(limit + 1)
     if where is not None:
@@ -113,8 +141,8 @@ def page(
     if after:
         last = sa.select(moment, key).where((key == after) & (table.c.tenant == tenant))
         found = connection.execute(last).first()
-        if found is None:
-            return [], None
+        if found is None:  # another tenant's, too
+            raise Problem("invalid-request", f"after: {after!r} is on no page of this list")
         query = query.where((moment < found[0]) | ((moment == found[0]) & (key < found[1])))
     rows = list(connection.execute(query))
     return rows[:limit], rows[limit - 1].id if len(rows) > limit else None

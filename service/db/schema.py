@@ -30,6 +30,8 @@ api_keys = Table(
     *_texts("revoked_at", null=True),
 )
 
+tenants = Table("tenants", metadata, *_key("id"), *_texts("name"))  # what people call them; others have their id
+
 owner_keys = Table(
     "owner_keys",
     metadata,

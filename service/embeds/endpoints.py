@@ -18,6 +18,7 @@ from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import list_keys, open_key, store
+from service.uploads.quota import check_quota
 from service.uploads.taking import gather
 
 router = APIRouter(prefix="/v1", tags=["embed"])
@@ -110,6 +111,7 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
     def make() -> dict[str, Any]:
         key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
+        check_quota(core, tenant, 0)
         spend(core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key")
         return {**unnamed, **digests, "key_id": key_id}
 

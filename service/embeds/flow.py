@@ -5,7 +5,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.clock import now
 from service.core import Service
+from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.screening import screen
@@ -27,7 +29,7 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
     asked = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
-    rows = _to_screen(service, run, model)
+    rows, drawn = _to_screen(service, run, model), _drawn(service, run.job)
     return service.do_task(
         run,
         "embed",
@@ -38,12 +40,12 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "bits": asked["bits"] or 32,
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
-            "drawn": _drawn(service, run.job),
+            "drawn": drawn,
             "candidates": service.candidates(rows, run),
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-    )
+    ) | {"drawn": drawn}
 
 
 def _drawn(service: Service, job: Job) -> str:
@@ -77,11 +79,12 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED.value, "result": {"text": text}}
-    row = _row(job, made)
     with service.db.write() as connection:
+        alone(connection)  # so that the log's times follow one another
+        row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))
-            commit_asset(connection, row, _drawn(service, job))
+            commit_asset(connection, row, made.get("drawn") or _drawn(service, job), row["registered_at"])
     report = made["report"]
     result = {
         "asset_id": row["id"],
@@ -92,7 +95,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
     return {"state": State.SUCCEEDED.value, "result": result}
 
 
-def _row(job: Job, made: dict[str, Any]) -> dict[str, Any]:
+def _row(job: Job, made: dict[str, Any], registered_at: str) -> dict[str, Any]:
     asked, kept = job.request, made["kept"]
     return {
         "id": "as_" + job.id.removeprefix("job_"),
@@ -108,5 +111,5 @@ def _row(job: Job, made: dict[str, Any]) -> dict[str, Any]:
         "original_sha256": asked["model"],
         "model_format": made["format"],
         **{f"{name}_sha256": kept[name] for name in ("model", "record", "preview", "sketch")},
-        "registered_at": job.created_at[:19] + "+00:00",
+        "registered_at": registered_at,
     }

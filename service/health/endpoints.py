@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from service.core import Service
 from service.db.schema import assets, claims, jobs, workers
-from service.http.access import Core
+from service.http.access import Core, Operator
 from service.http.failures import responses
 from service.problems import Problem
 
@@ -66,11 +66,12 @@ def readyz(core: Core) -> Response:
     response_class=Response,
     responses={
         200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Prometheus text format"},
-        **responses(),
+        **responses("unauthorized", "forbidden"),
     },
 )
-def metrics(core: Core) -> Response:
-    """Counts of jobs by kind and state, assets, claims, workers; sizes of queue and disk."""
+def metrics(core: Core, caller: Operator) -> Response:
+    """Counts of jobs by kind and state, assets, claims, workers; sizes of queue and disk: of all tenants together, so
+    for a key with the scope `operator`."""
     registry = CollectorRegistry()
     with core.db.read() as connection:
         by_state = connection.execute(

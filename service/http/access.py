@@ -1,14 +1,17 @@
 """What handlers are handed: the service, who is asking (and whether they may), and the page of a list."""
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
+import sqlalchemy as sa
 from fastapi import Depends, Query, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from service.core import Service
+from service.db import missing, own
+from service.db.schema import jobs
 from service.problems import Problem
-from service.trust.api_keys import Caller, check
+from service.trust.api_keys import OPERATOR, Caller, check
 
 _bearer = HTTPBearer(auto_error=False, scheme_name="apiKey", description="API key: mk_<id>_<secret>")
 
@@ -28,12 +31,12 @@ def _caller(core: Core, credentials: Annotated[HTTPAuthorizationCredentials | No
     return check(core.db, core.master, credentials.credentials)
 
 
-def may(scope: str) -> Callable[..., Caller]:
-    """Dependency: a caller whose key has this scope (admin has all)."""
+def may(*scopes: str) -> Callable[..., Caller]:
+    """Dependency: a caller whose key has one of these scopes (admin has all but the operator's)."""
 
     def allowed(caller: Annotated[Caller, Depends(_caller)]) -> Caller:
-        if scope not in caller.scopes and "admin" not in caller.scopes:
-            raise Problem("forbidden", f"this API key lacks the scope {scope!r}")
+        if not caller.may(*scopes):
+            raise Problem("forbidden", f"this API key lacks the scope {' or '.join(map(repr, scopes))}")
         return caller
 
     return allowed
@@ -42,17 +45,23 @@ def may(scope: str) -> Callable[..., Caller]:
 Reader = Annotated[Caller, Depends(may("read"))]
 Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
+Uploader = Annotated[Caller, Depends(may("embed", "verify"))]
+Follower = Annotated[Caller, Depends(may("read", "embed", "verify"))]
+"""Sees what came of jobs: without `read`, of those that this very key asked for (`visible`)."""
+OriginalsReader = Annotated[Caller, Depends(may("originals"))]
 Admin = Annotated[Caller, Depends(may("admin"))]
+Operator = Annotated[Caller, Depends(may(OPERATOR))]
+
+
+def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
+    """The row of a job, or of what came of one, if a `Follower` may see it; not-found otherwise."""
+    row = own(core.db, table, caller.tenant, row_id)
+    if not caller.may("read"):
+        job = core.jobs.get(caller.tenant, row.id if table is jobs else row.job)
+        if job is None or job.api_key != caller.key_id:
+            raise missing(table, row_id)
+    return row
 
 
 Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
 After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]
-
-
-def _uploader(caller: Annotated[Caller, Depends(_caller)]) -> Caller:
-    if not {"embed", "verify", "admin"} & set(caller.scopes):
-        raise Problem("forbidden", "this API key may neither embed nor verify, so it may not upload")
-    return caller
-
-
-Uploader = Annotated[Caller, Depends(_uploader)]

@@ -78,6 +78,10 @@ def submit(
     """
 
     def take_on() -> Job:
+        most = service.settings.queued_jobs
+        if service.jobs.waiting(caller.tenant) >= most:
+            text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
+            raise Problem("budget-exceeded", text, headers={"Retry-After": "30"})
         asked = make()
         job_id = f"job_{secrets.token_hex(12)}"
         return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked))

@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import obstore
-from fastapi import Response
+from fastapi import Depends, Header, Request, Response
 from fastapi.responses import StreamingResponse
 
 from service.blobs import blob_name
@@ -17,24 +18,57 @@ MODEL_TYPE = "application/octet-stream"
 _CHUNK = 4 << 20
 
 
-def send_blob(service: Service, sha256: str, name: str, media_type: str, part: str | None) -> Response:
-    """A blob under a file name, or the part of it that `Range` asks for; its digest is its ETag."""
+@dataclass(frozen=True)
+class Wanted:
+    """What a client wants of a file."""
+
+    part: str | None  # Range
+    of: str | None  # If-Range: only of the file with this ETag
+    known: tuple[str, ...]  # ETags of the files at hand
+    head: bool  # the headers alone
+
+
+def _wanted(
+    request: Request,
+    range: Annotated[str | None, Header(description="bytes=first-last")] = None,
+    if_range: Annotated[str | None, Header(description="ETag of the file that the part shall be of.")] = None,
+    if_none_match: Annotated[str | None, Header(description="ETag of the file at hand.")] = None,
+) -> Wanted:
+    return Wanted(range, if_range, tags(if_none_match), request.scope["head"])
+
+
+Want = Annotated[Wanted, Depends(_wanted)]
+
+
+def tags(header: str | None) -> tuple[str, ...]:
+    """ETags of an If-None-Match, which compares weakly (RFC 9110, 13.1.2)."""
+    return tuple(tag.strip().removeprefix("W/") for tag in (header or "").split(","))
+
+
+def send_blob(service: Service, sha256: str, name: str, media_type: str, want: Wanted) -> Response:
+    """A blob under a file name, or the part of it that is wanted; its digest is its ETag."""
     store, key = service.blobs.store, blob_name(sha256)
     try:
         size = int(obstore.head(store, key)["size"])
     except FileNotFoundError:
         raise Problem("not-found", f"the file {sha256} is gone") from None
+    etag = f'"{sha256}"'
     headers = {
-        "ETag": f'"{sha256}"',
+        "ETag": etag,
         "Cache-Control": "private, max-age=3600",
         "Content-Disposition": f'attachment; filename="{name}"',
         "Accept-Ranges": "bytes",
     }
+    if {etag, "*"}.intersection(want.known):
+        return Response(status_code=304, headers=headers)
     first, last, status = 0, size - 1, 200
+    part = want.part if want.of in (None, etag) else None
     if (found := _one_range(part or "", size)) is not None:
         (first, last), status = found, 206
         headers["Content-Range"] = f"bytes {first}-{last}/{size}"
     headers["Content-Length"] = str(last + 1 - first)
+    if want.head:
+        return Response(None, status, headers, media_type)
 
     def chunks() -> Iterator[bytes]:
         for start in range(first, last + 1, _CHUNK):
@@ -62,5 +96,6 @@ def file_responses(media_type: str, *also: str) -> dict[int | str, dict[str, Any
     return {
         200: {"description": "The file", "content": content},
         206: {"description": "The part that Range asked for", "content": content},
+        304: {"description": "As it was (If-None-Match)"},
         **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", *also),
     }

@@ -57,12 +57,13 @@ def install(app: FastAPI) -> None:
 
 
 def _methods(app: FastAPI, request: Request) -> set[str]:
-    """Methods of all routes at the request's address: the framework names those of the first only."""
-    found: set[str] = set()
-    for route in app.routes:
-        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
-            found |= route.methods or set()
-    return found
+    """Methods of all routes at the request's address: the framework names those of the first only, or none."""
+    routers = [getattr(route, "original_router", None) for route in app.routes]
+    routes = (*app.routes, *(route for router in routers if router is not None for route in router.routes))
+    here = [each for each in routes if isinstance(each, Route) and each.matches(request.scope)[0] is not Match.NONE]
+    # The first is the address that is meant: `{claim_id}` fits `{claim_id}.jws`, too.
+    found = {method for each in here if each.path == here[0].path for method in each.methods or ()}
+    return found | {"HEAD"} if "GET" in found else found
 
 
 def invalid(errors: list[Any]) -> Problem:

@@ -37,6 +37,8 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
             values = json.loads(await request.body())
         except ValueError as error:
             raise Problem("malformed-request", f"the body is no JSON: {error}") from None
+        except RecursionError:
+            raise Problem("malformed-request", "the body is no JSON that can be read: it nests too deep") from None
         if not isinstance(values, dict):
             raise Problem("invalid-request", f"the body must be a JSON object, got {type(values).__name__}")
     elif media == "multipart/form-data":

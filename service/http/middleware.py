@@ -21,7 +21,7 @@ UPLOADS = "/v1/uploads/"
 class SafeHeaders:
     """Middleware: what a browser may load, run and reveal (a report: less), and the request's id.
 
-    The id is said in the response, in problems and in the log.
+    The id is said in the response, in problems and in the log. HEAD is GET without the body (RFC 9110, 9.3.2).
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -31,7 +31,9 @@ class SafeHeaders:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        scope["request_id"] = secrets.token_hex(8)
+        scope = {**scope, "request_id": secrets.token_hex(8), "head": _is_head(scope)}
+        if scope["head"]:
+            scope["method"] = "GET"
 
         async def tell(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -41,9 +43,15 @@ class SafeHeaders:
                 headers.setdefault("X-Content-Type-Options", "nosniff")
                 headers.setdefault("Referrer-Policy", "no-referrer")
                 headers[REQUEST_ID] = scope["request_id"]
+            elif scope["head"]:
+                message = {**message, "body": b""}
             await send(message)
 
         await self.app(scope, receive, tell)
+
+
+def _is_head(scope: Scope) -> bool:
+    return scope["method"] == "HEAD" and not scope["path"].endswith("/events")  # a stream has no headers of its own
 
 
 class BodyLimit:

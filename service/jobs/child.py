@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.jobs.port import Cancelled
+from service.jobs.turns import Turns
 from service.problems import KINDS, Problem
 from service.settings import Settings
 
@@ -29,7 +30,7 @@ SECONDS_BETWEEN_LOOKS = 0.35
 """How often the job's row is looked at and written while a task runs: a cancelled task dies within this time."""
 
 AT_ONCE = 2
-"""Tasks for handlers that run beside the workers' on the same cores: few at a time, the others wait."""
+"""Tasks for handlers that run beside the workers' on the same cores: few at a time, tenants take turns."""
 
 MAX_LINE_BYTES = 64 << 20
 _GOODBYE_SECONDS = 5.0
@@ -38,7 +39,7 @@ _GOODBYE_SECONDS = 5.0
 _ENVIRONMENT = {"HOME", "LANG", "LD_LIBRARY_PATH", "MPLCONFIGDIR", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV"}
 _PREFIXES = ("CUDA_", "KMP_", "LC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TORCH", "XDG_")
 
-_turn = threading.BoundedSemaphore(AT_ONCE)
+_turns = Turns(AT_ONCE)
 _log = logging.getLogger(__name__)
 
 
@@ -217,20 +218,20 @@ def task_folder(settings: Settings) -> Iterator[Path]:
 
 
 def run_once(
-    settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float
+    settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float, tenant: str
 ) -> dict[str, Any] | None:
-    """The reply of a task, for a handler that must answer soon, or None where it took longer than `seconds`."""
-    until = time.monotonic() + seconds
-    if not _turn.acquire(timeout=seconds):
-        return None
-    try:
-        return _Single(Limits.of(settings), (*COMMAND, "--prompt")).run(
-            task, request, folder, lambda stage, fraction: time.monotonic() < until
-        )
-    except Cancelled:
-        return None
-    finally:
-        _turn.release()
+    """The reply of a task, for a handler that must answer soon, or None where it took longer than `seconds`.
+
+    How long it waits for its turn does not count: what is judged then would depend on what others do.
+    """
+    with _turns.of(tenant):
+        until = time.monotonic() + seconds
+        try:
+            return _Single(Limits.of(settings), (*COMMAND, "--prompt")).run(
+                task, request, folder, lambda stage, fraction: time.monotonic() < until
+            )
+        except Cancelled:
+            return None
 
 
 def _read(process: subprocess.Popen[bytes], lines: queue.Queue[bytes]) -> None:

@@ -1,4 +1,8 @@
-"""The job engine: our table says where a job stands, DBOS sees to it that it is done whatever dies."""
+"""The job engine: our table says where a job stands, DBOS sees to it that it is done whatever dies.
+
+Tenants take turns: of each tenant one job at a time, its oldest, stands in DBOS's queue, and those stand first whose
+tenant had the fewest at work.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from service.db import Database
 from service.jobs import dbos_setup
 from service.jobs.port import Job, State
 from service.jobs.presence import Presence, Watch
-from service.jobs.rows import Rows
+from service.jobs.rows import Attempt, Rows
 from service.problems import Problem
 
 if TYPE_CHECKING:
@@ -43,11 +47,26 @@ class DurableJobs(Rows):
         if known is None:
             raise Problem("conflict", f"the job id {job.id!r} is taken")
         if known.state == State.QUEUED:
-            try:
-                self._enqueue(known.id)
-            except Exception as error:  # the row is what counts; whatever this was, `reconcile` makes up for it
-                _log.warning("job %s is enqueued later: %s", known.id, error)
+            self._advance(known.tenant)
         return known
+
+    def begin(self, job_id: str, worker: str) -> Attempt | None:
+        """As of the row; the next job of its tenant takes its place in the queue."""
+        attempt = super().begin(job_id, worker)
+        if attempt is not None:
+            self._advance(attempt.job.tenant)
+        return attempt
+
+    def cancel(self, tenant: str, job_id: str) -> Job | None:
+        """As of the row; a job that nobody has begun leaves the queue, so that it costs no worker a turn."""
+        job = super().cancel(tenant, job_id)
+        if job is not None and job.state == State.CANCELLED and not job.started_at:
+            try:
+                self._client().cancel_workflow(job_id)
+            except Exception as error:  # a worker takes it, and finds nothing to do
+                _log.warning("job %s stays in the queue: %s", job_id, error)
+            self._advance(tenant)
+        return job
 
     def recover(self, silent_seconds: float, but: str = "") -> Sequence[str]:
         """Take over the jobs of workers not heard of for that long; ids of those workers.
@@ -84,18 +103,26 @@ class DurableJobs(Rows):
 
     def reconcile(self) -> None:
         """Mend what a death between two databases left: jobs never enqueued, and jobs that ended without saying so."""
-        waiting = self.open_before(ago(_SETTLED_HOURS))
+        waiting = self.due_before(ago(_SETTLED_HOURS))
         for start in range(0, len(waiting), _PAGE):
-            page = waiting[start : start + _PAGE]
+            page = dict(waiting[start : start + _PAGE])
             found = self._client().list_workflows(workflow_ids=list(page), load_input=False, load_output=False)
             status = {workflow.workflow_id: workflow.status for workflow in found}
-            for job_id in page:
+            for job_id, tenant in page.items():
                 if job_id not in status:
-                    self._enqueue(job_id)
+                    self._enqueue(job_id, tenant)
                 elif status[job_id] not in ("ENQUEUED", "PENDING", "DELAYED"):
                     _log.error("job %s ended as %s and said nothing", job_id, status[job_id])
                     problem = Problem("internal", "the work ended without a result")
                     self.result(job_id, State.FAILED, problem.to_json())
+
+    def prune(self, hours: float) -> int:
+        """Forget jobs that ended so long ago, here and in the engine's tables; how many."""
+        old = self.ended_before(ago(hours))
+        for start in range(0, len(old), _PAGE):
+            self._client().delete_workflows(list(old[start : start + _PAGE]))
+            self.remove(old[start : start + _PAGE])
+        return len(old)
 
     def close(self) -> None:
         """Give connections back."""
@@ -111,9 +138,18 @@ class DurableJobs(Rows):
                 self._opened = dbos_setup.client(self.url)
             return self._opened
 
-    def _enqueue(self, job_id: str) -> None:
+    def _advance(self, tenant: str) -> None:
+        """See to it that the tenant's oldest job stands in the queue; the row is what counts, `reconcile` makes up."""
+        try:
+            if (job_id := self.oldest(tenant)) is not None:
+                self._enqueue(job_id, tenant)
+        except Exception as error:
+            _log.warning("the next job of tenant %s is enqueued later: %s", tenant, error)
+
+    def _enqueue(self, job_id: str, tenant: str) -> None:
+        """Once for each id. The fewer jobs of the tenant are at work, the sooner; equals in their order of coming."""
         options: Any = {"workflow_name": dbos_setup.WORKFLOW, "queue_name": dbos_setup.QUEUE, "workflow_id": job_id}
-        self._client().enqueue(options, job_id)
+        self._client().enqueue(options | {"priority": 1 + self.running(tenant)}, job_id)
 
     def _pending(self) -> Sequence[tuple[str, str]]:
         """Jobs that were taken from the queue, and by whom."""

@@ -14,6 +14,8 @@ from service.db.schema import jobs
 from service.jobs.port import FINAL, Job, State
 
 _OPEN = jobs.c.state.not_in([state.value for state in FINAL])
+_QUEUED = jobs.c.state == State.QUEUED.value
+_ORDER = (jobs.c.created_at, jobs.c.id)
 _CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
 
 
@@ -47,17 +49,17 @@ class Rows:
         """A tenant's job."""
         with self._db.read() as connection:
             row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
-        return None if row is None else _job(row)
+        return None if row is None else job_of(row)
 
     def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
         """Jobs of a tenant, newest first, after the job with this id."""
         with self._db.read() as connection:
-            return [_job(row) for row in page(connection, jobs, tenant, limit, after)[0]]
+            return [job_of(row) for row in page(connection, jobs, tenant, limit, after)[0]]
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """A queued job is cancelled at once; a running one is asked to stop."""
         mine = _mine(tenant, job_id)
-        queued = mine & (jobs.c.state == State.QUEUED.value)
+        queued = mine & _QUEUED
         running = mine & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
@@ -79,7 +81,7 @@ class Rows:
             if not connection.execute(sa.update(jobs).where(this & _OPEN).values(begun | _CHANGED)).rowcount:
                 return None
             row = connection.execute(sa.select(jobs).where(this)).one()
-        return Attempt(_job(row), row.attempts, row.tries)
+        return Attempt(job_of(row), row.attempts, row.tries)
 
     def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
         """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
@@ -119,11 +121,43 @@ class Rows:
         with self._db.write() as connection:
             connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
-    def open_before(self, time: str) -> Sequence[str]:
-        """Ids of jobs that are not final and were asked for before that time, oldest first."""
-        query = sa.select(jobs.c.id).where(_OPEN & (jobs.c.created_at < time)).order_by(jobs.c.created_at)
+    def waiting(self, tenant: str) -> int:
+        """How many jobs of a tenant are not final."""
+        return self._count((jobs.c.tenant == tenant) & _OPEN)
+
+    def running(self, tenant: str) -> int:
+        """How many of them are at work."""
+        return self._count((jobs.c.tenant == tenant) & (jobs.c.state == State.RUNNING.value))
+
+    def oldest(self, tenant: str) -> str | None:
+        """Id of the tenant's queued job that was asked for first."""
+        query = sa.select(jobs.c.id).where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
         with self._db.read() as connection:
-            return [str(job_id) for job_id in connection.execute(query).scalars()]
+            found: str | None = connection.execute(query).scalar_one_or_none()
+        return found
+
+    def due_before(self, time: str) -> Sequence[tuple[str, str]]:
+        """Ids and tenants of jobs that were asked for before that time and are at work, or the next of their tenant."""
+        turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
+        known = sa.select(jobs.c.id, jobs.c.tenant, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
+        due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
+        with self._db.read() as connection:
+            return [(row.id, row.tenant) for row in connection.execute(sa.select(known).where(due))]
+
+    def ended_before(self, time: str) -> Sequence[str]:
+        """Ids of jobs that ended before that time. A dispute's finding is in its row: these stay."""
+        old = sa.not_(_OPEN) & (jobs.c.finished_at < time) & (jobs.c.kind != "dispute")
+        with self._db.read() as connection:
+            return list(connection.execute(sa.select(jobs.c.id).where(old)).scalars())
+
+    def remove(self, job_ids: Sequence[str]) -> None:
+        """Delete rows."""
+        with self._db.write() as connection:
+            connection.execute(sa.delete(jobs).where(jobs.c.id.in_(job_ids)))
+
+    def _count(self, which: sa.ColumnElement[bool]) -> int:
+        with self._db.read() as connection:
+            return int(connection.execute(sa.select(sa.func.count()).select_from(jobs).where(which)).scalar_one())
 
 
 def dumps(value: Mapping[str, Any]) -> str:
@@ -140,7 +174,8 @@ def _held(job_id: str, attempt: int | None) -> sa.ColumnElement[bool]:
     return this if attempt is None else this & (jobs.c.attempts == attempt)
 
 
-def _job(row: sa.Row[Any]) -> Job:
+def job_of(row: sa.Row[Any]) -> Job:
+    """The job that a row of the table says."""
     plain = {each.name: getattr(row, each.name) for each in fields(Job)}
     parsed = {name: plain[name] and json.loads(plain[name]) for name in ("request", "result", "problem")}
     dates = {name: plain[name] or "" for name in ("started_at", "finished_at")}

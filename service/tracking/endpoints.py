@@ -8,10 +8,14 @@ from fastapi import APIRouter, Depends, Header, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 
-from service.http.access import After, Core, Limit, Reader
+from service.db import missing
+from service.db.schema import jobs
+from service.http.access import After, Core, Follower, Limit, Reader, Uploader, visible
 from service.http.answers import JobView, view
+from service.http.downloads import tags
 from service.http.failures import OF_LIST, OF_OWN, responses
 from service.jobs.port import FINAL, Job, State
+from service.jobs.rows import job_of
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -29,9 +33,9 @@ class JobList(BaseModel):
 @router.get("", operation_id="listJobs", responses=OF_LIST)
 def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> JobList:
     """Jobs of this tenant, newest first."""
-    jobs = core.jobs.list(caller.tenant, limit + 1, after)
-    following = jobs[limit - 1].id if len(jobs) > limit else None
-    return JobList(items=[view(job) for job in jobs[:limit]], next=following)
+    found = core.jobs.list(caller.tenant, limit + 1, after)
+    following = found[limit - 1].id if len(found) > limit else None
+    return JobList(items=[view(job) for job in found[:limit]], next=following)
 
 
 @router.get(
@@ -43,25 +47,25 @@ def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") 
 def get_job(
     job_id: str,
     core: Core,
-    caller: Reader,
+    caller: Follower,
     if_none_match: Annotated[str | None, Header(description="ETag of the answer at hand.")] = None,
 ) -> Response:
     """Where a job stands."""
     job = _found(job_id, core, caller)
     etag = f'"{job.revision}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
-    if if_none_match is not None and etag in [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]:
+    if etag in tags(if_none_match):
         return Response(status_code=304, headers=headers)
     return Response(view(job).model_dump_json(), headers=headers, media_type="application/json")
 
 
-def _found(job_id: str, core: Core, caller: Reader) -> Job:
-    return _own(core.jobs.get(caller.tenant, job_id), job_id)
+def _found(job_id: str, core: Core, caller: Follower) -> Job:
+    return job_of(visible(core, caller, jobs, job_id))
 
 
 @router.get("/{job_id}/events", operation_id="jobEvents", response_class=EventSourceResponse, responses=OF_OWN)
 async def job_events(
-    job_id: str, core: Core, caller: Reader, _: Annotated[Job, Depends(_found)]
+    job_id: str, core: Core, caller: Follower, _: Annotated[Job, Depends(_found)]
 ) -> AsyncIterable[ServerSentEvent]:
     """Server-sent events: the job at every change, until it has ended."""
     told, waited = -1, 0.0
@@ -87,17 +91,12 @@ async def job_events(
     operation_id="cancelJob",
     responses=responses("unauthorized", "forbidden", "not-found", "conflict"),
 )
-def cancel_job(job_id: str, core: Core, caller: Reader) -> JobView:
+def cancel_job(job_id: str, core: Core, caller: Uploader) -> JobView:
     """Stop a job: its process is killed, nothing half-written stays. One that has ended is beyond cancelling."""
-    if not {"embed", "verify", "admin"} & set(caller.scopes):
-        raise Problem("forbidden", "this API key may read jobs, not cancel them")
-    job = _own(core.jobs.cancel(caller.tenant, job_id), job_id)
+    visible(core, caller, jobs, job_id)
+    job = core.jobs.cancel(caller.tenant, job_id)
+    if job is None:
+        raise missing(jobs, job_id)
     if job.state in FINAL and job.state is not State.CANCELLED:
         raise Problem("conflict", f"job {job_id!r} has ended: it {job.state.value}")
     return view(job)
-
-
-def _own(job: Job | None, job_id: str) -> Job:
-    if job is None:
-        raise Problem("not-found", f"there is no job {job_id!r}")
-    return job

@@ -1,6 +1,5 @@
 """API keys: `mk_<id>_<secret>`, bound to a tenant and scopes; of the secret only a keyed hash is kept."""
 
-import hmac
 import re
 import secrets
 from collections.abc import Iterable
@@ -14,14 +13,15 @@ from service.db.schema import api_keys
 from service.problems import Problem
 from service.trust import audit
 from service.trust.master import MasterKey
+from service.trust.tenants import check_tenant
 
 OPERATOR = "operator"
-SCOPES = ("embed", "verify", "read", "admin", OPERATOR)
-"""`admin` implies those before it, within its tenant; `operator` is for whoever runs the service: disputes between any
-two tenants."""
+SCOPES = ("embed", "verify", "read", "originals", "admin", OPERATOR)
+"""`originals`: unmarked originals and records. `admin` implies those before it, within its tenant; `operator` is for
+whoever runs the service: metrics, and disputes between any two tenants."""
 
 _TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
-_PURPOSE = "api key"
+PURPOSE = "api key"
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,10 @@ class Caller:
     tenant: str
     key_id: str
     scopes: frozenset[str]
+
+    def may(self, *scopes: str) -> bool:
+        """Whether the key has one of these scopes."""
+        return bool(self.scopes.intersection(scopes)) or ("admin" in self.scopes and scopes != (OPERATOR,))
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
     with db.read() as connection:
         row = connection.execute(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
     expected = row.digest if row is not None else ""
-    right = hmac.compare_digest(master.mac(_PURPOSE, key_id, secret), expected)
+    right = master.recognises(expected, PURPOSE, key_id, secret)
     if row is None or not right or row.revoked_at is not None:
         raise Problem("unauthorized", "this API key is not known here", headers={"WWW-Authenticate": "Bearer"})
     return Caller(row.tenant, row.id, frozenset(row.scopes.split()))
@@ -94,12 +98,13 @@ def list_keys(db: Database, tenant: str) -> list[ApiKey]:
 
 
 def _issue(connection: sa.Connection, master: MasterKey, tenant: str, scopes: Iterable[str], label: str) -> str:
+    check_tenant(tenant)
     wanted = set(scopes)
     if not wanted or not wanted <= set(SCOPES):
         raise Problem("invalid-request", f"scopes are one or more of {', '.join(SCOPES)}; got {wanted or 'none'}")
     ordered = [scope for scope in SCOPES if scope in wanted]
     key_id, secret = secrets.token_hex(8), secrets.token_hex(32)
     row = {"id": key_id, "tenant": tenant, "scopes": " ".join(ordered), "label": label, "created_at": now()}
-    connection.execute(api_keys.insert().values(**row, digest=master.mac(_PURPOSE, key_id, secret)))
+    connection.execute(api_keys.insert().values(**row, digest=master.mac(PURPOSE, key_id, secret)))
     audit.append(connection, tenant, "api_key.issued", {"scopes": ordered}, key_id)
     return f"mk_{key_id}_{secret}"

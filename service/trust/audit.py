@@ -45,8 +45,10 @@ class Entry:
         return merkle.leaf_hash(canonical(self.to_json())).hex()
 
 
-def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[str, Any], subject: str = "") -> Entry:
-    """Add an entry; it stands once the caller's transaction is committed.
+def append(
+    connection: sa.Connection, tenant: str, event: str, payload: Mapping[str, Any], subject: str = "", at: str = ""
+) -> Entry:
+    """Add an entry of now (`at`: as the caller wrote it into a row); it stands once his transaction is committed.
 
     Appenders wait for one another until they commit, so append last, where there is a choice. O(log n).
     """
@@ -54,7 +56,7 @@ def append(connection: sa.Connection, tenant: str, event: str, payload: Mapping[
     query = sa.select(audit.c.index, audit.c.hash).order_by(audit.c.index.desc()).limit(1)
     last = connection.execute(query).one_or_none()
     index, previous = (last[0] + 1, last[1]) if last is not None else (0, NO_PREVIOUS)
-    entry = Entry(index, now(), tenant, event, subject, dict(payload), previous)
+    entry = Entry(index, at or now(), tenant, event, subject, dict(payload), previous)
     found = entry.hash
     row = entry.to_json() | {"payload": canonical(entry.payload).decode(), "hash": found}
     connection.execute(audit.insert().values({column.name: row[column.name] for column in audit.columns}))

@@ -12,12 +12,13 @@ from sqlalchemy.orm import aliased
 
 from engine.records import merkle
 from engine.records.signatures import SignatureFault, verify
+from service.blobs import Blobs
 from service.db import Database
-from service.db.schema import assets, audit_nodes, claims
+from service.db.schema import assets, audit_nodes, claims, uploads
 from service.db.schema import audit as log
 from service.trust import audit
 from service.trust.canonical import canonical
-from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, asset_digest, claim_digest
+from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, DELETED, asset_digest, claim_digest
 from service.trust.signing import jwks
 
 MOST_FAULTS = 100
@@ -29,7 +30,7 @@ class Fault:
     """Something that was altered."""
 
     index: int | None  # in the log; None for a row that no entry speaks of
-    code: str  # entry, chain, gap, tree, asset, claim or signature
+    code: str  # entry, chain, gap, tree, asset, claim, signature or file
     text: str
 
 
@@ -41,6 +42,7 @@ class LogReport:
     root: str  # Merkle root over all of them, hex; "" where the tree is broken
     assets: int  # rows compared with the log
     claims: int
+    files: int  # stored files held against their digests
     faults: tuple[Fault, ...]  # in the order of the log, at most MOST_FAULTS
 
     @property
@@ -54,18 +56,21 @@ class LogReport:
 
     def text(self) -> str:
         """For people."""
-        seen = f"{self.entries} entries, {self.assets} assets, {self.claims} claims"
+        seen = f"{self.entries} entries, {self.assets} assets, {self.claims} claims, {self.files} files"
         if self.ok:
             return f"The log holds: {seen}. Root {self.root}"
-        lines = [f"THE LOG WAS ALTERED ({seen}):"]
+        damaged = all(fault.code == "file" for fault in self.faults)
+        lines = [f"{'FILES ARE MISSING OR DAMAGED' if damaged else 'THE LOG WAS ALTERED'} ({seen}):"]
         for fault in self.faults:
-            where = f"entry {fault.index}" if fault.index is not None else "no entry"
+            nowhere = "the store" if fault.code == "file" else "no entry"
+            where = f"entry {fault.index}" if fault.index is not None else nowhere
             lines.append(f"  {where}: {fault.code}: {fault.text}")
         return "\n".join(lines)
 
 
-def verify_log(db: Database) -> LogReport:
-    """Recompute chain and tree, and compare every asset and claim with what the log says of it.
+def verify_log(db: Database, blobs: Blobs | None = None) -> LogReport:
+    """Recompute chain and tree, and compare every asset and claim with what the log says of it; with the store given,
+    every file that a row names with its digest.
 
     What it cannot see: a log cut short together with the rows its last entries spoke of. The root in any
     claim handed out since shows that.
@@ -86,9 +91,11 @@ def verify_log(db: Database) -> LogReport:
     for event, subject in known:
         if (event, subject) not in events:
             faults.append(Fault(None, event.split(".")[0], f"the log does not know {subject}"))
+    files, damaged = _check_files(db, blobs) if blobs is not None else (0, [])
+    faults += damaged
     faults.sort(key=lambda fault: size if fault.index is None else fault.index)
     registered, issued = (sum(event == name for event, _ in known) for name in (ASSET_REGISTERED, CLAIM_ISSUED))
-    return LogReport(size, root, registered, issued, tuple(faults[:MOST_FAULTS]))
+    return LogReport(size, root, registered, issued, files, tuple(faults[:MOST_FAULTS]))
 
 
 Events = dict[tuple[str, str], tuple[int, str]]
@@ -112,7 +119,7 @@ def _check_chain(connection: sa.Connection, size: int) -> tuple[list[Fault], Eve
             fault = "the tree holds another hash for it"
         if fault is not None:
             faults.append(Fault(index, "entry", fault))
-        if event in (ASSET_REGISTERED, CLAIM_ISSUED):
+        if event in (ASSET_REGISTERED, CLAIM_ISSUED, *DELETED.values()):
             with suppress(ValueError, AttributeError):
                 events[event, subject] = (index, str(json.loads(payload).get("digest")))
         previous, expected = found, index + 1
@@ -154,6 +161,26 @@ def _check_tree(connection: sa.Connection, size: int) -> list[Fault]:
     return faults
 
 
+def _check_files(db: Database, blobs: Blobs) -> tuple[int, list[Fault]]:
+    """Every stored file that a row needs, hashed; what is missing or damaged is named by what it is."""
+    named: dict[str, list[str]] = {}
+    with db.read() as connection:
+        for row in _all(connection, assets.select(), assets.c.id):
+            for name in ("original", "model", "record", "preview", "sketch"):
+                named.setdefault(getattr(row, f"{name}_sha256"), []).append(f"the {name} of {row.id} ({row.tenant})")
+        for row in _all(connection, claims.select(), claims.c.id):
+            for name, digest in json.loads(row.pictures).items():
+                named.setdefault(digest, []).append(f"the picture {name} of {row.id} ({row.tenant})")
+        for row in _all(connection, uploads.select().where(uploads.c.state == "complete"), uploads.c.id):
+            named.setdefault(row.sha256, []).append(f"the upload {row.id} ({row.tenant})")
+    faults = []
+    for digest, whose in named.items():
+        if (found := blobs.digest_found(digest)) != digest:
+            text = f"{', '.join(whose)}: the file {digest} is {'damaged' if found else 'missing'}"
+            faults.append(Fault(None, "file", text))
+    return len(named), faults
+
+
 def _lost(level: int, position: int) -> Fault:
     return Fault(position << level, "tree", f"the subtree of 2^{level} entries that begins here is missing")
 
@@ -166,13 +193,17 @@ def _check_rows(
     fault_of: Callable[[sa.Row[Any], int, str], tuple[str, str] | None],
 ) -> list[Fault]:
     """Every row of a table against what the log says of it, and what the log knows and the table does not."""
-    faults, seen = [], set()
+    faults, seen, tombstone = [], set(), DELETED[table.name]
     for row in _all(connection, table.select(), table.c.id):
         seen.add(row.id)
+        if (grave := events.get((tombstone, row.id))) is not None:
+            text = f"{row.id} was deleted by this entry, and its row is there"
+            faults.append(Fault(grave[0], event.split(".")[0], text))
         index, digest = events.get((event, row.id), (None, ""))
         if index is not None and (found := fault_of(row, index, digest)) is not None:
             faults.append(Fault(index, *found))
     gone = [(index, name) for (kind, name), (index, _) in events.items() if kind == event and name not in seen]
+    gone = [(index, name) for index, name in gone if (tombstone, name) not in events]
     return faults + [Fault(index, event.split(".")[0], f"the row of {name} is gone") for index, name in gone]
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.db import Database, alone, missing
 from service.db.schema import assets
 from service.problems import Problem
 from service.trust import audit
@@ -14,6 +15,8 @@ from service.trust.canonical import digest
 
 ASSET_REGISTERED = "asset.registered"
 CLAIM_ISSUED = "claim.issued"
+DELETED = {"assets": "asset.deleted", "claims": "claim.deleted"}
+"""Tombstones, by table."""
 
 
 def asset_digest(row: Mapping[str, Any]) -> str:
@@ -21,16 +24,27 @@ def asset_digest(row: Mapping[str, Any]) -> str:
     return digest({column.name: row[column.name] for column in assets.columns})
 
 
-def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "") -> Entry:
+def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str = "", at: str = "") -> Entry:
     """Log the registration of an asset, in the transaction that inserts its row (every column of it).
 
-    `drawn` is what the service drew for the record's plan; the log keeps its digest.
+    `drawn` is what the service drew for the record's plan; the log keeps its digest. `at` is the time that the caller
+    wrote into the row, now and under the log's lock: an asset has one.
     """
     payload = {name: row[name] for name in ("original_sha256", "record_id", "record_sha256")}
     payload["digest"] = asset_digest(row)
     if drawn:
         payload["drawn_sha256"] = sha256(drawn.encode()).hexdigest()
-    return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"])
+    return audit.append(connection, row["tenant"], ASSET_REGISTERED, payload, row["id"], at)
+
+
+def forget(db: Database, table: sa.Table, tenant: str, row_id: str) -> None:
+    """Delete an asset or a claim for good; the log keeps what it said, and says that the row was deleted."""
+    with db.write() as connection:
+        alone(connection)
+        this = (table.c.id == row_id) & (table.c.tenant == tenant)
+        if connection.execute(sa.delete(table).where(this)).rowcount == 0:
+            raise missing(table, row_id)
+        audit.append(connection, tenant, DELETED[table.name], {}, row_id)
 
 
 def registration_of(connection: sa.Connection, asset: str) -> Entry:

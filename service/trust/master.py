@@ -7,6 +7,8 @@ import hmac
 import os
 import secrets
 import stat
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -26,8 +28,9 @@ VERSION = 1
 
 KEY_BYTES = 32
 _NONCE_BYTES = 12
-_FILE = "master.key"
-_FACT = "master_key_check"
+FILE = "master.key"
+CHECK, RETIRED = "master_key_check", "retired_mac_keys"
+"""Facts of this database: which master key it is, and the sealed sub-keys of those before."""
 _SALT = b"mark3dgs-service/1"
 
 
@@ -38,10 +41,10 @@ class MasterKeyError(Mark3DGSError):
 class MasterKey:
     """Seals secrets (AES-256-GCM) and authenticates API keys (HMAC-SHA256), under sub-keys of one secret (32 bytes)."""
 
-    def __init__(self, secret: bytes) -> None:
+    def __init__(self, secret: bytes, retired: Sequence[bytes] = ()) -> None:
         if len(secret) != KEY_BYTES:
             raise MasterKeyError(f"a master key has {KEY_BYTES} bytes, this one has {len(secret)}")
-        self._secret = bytes(secret)
+        self._secret, self._retired = bytes(secret), tuple(retired)  # retired: sub-keys that digests were made with
         self._gcm = AESGCM(self._derive("seal"))
 
     def __repr__(self) -> str:
@@ -58,18 +61,19 @@ class MasterKey:
         expected = _expected_check(db)
         if settings.master_key is not None:
             source = "MARK3DGS_MASTER_KEY"
-            key = cls(_from_hex(settings.master_key.get_secret_value(), source))
+            key = cls(from_hex(settings.master_key.get_secret_value(), source))
         else:
-            path = settings.data_dir / _FILE
+            path = settings.data_dir / FILE
             source = str(path)
-            key = cls(_from_hex(_read_or_make(path, may_make=expected is None), source))
+            finish_rotation(path, expected)
+            key = cls(from_hex(_read_or_make(path, may_make=expected is None), source))
         if expected is None:
             expected = _agree_on_check(db, key.check_value)
         if not hmac.compare_digest(expected or "", key.check_value):
             raise MasterKeyError(
                 f"the master key of {source} is not the one that sealed this database; put the old key back"
             )
-        return key
+        return cls(key._secret, key._retired_keys(db))
 
     @property
     def check_value(self) -> str:
@@ -92,6 +96,22 @@ class MasterKey:
         """HMAC-SHA256 of the parts under a sub-key of this purpose, hex."""
         return hmac.digest(self._derive(f"mac {purpose}"), bind(purpose, *parts), "sha256").hex()
 
+    def recognises(self, digest: str, purpose: str, *parts: str) -> bool:
+        """Whether a digest is the MAC of the parts, under this key or one before it."""
+        keys = (self._derive(f"mac {purpose}"), *self._retired)
+        found = (hmac.digest(key, bind(purpose, *parts), "sha256").hex() for key in keys)
+        return any(hmac.compare_digest(each, digest) for each in found)
+
+    def retiring(self, purpose: str) -> bytes:
+        """What the next key must keep sealed to recognise this one's MACs of a purpose: sub-keys, one after another."""
+        return b"".join((*self._retired, self._derive(f"mac {purpose}")))
+
+    def _retired_keys(self, db: Database) -> list[bytes]:
+        with db.read() as connection:
+            found = connection.execute(sa.select(facts.c.value).where(facts.c.name == RETIRED)).scalar_one_or_none()
+        keys = self.unseal(bytes.fromhex(found), bind(RETIRED)) if found is not None else b""
+        return [keys[start : start + KEY_BYTES] for start in range(0, len(keys), KEY_BYTES)]
+
     def _derive(self, purpose: str) -> bytes:
         return HKDF(SHA256(), KEY_BYTES, _SALT, purpose.encode()).derive(self._secret)
 
@@ -104,7 +124,7 @@ def bind(purpose: str, *parts: str | int) -> bytes:
 
 def _expected_check(db: Database) -> str | None:
     with db.read() as connection:
-        query = sa.select(facts.c.value).where(facts.c.name == _FACT)
+        query = sa.select(facts.c.value).where(facts.c.name == CHECK)
         found: str | None = connection.execute(query).scalar_one_or_none()
     return found
 
@@ -113,14 +133,15 @@ def _agree_on_check(db: Database, mine: str) -> str:
     """The check value that stands in the database: this one, unless another process was first."""
     with db.write() as connection:
         alone(connection)
-        query = sa.select(facts.c.value).where(facts.c.name == _FACT)
+        query = sa.select(facts.c.value).where(facts.c.name == CHECK)
         standing: str | None = connection.execute(query).scalar_one_or_none()
         if standing is None:
-            connection.execute(facts.insert().values(name=_FACT, value=mine))
+            connection.execute(facts.insert().values(name=CHECK, value=mine))
     return standing or mine
 
 
-def _from_hex(text: str, source: str) -> bytes:
+def from_hex(text: str, source: str) -> bytes:
+    """A master key from its digits; MasterKeyError, which names the source, if that is not what they are."""
     try:
         secret = bytes.fromhex(text.strip())
     except ValueError:  # without the text: it may hold most of the secret
@@ -128,6 +149,19 @@ def _from_hex(text: str, source: str) -> bytes:
     if len(secret) != KEY_BYTES:
         raise MasterKeyError(f"{source} must hold {2 * KEY_BYTES} hexadecimal digits")
     return secret
+
+
+def new_file(path: Path) -> Path:
+    """Where the next master key lies while secrets are sealed anew."""
+    return path.with_suffix(".new")
+
+
+def finish_rotation(path: Path, expected: str | None) -> None:
+    """Put a new key in its place if the database is sealed with it already: a rotation died in between."""
+    new = new_file(path)
+    with suppress(FileNotFoundError):
+        if MasterKey(from_hex(new.read_text(), str(new))).check_value == expected:
+            new.replace(path)
 
 
 def _read_or_make(path: Path, *, may_make: bool) -> str:
@@ -154,12 +188,17 @@ def _read_or_make(path: Path, *, may_make: bool) -> str:
 
 
 def _make(path: Path, folder: int) -> None:
+    write_key(path, secrets.token_hex(KEY_BYTES))
+    os.fsync(folder)
+
+
+def write_key(path: Path, text: str) -> None:
+    """A key file (mode 0600) that appears whole or not at all."""
     part = path.with_suffix(".part")
     part.unlink(missing_ok=True)  # left by a start that died in the middle
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "w") as file:
-        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+        file.write(text + "\n")
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)
-    os.fsync(folder)

@@ -79,7 +79,7 @@ def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> Owner
         row = connection.execute(owner_keys.select().where(_this(tenant, key_id))).one_or_none()
     if row is None:
         raise Problem("not-found", f"there is no owner key {key_id!r}")
-    return OwnerKey(master.unseal(row.sealed, _bound(tenant, key_id, row.version)))
+    return OwnerKey(master.unseal(row.sealed, seal_of(row)))
 
 
 def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
@@ -98,6 +98,11 @@ def delete(db: Database, tenant: str, key_id: str) -> None:
         if connection.execute(gone).rowcount == 0:
             raise Problem("not-found", f"there is no owner key {key_id!r}")
         audit.append(connection, tenant, "owner_key.deleted", {}, key_id)
+
+
+def seal_of(row: Any) -> bytes:
+    """What the seal of a row's key is bound to."""
+    return _bound(row.tenant, row.id, row.version)
 
 
 def _this(tenant: str, key_id: str) -> sa.ColumnElement[bool]:

@@ -49,9 +49,14 @@ def sign(connection: sa.Connection, master: MasterKey, payload: bytes, kind: str
     row = _active(connection)
     if row is None:
         raise Problem("internal", "there is no signing key")
-    private = master.unseal(row.sealed, bind("signing key", row.kid))
+    private = master.unseal(row.sealed, private_seal(row))
     header = {"alg": ALGORITHM, "kid": row.kid, "typ": kind}
     return jws.serialize_compact(header, payload, OKPKey.import_key(json.loads(private)), [ALGORITHM])
+
+
+def private_seal(row: Any) -> bytes:
+    """What the seal of a key's private half is bound to."""
+    return bind("signing key", row.kid)
 
 
 def _active(connection: sa.Connection) -> sa.Row[Any] | None:

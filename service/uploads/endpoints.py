@@ -6,12 +6,14 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.http.access import Core, Uploader
-from service.http.failures import OF_OWN, responses
+from service.db import page
+from service.db.schema import uploads
+from service.http.access import After, Core, Limit, Uploader
+from service.http.failures import OF_LIST, OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.taking import inspect, receive
+from service.uploads.taking import take
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -43,6 +45,13 @@ class Upload(BaseModel):
     created_at: str
 
 
+class UploadList(BaseModel):
+    """A page of uploads, newest first."""
+
+    items: list[Upload]
+    next: str | None
+
+
 @router.post(
     "",
     status_code=201,
@@ -54,6 +63,14 @@ def create_upload(body: NewUpload, core: Core, caller: Uploader, response: Respo
     row = store.create(core, caller.tenant, body.name, body.size, body.sha256)
     response.headers["Location"] = f"/v1/uploads/{row.id}"
     return Upload.model_validate(row)
+
+
+@router.get("", operation_id="listUploads", responses=OF_LIST)
+def list_uploads(core: Core, caller: Uploader, limit: Limit = 20, after: After = "") -> UploadList:
+    """Uploads of this tenant that are still here, newest first."""
+    with core.db.read() as connection:
+        rows, following = page(connection, uploads, caller.tenant, limit, after)
+    return UploadList(items=[Upload.model_validate(row) for row in rows], next=following)
 
 
 @router.get("/{upload_id}", operation_id="getUpload", responses=OF_OWN)
@@ -88,18 +105,7 @@ async def put_upload(
     if upload_offset != row.received:
         text = f"bytes from {upload_offset} on were sent, {row.received} are here"
         raise Problem("conflict", text, offset=row.received)
-    room = (row.size or core.settings.max_upload_bytes) - row.received
-    with core.blobs.new_file() as path:
-        got = await receive(request.stream(), path, room)
-        if got.whole and not got.length:
-            raise Problem("invalid-request", "no bytes were sent")
-        missing = row.size is not None and got.length < room
-        if missing or not got.whole:
-            if got.length:
-                await asyncio.to_thread(store.add_part, core, row, path, got.length)
-            return Upload.model_validate(await asyncio.to_thread(store.get, core, caller.tenant, upload_id))
-        row = await asyncio.to_thread(store.complete, core, row, path, got.length, got.sha256)
-    return Upload.model_validate(await asyncio.to_thread(inspect, core, row))
+    return Upload.model_validate(await take(core, row, request.stream()))
 
 
 @router.delete("/{upload_id}", status_code=204, operation_id="deleteUpload", responses=OF_OWN)

@@ -14,17 +14,23 @@ from service.core import Service
 from service.db import own
 from service.db.schema import uploads
 from service.problems import Problem
+from service.uploads.quota import check_quota, stored_bytes
 
 _CHUNK = 4 << 20
 
 
 def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
     """A new slot."""
-    limit = service.settings.max_upload_bytes
+    limit, most = service.settings.max_upload_bytes, service.settings.open_uploads
     if size is not None and size > limit:
         raise Problem("too-large", f"an upload of {size} bytes exceeds the limit of {limit}")
     if size is not None and size > service.blobs.free_bytes():
         raise Problem("storage-full", f"there is no room for an upload of {size} bytes")
+    check_quota(service, tenant, size or 0)
+    with service.db.read() as connection:
+        under_way = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
+        if connection.execute(under_way).scalar_one() >= most:
+            raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
     with service.db.write() as connection:
@@ -35,6 +41,15 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
 def get(service: Service, tenant: str, upload_id: str) -> Any:
     """The row of a slot."""
     return own(service.db, uploads, tenant, upload_id)
+
+
+def room(service: Service, row: Any) -> int:
+    """Bytes that may still come: as many as were announced, or else as the limits leave."""
+    if row.size is not None:
+        return int(row.size - row.received)
+    limits = service.settings
+    left = limits.tenant_bytes - stored_bytes(service.db, row.tenant)
+    return min(limits.max_upload_bytes - int(row.received), left)
 
 
 def add_part(service: Service, row: Any, path: Path, length: int) -> None:

@@ -17,6 +17,7 @@ from service.core import Service
 from service.jobs.child import run_once, task_folder
 from service.problems import Problem
 from service.uploads import store
+from service.uploads.quota import check_quota
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""
@@ -70,6 +71,23 @@ async def receive(stream: AsyncIterator[bytes], path: Path, room: int) -> Receiv
     return Received(length, digest.hexdigest(), whole)
 
 
+async def take(service: Service, row: Any, stream: AsyncIterator[bytes]) -> Any:
+    """The row of an upload with the bytes of a request added; once it is complete, with what the file is."""
+    room = await asyncio.to_thread(store.room, service, row)
+    with service.blobs.new_file() as path:
+        got = await receive(stream, path, room)
+        if got.whole and not got.length:
+            raise Problem("invalid-request", "no bytes were sent")
+        if not got.whole or (row.size is not None and got.length < room):
+            if got.length:
+                await asyncio.to_thread(store.add_part, service, row, path, got.length)
+            return await asyncio.to_thread(store.get, service, row.tenant, row.id)
+        if row.size is None:  # others may have come meanwhile
+            await asyncio.to_thread(check_quota, service, row.tenant, got.length)
+        row = await asyncio.to_thread(store.complete, service, row, path, got.length, got.sha256)
+    return await asyncio.to_thread(inspect, service, row)
+
+
 def inspect(service: Service, row: Any) -> Any:
     """The row with what the file is. What takes too long to say is left to the job.
 
@@ -84,7 +102,7 @@ def inspect(service: Service, row: Any) -> Any:
         request = {kind: str(path), "spz_frame": "auto"}
         task = "inspect" if kind == "model" else kind
         try:
-            found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds)
+            found = run_once(service.settings, task, request, folder, service.settings.inspect_seconds, row.tenant)
         except Problem as problem:
             if problem.status < 500:
                 store.drop(service, row)

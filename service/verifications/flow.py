@@ -4,6 +4,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.claims.document import of_what_was_found
 from service.claims.issuing import issue
 from service.core import Service
 from service.db.schema import assets
@@ -55,14 +56,14 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
             "suspect_seen": asked.get("suspect_seen"),
             **{name: asked[name] for name in ("false_claim_rate", "route")},
         },
-    ) | {"screened": len(rows) if len(rows) > 1 else 0}
+    ) | {"searched": {"scope": "all" if asked["asset_id"] is None else "one", "assets": len(rows)}}
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:
     """Sign and keep the claim; a second time finds it."""
-    found, job = run.results["verify"], run.job
-    claim = found["claim"]
-    derived = claim is not None and (claim["verdict"] == "marked" or claim["derivation"]["derived"])
-    if job.request["asset_id"] is None and found["asset"] is not None and derived:
+    job = run.job
+    before = {"searched": {"scope": "one" if job.request["asset_id"] else "all", "assets": 1}}  # a step of version 2
+    found = of_what_was_found(before | run.results["verify"])
+    if job.request["asset_id"] is None and found["searched"]["recognised"]:
         spend_subject(service, found["asset"])
     return {"state": State.SUCCEEDED.value, "result": issue(service, job, found)}

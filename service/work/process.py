@@ -50,6 +50,8 @@ def serve(tasks: Mapping[str, Task], warm_up: Callable[[], None]) -> None:
     try:
         line = requests.get(timeout=PATIENCE_SECONDS)
     except queue.Empty:
+        out.write(json.dumps({"stage": "compile", "fraction": 0.0}) + "\n")  # read by who comes before it is done
+        out.flush()
         try:
             warm_up()
         except Exception:

@@ -3,7 +3,8 @@
 import pytest
 
 from engine.cli.claim_text import WIDTH, claim_lines
-from engine.watermark.wording import PLAIN, words_of
+from engine.watermark.numerals import PLAIN
+from engine.watermark.wording import words_of
 from tests.watermark.test_wording import report
 
 

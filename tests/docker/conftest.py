@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docker.engine import docker_engine
+from tests.docker.engine import docker_engine, take_away
 from tests.docker.images import images, run
 from tests.docker.stack import COMPOSE, IMAGE, ROOT, Stack
 
@@ -30,12 +30,15 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     if not COMPOSE.exists():
         pytest.skip("docker-compose is missing: install the extra docker-test")
     folder = tmp_path_factory.mktemp("docker")
-    with docker_engine(), images(folder):
-        Stack("mark3dgs-test", [EMBEDDED, HERE / "compose.build.yaml"], {}).compose("build", "--quiet")
-        try:
-            yield IMAGE
-        finally:
-            run("docker", "image", "rm", "--force", IMAGE)
+    try:
+        with docker_engine(), images(folder):
+            Stack("mark3dgs-test", [EMBEDDED, HERE / "compose.build.yaml"], {}).compose("build", "--quiet")
+            try:
+                yield IMAGE
+            finally:
+                run("docker", "image", "rm", "--force", IMAGE)
+    finally:
+        take_away()
 
 
 @pytest.fixture(scope="session")

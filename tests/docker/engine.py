@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 
 START_SECONDS = 60
+_added: list[str] = []
+"""Packages that were not here before."""
 
 
 @contextmanager
@@ -71,7 +73,28 @@ def _answers() -> bool:
 def _install(package: str) -> None:
     if os.geteuid() != 0 or not shutil.which("apt-get"):
         pytest.skip(f"the package {package} is not installed, and installing it takes root on Debian")
-    for command in (["update"], ["install", "--yes", "--no-install-recommends", package]):
-        done = subprocess.run(["apt-get", "--quiet", *command], capture_output=True, text=True)
-        if done.returncode:
-            pytest.skip(f"the package {package} cannot be installed: {done.stderr[-300:]}")
+    install = ["install", "--no-install-recommends", package]
+    _apt("update")
+    coming = [line.split()[1] for line in _apt("--simulate", *install).splitlines() if line.startswith("Inst ")]
+    new = [name for name in coming if not _is_installed(name)]  # others are only brought up to date
+    _added.extend(new)  # before, so that half an installation is taken away, too
+    _apt("--yes", *install)
+
+
+def take_away() -> None:
+    """Remove the packages that were installed for the tests, and no others."""
+    if _added:
+        _apt("--yes", "purge", *_added)
+        _added.clear()
+
+
+def _is_installed(package: str) -> bool:
+    done = subprocess.run(["dpkg-query", "--show", "--showformat=${db:Status-Status}", package], capture_output=True)
+    return done.stdout == b"installed"
+
+
+def _apt(*arguments: str) -> str:
+    done = subprocess.run(["apt-get", "--quiet", *arguments], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"apt-get {' '.join(arguments)} failed: {done.stderr[-300:]}")
+    return done.stdout

@@ -17,9 +17,9 @@ from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
 from engine.pipeline.strength import add_dc
 from engine.watermark.keys import CHIPS, signs
+from engine.watermark.numerals import PLAIN
 from engine.watermark.rates import Attested
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
-from engine.watermark.wording import PLAIN
 
 pytestmark = pytest.mark.slow
 OWNER, THIEF = bench_key(1), bench_key(666)

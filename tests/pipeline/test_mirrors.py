@@ -17,7 +17,8 @@ from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
 from engine.raster import render
 from engine.sim.attacks import model_attack
-from engine.watermark.wording import PLAIN, words_of
+from engine.watermark.numerals import PLAIN
+from engine.watermark.wording import words_of
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,8 @@ import pytest
 
 from engine.errors import MalformedRecordError, WrongKeyError
 from engine.watermark.checks import CHECKS, checks_of, named
-from engine.watermark.wording import PLAIN, TYPOGRAPHIC, Words, percent, surely, when, words_of
+from engine.watermark.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
+from engine.watermark.wording import Words, words_of
 
 
 def report(verdict: str, **changes: object) -> dict[str, object]:
@@ -175,7 +176,8 @@ NOTHING = {"derived": False, "share": 0.0, "gaussians": 0, "exactness": None, "w
 
 def test_where_nothing_was_found_nothing_is_said() -> None:
     words = words_of(report("inconclusive", derivation=NOTHING, missing="more"), PLAIN, suspect="s")
-    assert words.finding == "Nothing of your asset was recognised in s: neither a yes nor a no."
+    assert words.finding == "Nothing of your asset was recognised in s."
+    assert words.headline == "Not recognised"
     checks = checks_of(report("inconclusive", derivation=NOTHING, missing="more"), None)
     assert [check["ok"] for check in checks] == [True, True, None, None, False]
 
@@ -190,7 +192,7 @@ def test_an_inconclusive_answer_says_what_is_missing() -> None:
     missing = "about 3.0x as much evidence of this kind is needed"
     text = text_of(words_of(report("inconclusive", missing=missing, derivation=NOTHING), PLAIN))
     assert missing in text
-    assert "Neither yes nor no" in text
+    assert "That is no proof" in text
 
 
 def test_leading_facts_come_first() -> None:

@@ -49,6 +49,8 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
         if pictures
         else {"format": "ply", "gaussians": 1234, "pictures": 0},
         "tries": 3,
+        "searched": {"scope": "one", "assets": 1, "compared": 1, "unreadable": 0, "recognised": True},
+        "tried": [{"asset": "as_1", "verdict": kind}],
         "asset": "as_1",
         "claim": claim.to_json(),
         "attested": ATTESTED.to_json(),
@@ -64,7 +66,8 @@ def nothing() -> dict[str, Any]:
     """A reply where no record could be compared."""
     check = {"code": "record_intact", "ok": False, "text": "The record cannot be used."}
     unknown = dict.fromkeys(("asset", "claim", "attested", "registered_message"))
-    return reply() | unknown | {"tries": 0, "checks": [check]}
+    searched = {"scope": "all", "assets": 2, "compared": 0, "unreadable": 0, "recognised": False}
+    return reply() | unknown | {"tries": 0, "checks": [check], "searched": searched}
 
 
 def asset_row(**changes: Any) -> dict[str, Any]:

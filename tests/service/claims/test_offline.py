@@ -218,7 +218,7 @@ SIGNED_FORGERIES: list[tuple[Callable[[Document], None], str]] = [
     (edit("audit", "registration", "entry", "subject", to="as_2"), "registration"),
     (edit("audit", "registration", "proof", to=["00" * 32]), "registration"),
     (edit("registered_at", to="2020-01-01T00:00:00+00:00"), "registration"),
-    (edit("schema_version", to=3), "schema"),
+    (edit("schema_version", to=4), "schema"),
     (edit("schema_version", to="1"), "schema"),
     (edit("confidence", to=1.5), "schema"),
     (edit("confidence", to="high"), "schema"),
@@ -246,7 +246,7 @@ def test_a_signed_something_is_no_claim(registry: Registry, payload: bytes) -> N
 
 
 def test_a_later_version_is_not_called_a_forgery(registry: Registry) -> None:
-    document = registry.issue().document | {"schema_version": 3, "more": True}
+    document = registry.issue().document | {"schema_version": 4, "more": True}
     found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
     assert "a later version of this program" in found.checks[-1].text
 

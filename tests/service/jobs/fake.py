@@ -9,6 +9,7 @@ from typing import Any
 
 from service.clock import now
 from service.jobs.port import FINAL, Job, State
+from service.problems import Problem
 
 
 class FakeJobs:
@@ -31,7 +32,9 @@ class FakeJobs:
         mine.sort(key=lambda job: (job.created_at, job.id), reverse=True)
         if after:
             places = [number for number, job in enumerate(mine) if job.id == after]
-            mine = mine[places[0] + 1 :] if places else []
+            if not places:
+                raise Problem("invalid-request", f"after: {after!r} is on no page of this list")
+            mine = mine[places[0] + 1 :]
         return mine[:limit]
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:

@@ -1,0 +1,61 @@
+"""How powers, probabilities and times are written; nothing measured is called certain."""
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_CERTAIN = 0.9999
+"""No measured probability is said to be larger."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """How powers and names are written: the one difference between words in a terminal and words on a page."""
+
+    raised: bool
+
+    def power(self, base: int, exponent: int) -> str:
+        """10^-9, or with the exponent raised."""
+        return f"{base}{str(exponent).translate(_RAISED)}" if self.raised else f"{base}^{exponent}"
+
+    def name(self, text: str) -> str:
+        """A name that somebody gave, in quotes."""
+        return f"“{text}”" if self.raised else repr(text)
+
+    def odds(self, log10_probability: float) -> str:
+        """A bound on a probability as "at most 1 in 10^N", rounded so that nothing is overstated."""
+        exponent = math.floor(-log10_probability + 1e-9)
+        if exponent >= 1:
+            return f"at most 1 in {self.power(10, exponent)}"
+        hundredths = math.ceil(100.0 * 10.0**log10_probability)
+        return f"at most {hundredths} in 100" if hundredths < 100 else "no better than chance"
+
+    def rate(self, probability: float) -> str:
+        """A small probability that somebody chose: "1 in 10^9"."""
+        digits, exponent = f"{probability:.1e}".split("e")
+        return f"{digits.removesuffix('.0')} in {self.power(10, -int(exponent))}"
+
+
+PLAIN, TYPOGRAPHIC = Form(raised=False), Form(raised=True)
+
+
+def percent(share: float) -> str:
+    """A share in percent that says 100 % only of the whole."""
+    if 0.999 <= share < 1.0:
+        return "more than 99.9 %"
+    return f"{100.0 * share:.1f} %".replace(".0 %", " %")
+
+
+def surely(probability: float) -> str:
+    """A probability in percent; nothing measured is ever certain."""
+    return percent(min(probability, _CERTAIN))
+
+
+def when(at: str) -> str:
+    """2026-11-03T09:14:07.123456+00:00 as a person writes it; what is no such time stays as it is."""
+    try:
+        time = datetime.fromisoformat(at)
+    except ValueError:
+        return at
+    return f"{time.day} {time:%B %Y}, {time:%H:%M:%S} UTC"

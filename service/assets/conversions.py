@@ -1,0 +1,70 @@
+"""What is made of stored files when somebody asks for it, and kept: made once, also for many who ask at a time."""
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
+import sqlalchemy as sa
+
+from service.core import Service
+from service.db.schema import conversions
+from service.jobs.child import run_once, task_folder
+from service.problems import Problem
+
+CONVERTING_SECONDS = 60.0
+_threads = ThreadPoolExecutor(32, "convert")
+"""Of their own: conversions that wait for their turn keep no request waiting that needs none."""
+
+
+def kept(service: Service, sha256: str, kind: str) -> str | None:
+    """Digest of what was made of a file."""
+    known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
+    with service.db.read() as connection:
+        found: str | None = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
+    return found
+
+
+def keep(service: Service, sha256: str, kind: str, digest: str) -> None:
+    """Remember it; another process may have been faster."""
+    known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
+    with service.db.write() as connection:
+        if connection.execute(sa.select(conversions.c.sha256).where(known)).scalar() is None:
+            connection.execute(conversions.insert().values(model_sha256=sha256, format=kind, sha256=digest))
+
+
+def drop(service: Service, *sha256: str) -> None:
+    """Forget what was made of these files. Who has the same file may have it made again."""
+    with service.db.write() as connection:
+        connection.execute(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
+
+
+async def converted(service: Service, tenant: str, sha256: str, kind: str) -> str:
+    """Digest of a stored model in another format. Who asks for one in the making waits for that.
+
+    budget-exceeded where as many others are being made for this tenant as may be.
+    """
+    this, making = (sha256, kind), service.making
+    if this not in making and (found := await asyncio.to_thread(kept, service, sha256, kind)) is not None:
+        return found
+    work = making.get(this)
+    if work is None:
+        most = service.settings.conversions_at_once
+        if sum(whose == tenant for whose, _ in list(making.values())) >= most:
+            text = f"{most} models are being converted for this tenant: ask again when one is done"
+            raise Problem("budget-exceeded", text, headers={"Retry-After": "5"})
+        work = making[this] = tenant, _threads.submit(_convert, service, tenant, sha256, kind)
+        work[1].add_done_callback(lambda _: making.pop(this, None))  # in its thread, or here if it is done already
+    # Shielded: one who breaks off takes the work from nobody else.
+    return await asyncio.shield(asyncio.wrap_future(work[1]))
+
+
+def _convert(service: Service, tenant: str, sha256: str, kind: str) -> str:
+    """Make it, in a process of its own."""
+    with task_folder(service.settings) as folder:
+        request = {"model": str(service.blobs.local(sha256, folder)), "format": kind}
+        reply = run_once(service.settings, "convert", request, folder, CONVERTING_SECONDS, tenant)
+        if reply is None:
+            text = f"converting took over {CONVERTING_SECONDS:.0f} s"
+            raise Problem("unavailable", text, headers={"Retry-After": "60"})
+        digest = service.blobs.put(folder / reply["files"]["model"])
+    keep(service, sha256, kind, digest)
+    return digest

@@ -1,0 +1,82 @@
+"""Tenants take turns: a long queue of one keeps nobody else waiting, and what was cancelled costs nobody a turn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from service.jobs.durable import DurableJobs
+from service.jobs.port import FINAL, Job, State
+from tests.service.jobs.conftest import Workshop
+
+
+def submit(shop: Workshop, tenant: str, *job_ids: str) -> None:
+    request: dict[str, Any] = {"marks": str(shop.marks), "gate": str(shop.gate)}
+    for job_id in job_ids:
+        shop.jobs.submit(Job(job_id, tenant, "key", "three", State.QUEUED, request))
+
+
+def begun(shop: Workshop) -> list[str]:
+    """Jobs in the order in which they were begun."""
+    return [line.split()[0] for line in shop.marks.read_text().splitlines() if line.endswith("first")]
+
+
+def in_line(jobs: DurableJobs) -> set[str]:
+    """Jobs that a worker could take now."""
+    return {each.workflow_id for each in jobs._client().list_workflows(status="ENQUEUED")}
+
+
+@pytest.fixture
+def shop(workshop: Workshop) -> Workshop:
+    workshop.gate.touch()
+    return workshop
+
+
+def test_a_long_queue_of_one_keeps_nobody_waiting(shop: Workshop) -> None:
+    shop.gate.unlink()
+    many, few = [f"many{number}" for number in range(8)], ["few0", "few1"]
+    submit(shop, "many", *many)
+    shop.start("w1")
+    shop.wait(lambda: begun(shop) == ["many0"])
+    submit(shop, "few", *few)
+    submit(shop, "third", "third0")
+    shop.gate.touch()
+    shop.wait(lambda: len(begun(shop)) == 11)
+    order = begun(shop)
+    assert order[1:3] == ["few0", "third0"], "who has none at work comes before who has"
+    assert order.index("few1") <= 4, "then they take turns"
+    assert [job for job in order if job in many] == many, "a tenant's own jobs keep their order"
+
+
+def test_the_tenant_with_the_fewest_at_work_comes_first(jobs: DurableJobs) -> None:
+    """Two at work for one tenant, none for the other, as the queue itself orders them."""
+    for job_id in ("a0", "a1", "a2"):
+        jobs.submit(Job(job_id, "a", "key", "three", State.QUEUED, {}))
+        if job_id != "a2":
+            jobs.begin(job_id, "w")
+    jobs.submit(Job("b0", "b", "key", "three", State.QUEUED, {}))
+    priority = {each.workflow_id: each.priority for each in jobs._client().list_workflows(status="ENQUEUED")}
+    assert priority["b0"] < priority["a1"] < priority["a2"]
+
+
+def test_what_was_cancelled_costs_no_turn(jobs: DurableJobs) -> None:
+    names = [f"j{number:02}" for number in range(40)]
+    for name in names:
+        jobs.submit(Job(name, "t", "key", "three", State.QUEUED, {}, created_at=f"2026-01-01T00:00:{name[1:]}"))
+    assert in_line(jobs) == {"j00"}, "of a tenant one job stands in the queue"
+    for name in names[:-1]:
+        job = jobs.cancel("t", name)
+        assert job is not None
+        assert job.state in FINAL
+        assert len(in_line(jobs)) == 1
+    assert in_line(jobs) == {"j39"}
+
+
+def test_a_next_job_that_was_never_enqueued_is_found(shop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that dies between the row and the queue leaves a tenant's turn to `reconcile`."""
+    monkeypatch.setattr(shop.jobs, "_advance", lambda tenant: None)
+    submit(shop, "t", "lost0", "lost1")
+    assert in_line(shop.jobs) == set()
+    shop.start("w1")
+    shop.wait(lambda: begun(shop) == ["lost0", "lost1"])
