@@ -5,7 +5,7 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import parallel_kernel
-from engine.raster.lane_memory import fetch_add, load, store
+from engine.raster.lane_memory import entry, fetch_add, load, number, store
 from engine.raster.lanes import fma, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -26,7 +26,7 @@ from engine.raster.tiles import (
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 _f = np.float32
 
@@ -79,11 +79,11 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
                     own, stage, list_, records, discs, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    place, _, from_, _, _, q = open_item(own, stage, list_[t], discs)
+                    place, _, from_, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         field = FIELDS + channel * FIELD + place
-                        store(own, field, fma(w, own[from_ + RECORD + channel], load(own, field)))
+                        store(own, field, fma(w, number(own, from_ + RECORD + channel), load(own, field)))
                     store(own, STATE + place, after)
                 work += count
                 at += size

@@ -12,6 +12,7 @@ from numba import types
 from numba.core import cgutils
 
 from engine.raster.lanes import (
+    FLOAT,
     FLOATS,
     INT32,
     INTS,
@@ -89,6 +90,24 @@ def load(b, at, index):
 def store(b, at, index, value):
     """array[index : index + 16] = value."""
     b.store(value, vector_at(b, at(index))).align = 4
+
+
+@on_array(types.float32, types.intp)
+def number(b, at, index):
+    """array[index], which may not be negative: Python's count from the end costs a comparison at every access."""
+    return b.load(at(index), typ=FLOAT)
+
+
+@on_array(types.void, types.intp, types.float32)
+def put(b, at, index, value):
+    """array[index] = value, index as of `number`."""
+    b.store(value, at(index))
+
+
+@on_array(types.int32, types.intp)
+def entry(b, at, index):
+    """As `number`, of an int32 array."""
+    return b.load(at(index), typ=INT32)
 
 
 def _first_lanes(b: Any, count: Any) -> Any:
