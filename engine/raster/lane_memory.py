@@ -200,7 +200,9 @@ def _places_of_bits(module: Any) -> Any:
     name = "places_of_bits"
     if name not in module.globals:
         rows = [[bit for bit in range(8) if byte >> bit & 1] for byte in range(256)]
-        table = ir.Constant(ir.ArrayType(_EIGHT_BYTES, 256), [ir.Constant(_EIGHT_BYTES, r + [0] * (8 - len(r))) for r in rows])
+        table = ir.Constant(
+            ir.ArrayType(_EIGHT_BYTES, 256), [ir.Constant(_EIGHT_BYTES, r + [0] * (8 - len(r))) for r in rows]
+        )
         held = ir.GlobalVariable(module, table.type, name)
         held.initializer, held.linkage, held.global_constant = table, "internal", True
     return module.globals[name]
@@ -208,8 +210,8 @@ def _places_of_bits(module: Any) -> Any:
 
 @on_array(types.void, types.intp, types.int32, types.int32)
 def append_set_bits(b, at, index, bits, base):
-    """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending; after them, as far
-    as index + 16, garbage.
+    """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending; what it writes
+    behind them, as far as index + 16, is garbage.
 
     By a table of bytes: a masked compress-store is one instruction of AVX-512 and 16 branches anywhere else.
     """

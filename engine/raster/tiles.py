@@ -162,7 +162,11 @@ def open_item(own, stage, item, discs):
     dx, dy = load(own, GRID_X + place) - number(own, row), load(own, GRID_Y + place) - number(own, row + 1)
     if discs is not None:
         return place, j, row, dx, dy, disc_log2_alpha(own, row, dx, dy)
-    q = fma(fma(number(own, row + 2), dx, dy * number(own, row + 3)), dx, fma(dy * number(own, row + 4), dy, number(own, row + 5)))
+    q = fma(
+        fma(number(own, row + 2), dx, dy * number(own, row + 3)),
+        dx,
+        fma(dy * number(own, row + 4), dy, number(own, row + 5)),
+    )
     return place, j, row, dx, dy, q
 
 
