@@ -30,8 +30,8 @@ from engine.watermark.grain_evidence import gather_grain_evidence
 
 __all__ = ["STEPS", "Step", "Work", "steps_of"]
 
-Work = Literal["embed", "model", "pictures", "everything"]
-"""Embedding; verifying a model; verifying pictures; all of it."""
+Work = Literal["embed", "model", "pictures", "main", "everything"]
+"""Embedding; verifying a model; verifying pictures; these three; and with them discs and the gradients of geometry."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,11 @@ class Step:
 
 def steps_of(work: Work) -> dict[str, Step]:
     """What some work needs, in an order in which it can be made ready."""
-    return {name: step for name, step in STEPS.items() if work in (*step.works, "everything")}
+    return {
+        name: step
+        for name, step in STEPS.items()
+        if work == "everything" or work in step.works or (work == "main" and step.works)
+    }
 
 
 def _embedding() -> None:

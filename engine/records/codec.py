@@ -19,7 +19,6 @@ import numpy.typing as npt
 from engine.errors import MalformedRecordError
 
 Arrays = dict[str, npt.NDArray[Any]]
-Bytes = npt.NDArray[np.uint8]
 
 DTYPES = ("|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8")
 _ALIGN = 64
@@ -57,7 +56,7 @@ def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> byt
     return b"".join(packed_parts(meta, arrays))
 
 
-def packed_parts(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Iterator[bytes | Bytes]:
+def packed_parts(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Iterator[bytes | memoryview]:
     """What `pack` joins, piece by piece: arrays that lie as they will be written are not copied. Errors as there."""
     index, blobs = [], []
     for name in sorted(arrays):
@@ -66,7 +65,7 @@ def packed_parts(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
         if dtype.str not in DTYPES or array.ndim > _MAX_DIMENSIONS:
             raise ValueError(f"array {name!r} of type {array.dtype} and shape {array.shape} cannot be recorded")
         index.append([name, dtype.str, list(array.shape)])
-        blobs.append(np.ascontiguousarray(array, dtype=dtype).reshape(-1).view(np.uint8))
+        blobs.append(np.ascontiguousarray(array, dtype=dtype).reshape(-1).view(np.uint8).data)
     head = canonical_json({"arrays": index, "meta": dict(meta)})
     if len(head) > _MAX_INDEX_BYTES:
         raise ValueError(f"meta of {len(head)} bytes is too long for a record")

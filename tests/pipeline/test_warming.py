@@ -15,7 +15,7 @@ from engine.pipeline.warm_steps import STEPS, Step
 from engine.pipeline.warming import Work, expected_seconds, warm_up
 
 
-@pytest.mark.parametrize("work", ["embed", "model", "pictures", "everything"])
+@pytest.mark.parametrize("work", ["embed", "model", "pictures", "main", "everything"])
 def test_every_kind_of_work_is_made_ready_and_reports_progress(work: Work) -> None:
     seen: list[float] = []
     warm_up(work, seen.append)
@@ -93,7 +93,7 @@ def test_steps_come_after_those_they_name_and_the_wait_is_foretold() -> None:
     names = list(STEPS)
     for name, step in STEPS.items():
         assert all(names.index(before) < names.index(name) for before in step.after), name
-    assert 0.0 < expected_seconds("embed") < expected_seconds("everything")
+    assert 0.0 < expected_seconds("embed") < expected_seconds("main") < expected_seconds("everything")
 
 
 WORKS = """
