@@ -20,7 +20,8 @@ from engine.pipeline.warm_steps import Step, Work, steps_of
 __all__ = ["Work", "expected_seconds", "warm_up"]
 
 MOST_PROCESSES = 4
-"""That compile at a time: each takes 0.4 GB, and more would wait for one another."""
+"""That compile at a time: each is a Python of its own with a compiler in it, and longer than the longest step nobody
+gains."""
 
 _ROOT = Path(__file__).parents[2]
 

@@ -13,13 +13,13 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import inlined, kernel, parallel_kernel
-from engine.raster.lane_memory import entry, number, prefetch
+from engine.raster.lane_memory import prefetch
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 
 __all__ = ["list_pairs", "list_starts", "place_pairs"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 1
 
 _f = np.float32
 _AHEAD = 16  # Gaussians: about the time that a line takes from memory
@@ -30,19 +30,13 @@ _PER_TILE = _f(1.0 / TILE)
 def _row_span(records, o, hx, hy, row, log2_skip):
     """Interval of x in which the ellipse meets the pixel centres of a row of tiles; low > high where it
     does not."""
-    u, v, a, b, c = (
-        number(records, o),
-        number(records, o + 1),
-        number(records, o + 2),
-        number(records, o + 3),
-        number(records, o + 4),
-    )
-    below = number(records, o + 5) - log2_skip  # a dx^2 + b dx dy + c dy^2 + below >= 0 inside
+    u, v, a, b, c = records[o], records[o + 1], records[o + 2], records[o + 3], records[o + 4]
+    below = records[o + 5] - log2_skip  # a dx^2 + b dx dy + c dy^2 + below >= 0 inside
     first = max(_f(row * TILE) + _f(0.5) - v, -hy)
     last = min(_f(row * TILE) + _f(TILE - 0.5) - v, hy)
     if first > last:
         return _f(1.0), _f(-1.0)
-    peak = number(records, o + 7) * hx  # dy at which the ellipse reaches its largest dx; at -peak its smallest
+    peak = records[o + 7] * hx  # dy at which the ellipse reaches its largest dx; at -peak its smallest
     dy = min(max(peak, first), last)
     inside = (b * dy) * (b * dy) - _f(4.0) * a * (c * dy * dy + below)
     high = min((-(b * dy) - math.sqrt(max(inside, _f(0.0)))) / (_f(2.0) * a), hx)
@@ -58,7 +52,7 @@ def _columns(records, extents, rects, i, row, log2_skip):
     first, last = np.int64(rects[4 * i]), np.int64(rects[4 * i + 1])
     if first == last or rects[4 * i + 2] == rects[4 * i + 3]:  # one column or one row: the rectangle is exact
         return first, last
-    low, high = _row_span(records, i * RECORD, number(extents, 2 * i), number(extents, 2 * i + 1), row, log2_skip)
+    low, high = _row_span(records, i * RECORD, extents[2 * i], extents[2 * i + 1], row, log2_skip)
     if low > high:
         return np.int64(0), np.int64(-1)
     first = max(first, np.int64(math.floor((low - _f(0.5)) * _PER_TILE)))
@@ -90,11 +84,11 @@ def list_pairs(
         end = min(visible, (part + 1) * share)
         for k in range(part * share, end):
             if k + _AHEAD < end:
-                ahead = np.int64(entry(order, k + _AHEAD))
+                ahead = np.int64(order[k + _AHEAD])
                 prefetch(rects, 4 * ahead)
                 prefetch(records, RECORD * ahead)
                 prefetch(extents, 2 * ahead)
-            i = np.int64(entry(order, k))
+            i = np.int64(order[k])
             before = count
             for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
                 first, last = _columns(records, extents, rects, i, row, log2_skip)
