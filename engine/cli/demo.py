@@ -74,7 +74,7 @@ def demo(
     out.mkdir(parents=True, exist_ok=True)
     check_target(out / "demo.png")
     with console.progress() as progress:
-        prepare_kernels(console, progress, "everything")
+        prepare_kernels(console, progress, "main")
         work = _Work(console, progress, out, _owner_key(console, out / "owner.key"))
         original, made, opened = _mark(work, scene)
         outcomes = _trials(work, original, made.model, opened)

@@ -14,17 +14,14 @@ if TYPE_CHECKING:
 LOADING_SECONDS = 4.0
 """Loading compiled kernels from the cache takes less; whoever waits longer is being compiled for."""
 
-COMPILE_SECONDS = 30
-"""About how long that takes on two cores."""
-
 
 def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") -> float:
     """Load the compiled kernels of some work, in so many seconds; where they are not there yet, say what is awaited."""
-    from engine.pipeline.warming import warm_up
+    from engine.pipeline.warming import expected_seconds, warm_up
 
     began = time.perf_counter()
     notice = threading.Timer(
-        LOADING_SECONDS, console.note, [f"compiling kernels, once per machine: about {COMPILE_SECONDS} s"]
+        LOADING_SECONDS, console.note, [f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s"]
     )
     notice.daemon = True
     notice.start()

@@ -1,99 +1,132 @@
-"""Compile, or load from numba's disk cache, the kernels a job will need: on a scene too small to take time."""
+"""Make the kernels of a job ready before it begins: loaded from numba's disk cache, or compiled.
 
-from collections.abc import Callable
-from functools import partial
-from typing import Literal
+Compiling is work for one core at a time, so the first kernel that is found to be missing calls helpers: processes that
+each compile one step of `engine.pipeline.warm_steps` into the same cache, from which this process then loads it.
+"""
 
-import numpy as np
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
-from engine import raster
-from engine.compress.cells import split_cells
-from engine.model import GaussianModel, look_at
-from engine.numerics.image_metrics import ssim
-from engine.numerics.similarity import transform_model
-from engine.pictures.alignment import align_image
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.features import luma
-from engine.pictures.landmarks import make_landmarks
-from engine.pictures.pose_refinement import refine_level
-from engine.pictures.view_agreement import agreement_of_views
-from engine.pictures.view_search import describe_views, search_views
-from engine.registration.mixtures import Parts, Wholes
-from engine.registration.registering import register
-from engine.registration.sketch import SuspectIndex, make_sketch
-from engine.watermark.grain import Grain
-from engine.watermark.grain_evidence import gather_grain_evidence
+from numba.core import event
 
-__all__ = ["Work", "warm_up"]
+from engine.pipeline.warm_steps import Step, Work, steps_of
 
-Work = Literal["embed", "model", "pictures", "everything"]
-"""Embedding; verifying a model; verifying pictures; all of it."""
+__all__ = ["Work", "expected_seconds", "warm_up"]
 
-_Advance = Callable[[float], None]
+MOST_PROCESSES = 4
+"""That compile at a time: each is a Python of its own with a compiler in it, and longer than the longest step nobody
+gains."""
+
+_ROOT = Path(__file__).parents[2]
 
 
-def warm_up(work: Work, progress: _Advance | None = None) -> None:
-    """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1."""
-    needs: dict[Callable[[_Advance], None], tuple[Work, ...]] = {
-        raster.warm_up: ("embed", "pictures"),
-        _embedding: ("embed",),
-        _registration: ("model",),
-        _alignment: ("pictures",),
-    }
-    steps = [step for step, works in needs.items() if work in (*works, "everything")]
-
-    def advance(done: int, fraction: float) -> None:
-        if progress is not None:
-            progress((done + fraction) / len(steps))
-
-    for number, step in enumerate(steps):
-        step(partial(advance, number))
-    advance(len(steps), 0.0)
-
-
-def _embedding(advance: _Advance) -> None:
-    split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
-    advance(0.8)
-    picture = np.eye(16, dtype=np.float32)
-    ssim(picture, picture)
-    advance(1.0)
+def warm_up(work: Work, progress: Callable[[float], None] | None = None, processes: int | None = None) -> None:
+    """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
+    compile. `processes`, as many as there are cores by default, at most compile side by side."""
+    steps = steps_of(work)
+    plan = _Plan(steps, progress or (lambda fraction: None))
+    with _at_first_compilation(lambda: _call_helpers(plan, (processes or _cores()) - 1)):
+        mine = set()
+        while (name := plan.take()) is not None:
+            steps[name].run()
+            mine.add(name)
+            plan.finish(name)
+        plan.wait()
+        for name in steps:
+            if name not in mine:
+                steps[name].run()  # from the cache; where a helper has failed, compiled after all
+    plan.progress(1.0)
 
 
-def _registration(advance: _Advance) -> None:
-    rng = np.random.default_rng(0)
-    n = 600
-    quats = rng.standard_normal((n, 4))
-    model = GaussianModel(
-        rng.standard_normal((n, 3), np.float32),
-        rng.uniform(-5, -3, (n, 3)).astype(np.float32),
-        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
-        rng.standard_normal(n, np.float32),
-        rng.standard_normal((n, 1, 3), np.float32),
-    )
-    turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
-    moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
-    for share, suspect in ((0.3, model.take(rng.permutation(n))), (0.6, moved), (0.8, moved.take(np.arange(n // 2)))):
-        found = register(model, suspect)
-        gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
-        advance(share)
-    Wholes(moved).find(Parts.of(model), found.similarity)
-    SuspectIndex(moved).resemblance(make_sketch(model))
-    advance(1.0)
+def expected_seconds(work: Work) -> float:
+    """About how long it takes where nothing is compiled yet."""
+    steps, ends = steps_of(work), dict[str, float]()
+    for name, step in steps.items():
+        ends[name] = step.seconds + max((ends.get(before, 0.0) for before in step.after), default=0.0)
+    return max(sum(step.seconds for step in steps.values()) / _cores(), *ends.values())
 
 
-def _alignment(advance: _Advance) -> None:
-    rng = np.random.default_rng(0)
-    picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
-    align_image(picture, picture[3:, 5:])
-    advance(0.3)
-    n = 300
-    centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
-    quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
-    model = GaussianModel(centers, np.full((n, 3), -2.0, np.float32), quats, np.full(n, 3.0, np.float32), levels)
-    camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 100.0, 96, 96)
-    seen = np.clip(raster.render(model, camera), 0.0, 1.0)
-    find_camera(make_landmarks(model, [camera]), model, seen, edges=lambda: describe_views(model, [camera]))
-    search_views(describe_views(model, [camera]), seen, 1)
-    agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
-    refine_level(model, luma(seen), camera, 1, 1.0)
-    advance(1.0)
+def _cores() -> int:
+    have = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(have, MOST_PROCESSES)
+
+
+class _Plan:
+    """Which steps are taken and done; shared by the threads of one `warm_up`."""
+
+    def __init__(self, steps: Mapping[str, Step], progress: Callable[[float], None]) -> None:
+        self._steps, self.progress = steps, progress
+        self._taken, self._done = set[str](), set[str]()
+        self._changed = threading.Condition()
+
+    def take(self) -> str | None:
+        """The next step whose predecessors are done, waiting for them; None where all are taken."""
+        with self._changed:
+            while len(self._taken) < len(self._steps):
+                for name, step in self._steps.items():
+                    if name not in self._taken and self._done.issuperset(self._steps.keys() & step.after):
+                        self._taken.add(name)
+                        return name
+                self._changed.wait()
+            return None
+
+    def finish(self, name: str) -> None:
+        """A step is done."""
+        with self._changed:
+            self._done.add(name)
+            self._changed.notify_all()
+            share = sum(self._steps[each].seconds for each in self._done)
+            self.progress(0.99 * share / sum(step.seconds for step in self._steps.values()))
+
+    def wait(self) -> None:
+        """Until every step is done."""
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._done) == len(self._steps))
+
+
+class _AtFirstCompilation(event.Listener):  # type: ignore[misc]  # numba is untyped
+    def __init__(self, then: Callable[[], None]) -> None:
+        self._then: Callable[[], None] | None = then
+
+    def on_start(self, event: Any) -> None:
+        then, self._then = self._then, None
+        if then is not None:
+            then()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextmanager
+def _at_first_compilation(then: Callable[[], None]) -> Iterator[None]:
+    """Call this once, when numba compiles what it could not load."""
+    with event.install_listener("numba:compile", _AtFirstCompilation(then)):
+        yield
+
+
+def _call_helpers(plan: _Plan, count: int) -> None:
+    for _ in range(count):
+        threading.Thread(target=_help, args=(plan,), daemon=True).start()
+
+
+def _help(plan: _Plan) -> None:
+    """Take steps and have each compiled in a process of its own."""
+    paths = os.pathsep.join(filter(None, [str(_ROOT), os.environ.get("PYTHONPATH")]))
+    while (name := plan.take()) is not None:
+        try:
+            subprocess.run(
+                [sys.executable, "-m", "engine.pipeline.warm_steps", name],
+                env={**os.environ, "PYTHONPATH": paths},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                check=False,
+            )
+        finally:
+            plan.finish(name)

@@ -7,7 +7,7 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 `engine.raster.autograd.rasterize` is the same as a torch operation (torch is imported only there).
 """
 
-from engine.raster.compiling import warm_up
+from engine.raster.compiling import WARM_UPS, warm_up
 from engine.raster.gradients import Gradients, Rendering, backward, draw
 from engine.raster.pictures import render, render_depth
 from engine.raster.settings import EarlyStop, RasterSettings
@@ -16,6 +16,7 @@ from engine.raster.view import View, prepare_view
 from engine.raster.workspace import release_memory
 
 __all__ = [
+    "WARM_UPS",
     "EarlyStop",
     "Gradients",
     "RasterSettings",

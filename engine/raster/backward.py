@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import inlined, parallel_kernel
-from engine.raster.lane_memory import fetch_add, load, prefetch, store
+from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
 from engine.raster.lane_sums import max_rows, sum_rows
 from engine.raster.lanes import fma, maximum, spread
 from engine.raster.settings import TILE
@@ -33,7 +33,7 @@ from engine.raster.tiles import (
     stage_batch,
 )
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory
@@ -122,7 +122,7 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench):
                     own, stage, list_, records, discs, cotangent, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    place, j, _, _, _, q = open_item(own, stage, list_[t], discs)
+                    place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(channels):
                         to = rows + (j * pair + channel) * 16
@@ -171,7 +171,7 @@ def pair_weights(lists, pixel_map, sums, maxima, bench):
                     own, stage, list_, records, discs, pixel_map, 0, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    place, j, _, _, _, q = open_item(own, stage, list_[t], discs)
+                    place, j, _, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     _, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * (WEIGHT_SUMS * 16)
                     w2 = w * w

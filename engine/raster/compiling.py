@@ -11,43 +11,76 @@ from engine.raster.settings import RasterSettings
 from engine.raster.spherical_harmonics import sh_colors, sh_colors_backward
 from engine.raster.view import View, prepare_view
 
-__all__ = ["warm_up"]
+__all__ = ["WARM_UPS", "warm_up"]
 
 
 def warm_up(progress: Callable[[float], None] | None = None) -> None:
-    """Compile all kernels (about 20 s once a machine) or load them from numba's disk cache (well under 1 s).
+    """Compile all kernels (about 45 s of one core, once a machine) or load them from numba's disk cache (well under
+    1 s).
 
     `progress` is called with the fraction done, 0 to 1.
     """
-    model, camera = _scene()
-    view = prepare_view(model, camera)
-    colors = np.zeros((len(model), 1), dtype=np.float32)
-    rendering = draw(model, camera)
-
-    def discs() -> View:
-        return prepare_view(model, camera, RasterSettings(kernel="disc"))
-
-    steps: list[Callable[[], object]] = [
-        lambda: render(model, camera),
-        lambda: render_depth(model, camera),
-        lambda: view.render(colors),
-        lambda: view.backward_colors(rendering.image[..., :1]),
-        lambda: view.backward_colors(rendering.image),
-        view.weights,
-        lambda: sh_colors_backward(sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3)),
-        lambda: backward(rendering, rendering.image),
-        lambda: discs().render(colors),
-        lambda: discs().render(rendering.colors),
-        lambda: discs().backward_colors(rendering.image[..., :1]),
-        lambda: discs().backward_colors(rendering.image),
-        lambda: discs().weights(),
-    ]
-    for done, step in enumerate(steps):
+    for done, step in enumerate(WARM_UPS.values()):
         if progress is not None:
-            progress((done + 1) / (len(steps) + 1))
+            progress((done + 1) / (len(WARM_UPS) + 1))
         step()
     if progress is not None:
         progress(1.0)
+
+
+def _geometry() -> None:
+    prepare_view(*_scene())
+
+
+def _colors() -> None:
+    model, _ = _scene()
+    sh_colors_backward(sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3))
+
+
+def _pictures() -> None:
+    model, camera = _scene()
+    render(model, camera)
+    render_depth(model, camera)
+    prepare_view(model, camera).render(_one_channel(model))
+
+
+def _color_gradients() -> None:
+    view = prepare_view(*_scene())
+    _pull_back(view)
+
+
+def _all_gradients() -> None:
+    rendering = draw(*_scene())
+    backward(rendering, rendering.image)
+
+
+def _discs() -> None:
+    model, camera = _scene()
+    view = prepare_view(model, camera, RasterSettings(kernel="disc"))
+    view.render(_one_channel(model))
+    view.render(np.zeros((len(model), 3), dtype=np.float32))
+    _pull_back(view)
+
+
+WARM_UPS: dict[str, Callable[[], None]] = {
+    "geometry": _geometry,
+    "colors": _colors,
+    "pictures": _pictures,
+    "color gradients": _color_gradients,
+    "all gradients": _all_gradients,
+    "discs": _discs,
+}
+"""Each compiles some kernels; they may run in several processes, a kernel's types one after another."""
+
+
+def _one_channel(model: GaussianModel) -> Float32:
+    return np.zeros((len(model), 1), dtype=np.float32)
+
+
+def _pull_back(view: View) -> None:
+    for channels in (1, 3):
+        view.backward_colors(np.zeros((view.camera.height, view.camera.width, channels), dtype=np.float32))
+    view.weights()
 
 
 def _scene() -> tuple[GaussianModel, Camera]:

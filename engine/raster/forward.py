@@ -5,7 +5,7 @@ import numpy as np
 from numba import prange
 
 from engine.numerics.jit import parallel_kernel
-from engine.raster.lane_memory import fetch_add, load, store
+from engine.raster.lane_memory import entry, fetch_add, load, number, store
 from engine.raster.lanes import fma, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -81,15 +81,15 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
                     own, stage, list_, records, discs, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    place, _, from_, _, _, q = open_item(own, stage, list_[t], discs)
+                    place, _, from_, _, _, q = open_item(own, stage, entry(list_, t), discs)
                     opacity, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     for channel in range(blended):
                         field = FIELDS + channel * FIELD + place
-                        store(own, field, fma(w, own[from_ + RECORD + channel], load(own, field)))
+                        store(own, field, fma(w, number(own, from_ + RECORD + channel), load(own, field)))
                     if tau is not None:
                         field = FIELDS + blended * FIELD + place
                         shown = select(w > _f(0.0), minimum(opacity, clamp), spread(_f(0.0)))
-                        total = fma(shown, own[from_ + RECORD + blended], load(own, field))
+                        total = fma(shown, number(own, from_ + RECORD + blended), load(own, field))
                         store(own, field, total)
                         after = select(total >= tau, minus_magnitude(after), after)
                     store(own, STATE + place, after)

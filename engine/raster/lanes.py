@@ -75,7 +75,7 @@ def broadcast(b: Any, scalar: Any, vector: ir.VectorType = FLOATS) -> Any:
     """IR: one scalar to all lanes."""
     undefined = ir.Constant(vector, ir.Undefined)
     first = b.insert_element(undefined, scalar, ir.Constant(INT32, 0))
-    return b.shuffle_vector(first, undefined, ints(0))
+    return b.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(INT32, vector.count), [0] * vector.count))
 
 
 def call_llvm(b: Any, name: str, result: Any, arguments: list[Any], fast: bool = False) -> Any:

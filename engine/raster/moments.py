@@ -14,7 +14,7 @@ from numba import prange
 
 from engine.numerics.jit import inlined, parallel_kernel
 from engine.raster.backward import clear_rows, fill_field
-from engine.raster.lane_memory import fetch_add, load, store
+from engine.raster.lane_memory import entry, fetch_add, load, number, store
 from engine.raster.lane_sums import sum_rows
 from engine.raster.lanes import fma, minimum, select, spread
 from engine.raster.projection import RECORD
@@ -36,7 +36,7 @@ from engine.raster.tiles import (
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
@@ -112,13 +112,13 @@ def pair_moments(lists, channel_tuple, row_tuple, colors, image, alpha, cotangen
                     own, stage, list_, records, None, colors, channels, ids, at, size, end, left, top, alive, log2_skip
                 )
                 for t in range(count):
-                    place, j, from_, dx, dy, q = open_item(own, stage, list_[t], None)
+                    place, j, from_, dx, dy, q = open_item(own, stage, entry(list_, t), None)
                     raw, w, after = blend(q, load(own, STATE + place), log2_skip, clamp, stop)
                     to = rows + j * rows_each * 16
                     u = load(own, alpha_field + place)  # dL/dw: cotangent . color
                     for channel in range(channels):
                         g = load(own, FIELDS + channel * FIELD + place)
-                        u = fma(g, own[from_ + RECORD + channel], u)
+                        u = fma(g, number(own, from_ + RECORD + channel), u)
                         sums = to + (MOMENTS + channel) * 16
                         store(own, sums, fma(w, g, load(own, sums)))
                     wu = w * u

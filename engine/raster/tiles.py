@@ -20,7 +20,7 @@ import numpy as np
 from engine.numerics.jit import inlined
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.lane_math import exp2
-from engine.raster.lane_memory import append_set_bits, count_bits, load, lowest_bit, prefetch, store
+from engine.raster.lane_memory import append_set_bits, count_bits, entry, load, lowest_bit, number, prefetch, put, store
 from engine.raster.lanes import bits_of, constant_lanes, fma, maximum, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import BLOCK, TILE
@@ -96,14 +96,14 @@ def reached_blocks(records, o, gx, gy, log2_skip):
     q is concave, so over a rectangle it peaks at the centre or on the edge nearest to the centre in x or in y.
     The lanes are the 16 blocks.
     """
-    a, b, c, l = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
+    a, b, c, l = number(records, o + 2), number(records, o + 3), number(records, o + 4), number(records, o + 5)
     left, top = _block_left() - gx, _block_top() - gy
     right, bottom = left + _f(BLOCK - 1), top + _f(BLOCK - 1)
     zero = spread(_f(0.0))
     x = minimum(maximum(zero, left), right)
     y = minimum(maximum(zero, top), bottom)
-    along_y = minimum(maximum(x * records[o + 7], top), bottom)
-    along_x = minimum(maximum(y * records[o + 6], left), right)
+    along_y = minimum(maximum(x * number(records, o + 7), top), bottom)
+    along_x = minimum(maximum(y * number(records, o + 6), left), right)
     on_x = fma(fma(a, x, along_y * b), x, fma(along_y * c, along_y, l))
     on_y = fma(fma(a, along_x, y * b), along_x, fma(y * c, y, l))
     return bits_of((on_x >= log2_skip) | (on_y >= log2_skip))
@@ -118,24 +118,25 @@ def stage_batch(own, stage, items, records, discs, colors, channels, ids, at, si
     count = np.int64(0)
     for j in range(size):
         if at + j + _AHEAD < end:
-            ahead = np.int64(ids[at + j + _AHEAD])
+            ahead = np.int64(entry(ids, at + j + _AHEAD))
             prefetch(records, ahead * RECORD)
             if discs is not None:
                 prefetch(discs, ahead * RECORD)
             if channels > 0:
                 prefetch(colors, ahead * channels)
-        i = np.int64(ids[at + j])
+        i = np.int64(entry(ids, at + j))
         o, row = i * RECORD, stage + j * STAGE_ROW
-        gx, gy = records[o] - x0, records[o + 1] - y0
+        gx, gy = number(records, o) - x0, number(records, o + 1) - y0
         if discs is None:
             store(own, row, load(records, o))  # reads on into the next record; the array ends with spare room
-            own[row], own[row + 1] = gx, gy
+            put(own, row, gx)
+            put(own, row + 1, gy)
         else:
             store(own, row, load(discs, o))
-            own[row] -= x0
-            own[row + 1] -= y0
+            put(own, row, number(own, row) - x0)
+            put(own, row + 1, number(own, row + 1) - y0)
         for channel in range(channels):
-            own[row + RECORD + channel] = colors[i * channels + channel]
+            put(own, row + RECORD + channel, number(colors, i * channels + channel))
         reached = reached_blocks(records, o, gx, gy, log2_skip) & alive
         append_set_bits(items, count, reached, _i(j << 4))
         count += np.int64(count_bits(reached))
@@ -145,11 +146,11 @@ def stage_batch(own, stage, items, records, discs, colors, channels, ids, at, si
 @inlined
 def disc_log2_alpha(own, row, dx, dy):
     """q of a staged disc: where the ray meets it, or the low pass if that is more. See `disc_projection`."""
-    p0, p1 = dx * own[row + 2], fma(dx, own[row + 3], dy * own[row + 4])
-    g = _f(1.0) - p0 * own[row + 5] - p1 * own[row + 6]
+    p0, p1 = dx * number(own, row + 2), fma(dx, number(own, row + 3), dy * number(own, row + 4))
+    g = _f(1.0) - p0 * number(own, row + 5) - p1 * number(own, row + 6)
     met = select(g > _f(0.0), fma(p0, p0, p1 * p1) / (g * g), spread(_f(np.inf)))
     near = fma(dx, dx, dy * dy) * _f(LOW_PASS)
-    return minimum(met, near) * _HALF_LOG2_E + own[row + 7]  # a NaN is no smaller: then the low pass counts
+    return minimum(met, near) * _HALF_LOG2_E + number(own, row + 7)  # a NaN is no smaller: then the low pass counts
 
 
 @inlined
@@ -158,10 +159,14 @@ def open_item(own, stage, item, discs):
     the centre and q: alpha = 2^q."""
     place, j = np.int64(item & _i(15)) * 16, np.int64(item >> _i(4))
     row = stage + j * STAGE_ROW
-    dx, dy = load(own, GRID_X + place) - own[row], load(own, GRID_Y + place) - own[row + 1]
+    dx, dy = load(own, GRID_X + place) - number(own, row), load(own, GRID_Y + place) - number(own, row + 1)
     if discs is not None:
         return place, j, row, dx, dy, disc_log2_alpha(own, row, dx, dy)
-    q = fma(fma(own[row + 2], dx, dy * own[row + 3]), dx, fma(dy * own[row + 4], dy, own[row + 5]))
+    q = fma(
+        fma(number(own, row + 2), dx, dy * number(own, row + 3)),
+        dx,
+        fma(dy * number(own, row + 4), dy, number(own, row + 5)),
+    )
     return place, j, row, dx, dy, q
 
 

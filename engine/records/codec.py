@@ -10,7 +10,7 @@ left over.
 import json
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,11 @@ def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> byt
     The arrays are of the types of `DTYPES`, in any byte order, and have at most 8 dimensions. ValueError or TypeError
     if one has another type, or meta is no JSON.
     """
+    return b"".join(packed_parts(meta, arrays))
+
+
+def packed_parts(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Iterator[bytes | memoryview]:
+    """What `pack` joins, piece by piece: arrays that lie as they will be written are not copied. Errors as there."""
     index, blobs = [], []
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
@@ -60,16 +65,18 @@ def pack(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> byt
         if dtype.str not in DTYPES or array.ndim > _MAX_DIMENSIONS:
             raise ValueError(f"array {name!r} of type {array.dtype} and shape {array.shape} cannot be recorded")
         index.append([name, dtype.str, list(array.shape)])
-        blobs.append(np.ascontiguousarray(array, dtype=dtype).tobytes())
+        blobs.append(np.ascontiguousarray(array, dtype=dtype).reshape(-1).view(np.uint8).data)
     head = canonical_json({"arrays": index, "meta": dict(meta)})
     if len(head) > _MAX_INDEX_BYTES:
         raise ValueError(f"meta of {len(head)} bytes is too long for a record")
-    parts, size = [struct.pack("<I", len(head)), head], 4 + len(head)
+    yield struct.pack("<I", len(head))
+    yield head
+    size = 4 + len(head)
     for blob in blobs:
         gap = -size % _ALIGN
-        parts += [bytes(gap), blob]
+        yield bytes(gap)
+        yield blob
         size += gap + len(blob)
-    return b"".join(parts)
 
 
 def unpack(data: bytes) -> tuple[dict[str, Any], Arrays]:

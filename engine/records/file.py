@@ -74,7 +74,7 @@ def unseal(data: bytes, key: OwnerKey, max_body_bytes: int = MAX_BODY_BYTES) -> 
     if body_length > max_body_bytes:
         raise MalformedRecordError(f"the record would unpack to {body_length} bytes, over {max_body_bytes}")
     try:  # 3. Neither body nor header altered?
-        packed = AESSIV(_seal_key(key, public)).decrypt(data[len(public) : -_CHECKSUM_BYTES], [public])
+        packed = AESSIV(_seal_key(key, public)).decrypt(memoryview(data)[len(public) : -_CHECKSUM_BYTES], [public])
     except InvalidTag:
         raise MalformedRecordError("the record's seal is broken: it was altered") from None
     return header, _decompress(packed, body_length)

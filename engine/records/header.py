@@ -13,7 +13,7 @@ from typing import Any
 import numpy.typing as npt
 
 from engine.errors import MalformedRecordError, WrongKeyError
-from engine.records.codec import pack
+from engine.records.codec import packed_parts
 from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
 
 FORMAT_VERSION = 2
@@ -45,8 +45,10 @@ def make_record_id(key: OwnerKey, reference: bytes, copy: str, plan: Mapping[str
     plan, arrays
         As given to `Record.make`, equal to the last bit.
     """
-    settled = b"mark3dgs plan\0" + reference + pack({"copy": copy, "plan": plan}, arrays)
-    return key.derive(RECORD_ID, sha256(settled).digest())[:16]
+    settled = sha256(b"mark3dgs plan\0" + reference)
+    for part in packed_parts({"copy": copy, "plan": plan}, arrays):
+        settled.update(part)
+    return key.derive(RECORD_ID, settled.digest())[:16]
 
 
 def chip_context(reference: bytes, record_id: bytes) -> bytes:

@@ -2,20 +2,98 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numba
 import pytest
 
-from engine.pipeline.warming import Work, warm_up
+from engine.pipeline import warming
+from engine.pipeline.warm_steps import STEPS, Step
+from engine.pipeline.warming import Work, expected_seconds, warm_up
 
 
-@pytest.mark.parametrize("work", ["embed", "model", "pictures", "everything"])
+@pytest.mark.parametrize("work", ["embed", "model", "pictures", "main", "everything"])
 def test_every_kind_of_work_is_made_ready_and_reports_progress(work: Work) -> None:
     seen: list[float] = []
     warm_up(work, seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
     assert len(seen) > 1
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The steps that helpers were called for; they do nothing."""
+    steps: list[str] = []
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: steps.append(command[-1]))
+    return steps
+
+
+def small_steps(monkeypatch: pytest.MonkeyPatch, **steps: Callable[[], None]) -> None:
+    table = {name: Step(run, 1.0, ("embed",)) for name, run in steps.items()}
+    monkeypatch.setattr(warming, "steps_of", lambda work: table)
+
+
+def test_a_missing_kernel_calls_helpers_and_what_they_did_is_loaded(
+    monkeypatch: pytest.MonkeyPatch, asked: list[str]
+) -> None:
+    ran, told = list[str](), list[float]()
+
+    def compiling() -> None:
+        numba.njit(lambda x: x + 1)(1.0)
+        deadline = time.monotonic() + 20.0
+        while not asked and time.monotonic() < deadline:
+            time.sleep(0.01)
+        ran.append("first")
+
+    small_steps(monkeypatch, first=compiling, second=lambda: ran.append("second"))
+    warm_up("embed", told.append, processes=2)
+    assert asked == ["second"]
+    assert ran == ["first", "second"]
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+def test_nobody_is_called_where_every_kernel_is_there(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
+    ran = list[str]()
+    small_steps(monkeypatch, first=lambda: ran.append("first"), second=lambda: ran.append("second"))
+    warm_up("embed", processes=4)
+    assert (asked, ran) == ([], ["first", "second"])
+
+
+def test_a_step_waits_for_those_with_the_same_kernels() -> None:
+    steps = {
+        name: Step(lambda: None, 1.0, ("embed",), after) for name, after in {"a": (), "b": (), "c": ("a",)}.items()
+    }
+    plan = warming._Plan(steps, lambda fraction: None)
+    assert [plan.take(), plan.take()] == ["a", "b"]
+    taken: list[str | None] = []
+    waiting = threading.Thread(target=lambda: taken.append(plan.take()), daemon=True)
+    waiting.start()
+    plan.finish("b")
+    waiting.join(0.2)
+    assert taken == []
+    plan.finish("a")
+    waiting.join(20.0)
+    assert taken == ["c"]
+    assert plan.take() is None
+
+
+def test_a_step_can_be_made_ready_by_a_program_of_its_own() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "engine.pipeline.warm_steps", "cells"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_steps_come_after_those_they_name_and_the_wait_is_foretold() -> None:
+    names = list(STEPS)
+    for name, step in STEPS.items():
+        assert all(names.index(before) < names.index(name) for before in step.after), name
+    assert 0.0 < expected_seconds("embed") < expected_seconds("main") < expected_seconds("everything")
 
 
 WORKS = """

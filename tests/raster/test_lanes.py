@@ -12,10 +12,13 @@ from engine.raster.lane_memory import (
     aligned,
     append_set_bits,
     count_bits,
+    entry,
     fetch_add,
     load,
     load_some,
     lowest_bit,
+    number,
+    put,
     store,
     store_some,
     unzip3,
@@ -187,16 +190,41 @@ def test_partial_loads_and_stores(count: int) -> None:
     np.testing.assert_array_equal(out[16:], [7.0, 7.0, *x[:kept], *[7.0] * (22 - kept)])
 
 
-def test_bits_and_queue() -> None:
-    @kernel
-    def bits(x, items, queue):
-        append_set_bits(items, 1, x, np.int32(32))
-        fetch_add(queue, 0, 5)
-        return count_bits(x), lowest_bit(x)
+@kernel
+def _append(bits, items):
+    append_set_bits(items, 1, bits, np.int32(32))
+    return count_bits(bits), lowest_bit(bits)
 
-    items, queue = np.full(20, -1, np.int32), np.zeros(1, np.int64)
-    assert bits(np.int32(0b1000000000010100), items, queue) == (3, 2)
-    np.testing.assert_array_equal(items[:6], [-1, 34, 36, 47, -1, -1])
+
+@pytest.mark.parametrize("seed", range(3))
+def test_set_bits_are_listed_in_order_and_nothing_is_written_far_behind_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for bits in [0xFFFF, 0x8001, 0x0100, 0x00FF, 0xFF00, *rng.integers(1, 1 << 16, 200)]:
+        items = np.full(20, -1, np.int32)
+        places = [bit for bit in range(16) if int(bits) >> bit & 1]
+        assert _append(np.int32(bits), items) == (len(places), places[0])
+        np.testing.assert_array_equal(items[1 : 1 + len(places)], [32 + place for place in places])
+        assert items[0] == -1
+        assert (items[17:] == -1).all()
+
+
+def test_no_set_bit_lists_nothing_that_counts() -> None:
+    items = np.full(20, -1, np.int32)
+    assert _append(np.int32(0), items)[0] == 0
+    assert (items[17:] == -1).all()
+
+
+def test_single_numbers_and_the_queue() -> None:
+    @kernel
+    def move(x, whole, queue):
+        put(x, 2, number(x, 1) + np.float32(1.0))
+        fetch_add(queue, 0, 5)
+        return entry(whole, 3)
+
+    x, whole, queue = numbers(4), np.arange(10, 20, dtype=np.int32), np.zeros(1, np.int64)
+    before = x.copy()
+    assert move(x, whole, queue) == 13
+    np.testing.assert_array_equal(x, [before[0], before[1], before[1] + np.float32(1.0), before[3]])
     assert queue[0] == 5
 
 

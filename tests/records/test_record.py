@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from dataclasses import replace
 from hashlib import sha256
 
@@ -270,3 +271,21 @@ def test_containers_refuse_what_they_cannot_hold() -> None:
         pack({"a": float("nan")}, {})
     with pytest.raises(TypeError):
         pack({"a": object()}, {})
+
+
+def test_a_record_is_opened_without_copying_its_arrays() -> None:
+    """What opening holds at most: what was decrypted and what that unpacks to, not the plan once more, twice."""
+    noise = np.random.default_rng(0).integers(0, 256, 8 << 20, dtype=np.uint8)
+    plan = {"labels": noise}
+    made = Record.make(
+        KEY, encode_reference(golden_model()), original_digest="0" * 64, plan={}, plan_arrays=plan, extra={}
+    )
+    data = made.to_bytes(KEY)
+    tracemalloc.start()
+    try:
+        opened = Record.from_bytes(data, KEY)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert same_arrays(opened.plan_arrays, plan)
+    assert peak < 2.2 * len(data)

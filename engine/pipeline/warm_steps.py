@@ -1,0 +1,113 @@
+"""The kernels a job will need, step by step: each step does a little of the work on a scene too small to take time.
+
+Run as a program it makes one step ready: `python -m engine.pipeline.warm_steps STEP`.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from engine import raster
+from engine.compress.cells import split_cells
+from engine.model import GaussianModel, look_at
+from engine.numerics.image_metrics import ssim
+from engine.numerics.similarity import transform_model
+from engine.pictures.alignment import align_image
+from engine.pictures.camera_finding import find_camera
+from engine.pictures.features import luma
+from engine.pictures.landmarks import make_landmarks
+from engine.pictures.pose_refinement import refine_level
+from engine.pictures.view_agreement import agreement_of_views
+from engine.pictures.view_search import describe_views, search_views
+from engine.registration.mixtures import Parts, Wholes
+from engine.registration.registering import register
+from engine.registration.sketch import SuspectIndex, make_sketch
+from engine.watermark.grain import Grain
+from engine.watermark.grain_evidence import gather_grain_evidence
+
+__all__ = ["STEPS", "Step", "Work", "steps_of"]
+
+Work = Literal["embed", "model", "pictures", "main", "everything"]
+"""Embedding; verifying a model; verifying pictures; these three; and with them discs."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Kernels that are compiled together."""
+
+    run: Callable[[], None]
+    seconds: float  # of one core, to compile them (Xeon of 2021, after the steps before): a weight, and an estimate
+    works: tuple[Work, ...]
+    after: tuple[str, ...] = ()  # steps with some of the same kernels: theirs are then loaded, not compiled twice
+
+
+def steps_of(work: Work) -> dict[str, Step]:
+    """What some work needs, in an order in which it can be made ready."""
+    return {
+        name: step
+        for name, step in STEPS.items()
+        if work == "everything" or work in step.works or (work == "main" and step.works)
+    }
+
+
+def _embedding() -> None:
+    split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
+    picture = np.eye(16, dtype=np.float32)
+    ssim(picture, picture)
+
+
+def _registration() -> None:
+    rng = np.random.default_rng(0)
+    n = 600
+    quats = rng.standard_normal((n, 4))
+    model = GaussianModel(
+        rng.standard_normal((n, 3), np.float32),
+        rng.uniform(-5, -3, (n, 3)).astype(np.float32),
+        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        rng.standard_normal(n, np.float32),
+        rng.standard_normal((n, 1, 3), np.float32),
+    )
+    turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+    moved = transform_model(model, 1.5, turn, np.ones(3)).take(rng.permutation(n))
+    for suspect in (model.take(rng.permutation(n)), moved, moved.take(np.arange(n // 2))):
+        found = register(model, suspect)
+        gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
+    Wholes(moved).find(Parts.of(model), found.similarity)
+    SuspectIndex(moved).resemblance(make_sketch(model))
+
+
+def _alignment() -> None:
+    rng = np.random.default_rng(0)
+    picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
+    align_image(picture, picture[3:, 5:])
+    n = 300
+    centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
+    quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
+    model = GaussianModel(centers, np.full((n, 3), -2.0, np.float32), quats, np.full(n, 3.0, np.float32), levels)
+    camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 100.0, 96, 96)
+    seen = np.clip(raster.render(model, camera), 0.0, 1.0)
+    find_camera(make_landmarks(model, [camera]), model, seen, edges=lambda: describe_views(model, [camera]))
+    search_views(describe_views(model, [camera]), seen, 1)
+    agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
+    refine_level(model, luma(seen), camera, 1, 1.0)
+
+
+_RASTER = raster.WARM_UPS
+
+STEPS: dict[str, Step] = {
+    "registration": Step(_registration, 33.0, ("model",)),
+    "geometry": Step(_RASTER["geometry"], 8.0, ("embed", "pictures")),
+    "cells": Step(_embedding, 7.0, ("embed",)),
+    "colors": Step(_RASTER["colors"], 3.0, ("embed", "pictures")),
+    "pictures": Step(_RASTER["pictures"], 8.0, ("embed", "pictures"), ("geometry", "colors")),
+    "color gradients": Step(_RASTER["color gradients"], 8.0, ("embed", "pictures"), ("geometry",)),
+    "alignment": Step(_alignment, 16.0, ("pictures",), ("pictures", "registration", "cells")),
+    "discs": Step(_RASTER["discs"], 12.0, (), ("pictures", "color gradients")),
+    "all gradients": Step(_RASTER["all gradients"], 9.0, ("pictures",), ("pictures", "color gradients")),
+}
+
+if __name__ == "__main__":
+    STEPS[sys.argv[1]].run()
