@@ -18,7 +18,8 @@ from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, gather_image_evidence
 from engine.watermark.spreading import public_signs
 
-PLAIN = RasterSettings(antialiased=False)
+PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
+"""How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
 
 
 class ReferenceViews:
@@ -42,9 +43,10 @@ class ReferenceViews:
             np.clip(image, 0.0, 1.0) for image in (drawn.image, render(self.marked, camera, settings=settings))
         )
         geometry = None
-        if grain.there:  # which has no gradient of antialiased Gaussians: those without are near enough
-            smoothed = drawn.view.geometry.settings.antialiased
-            geometry = GrainView(draw(model, camera, settings=PLAIN) if smoothed else drawn, grain)
+        if grain.there:
+            seen = drawn.view.geometry
+            smooth = seen.settings.antialiased or seen.discs is not None
+            geometry = GrainView(draw(model, camera, settings=PLAIN) if smooth else drawn, grain)
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
 
 

@@ -11,6 +11,7 @@ from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.bench.removal import wash
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.flattening import flatten
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.tracing import trace_images
 from engine.pipeline.verification import verify_images
@@ -68,6 +69,15 @@ def test_antialiased_pictures_show_the_grain_too(scene: MarkedScene, cameras: li
     claim = verify_images(pictures, opened, cameras=cameras[:1]).claim
     assert claim.layers is not None
     assert claim.layers["grain"] > 8
+
+
+def test_pictures_of_discs_show_it_as_well(scene: MarkedScene, cameras: list[Camera]) -> None:
+    flat, seen = flatten(scene.opened.reference), flatten(scene.marked)
+    assert flat.is_flat
+    opened = replace(scene.opened, reference=flat)
+    claim = verify_images(shots(seen, cameras[:1]), opened, cameras=cameras[:1]).claim
+    assert claim.layers is not None
+    assert claim.layers["grain"] > 4
 
 
 def test_pictures_name_a_copy_by_its_grain_alone(scene: MarkedScene, cameras: list[Camera]) -> None:
