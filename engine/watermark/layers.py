@@ -17,7 +17,7 @@ from engine.watermark.statistics import weighted_evidence
 
 LAYERS = ("both", "tint", "grain")
 """What is asked of an evidence."""
-SCATTERED = " by scatter"
+SCATTERED = "_by_scatter"
 """What follows the names of the same questions to pictures that were read by their scatter."""
 
 

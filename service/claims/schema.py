@@ -9,6 +9,7 @@ SCHEMA_VERSION = 3
 
 Hex64 = Field(pattern=r"^[0-9a-f]{64}$")
 Share = Field(ge=0.0, le=1.0)
+Layer = Literal["tint", "grain", "both", "tint_by_scatter", "grain_by_scatter", "both_by_scatter"]
 
 
 class _Part(BaseModel):
@@ -194,8 +195,10 @@ class ClaimDocument(_Part):
     derivation: Derivation | None = None
     transform: dict[str, Any] | None = Field(description="From suspect to registered model.")
     evidence: list[Evidence]
-    layers: dict[Literal["tint", "grain", "both"], float] | None = Field(
-        None, description="z of each layer of the mark by itself and of both; the claim rests on the strongest."
+    layers: dict[Layer, float] | None = Field(
+        None,
+        description="z of each layer of the mark by itself and of both; of pictures, also as read by the scatter"
+        " of like chips. The claim rests on the strongest.",
     )
     checks: list[Check]
     missing: str = Field(description="What an inconclusive answer lacks.")

@@ -102,7 +102,7 @@ def test_pictures_of_an_average_name_each_copy(copies: Copies) -> None:
     pictures = [to_8_bit(render(copies.together(3), c)) for c in cameras]
     answer = trace_images(pictures, copies.opened + copies.others, cameras=cameras)
     assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
-    assert answer.tries == 2 * (5 + INNOCENT)
+    assert answer.tries == 2 * 6 * (5 + INNOCENT)
 
 
 def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: GaussianModel) -> None:

@@ -26,6 +26,7 @@ from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import GOLDEN_ANGLE, LANDMARK_SIZE, make_rig
 from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.searching import count_tries
 from engine.pipeline.variant import Variant
 from engine.pipeline.verification import Verification, verify_images, verify_model
 from engine.registration.registering import RegistrationConfig, register
@@ -207,13 +208,13 @@ def verify_moving_images(
 ) -> tuple[Verification, float]:
     """Do these pictures (h, w, 3), all of one moment, show the marked scene?
 
-    `times` are the moments it may be; each is a try of the claim, and all are counted. Unknown cameras are found by a
-    bank of `landmark_views`. Returns the best verification and its moment.
+    `times` are the moments it may be; each is a place where all is asked, and all are counted. Unknown cameras are
+    found by a bank of `landmark_views`. Returns the best verification and its moment.
     """
     if not times:
         raise InputError("no moment was given")
     config = config or VerifyConfig()
-    config = replace(config, tries=max(config.tries or 1, len(times)))
+    config = replace(config, tries=count_tries(1, ("image",), config, places=len(times)))
     found: list[tuple[Verification, float]] = []
     for time in times:
         moved = move_record(opened, original, time, landmark_views=0 if cameras else landmark_views)
