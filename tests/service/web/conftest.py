@@ -31,9 +31,10 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     made.stop()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser(served: Served) -> Iterator[Browser]:
-    """Chromium, drawing in software, without a way to any other host."""
+    """Chromium, drawing in software, without a way to any other host. A process can have one Playwright at a time, and
+    tests elsewhere start their own."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
