@@ -67,7 +67,7 @@ def test_a_pack_of_a_claim(api: Api, address: str) -> None:
 
 
 def test_what_is_no_address_is_a_422(api: Api, address: str) -> None:
-    for asked in ({"copy_url": "javascript:alert(1)"}, {"note": "x" * 2001}, {"copyurl": "https://a.example"}):
+    for asked in ({"copy_url": "javascript:alert(1)"}, {"note": "x" * 1001}, {"copyurl": "https://a.example"}):
         answer = api.client.get(address, params=asked)
         assert answer.status_code == 422, asked
         assert answer.json()["type"] == "urn:mark3dgs:problem:invalid-request"
@@ -84,3 +84,11 @@ def test_a_claim_that_recognised_nothing_is_a_409(service: Service, api: Api) ->
     assert api.client.get(f"/v1/claims/{name}/pack").status_code == 409
     with service.db.read() as connection:
         assert connection.execute(claims.select().where(claims.c.id == name)).one().asset is None
+
+
+def test_the_longest_words_fit_the_servers_line(api: Api, address: str) -> None:
+    """uvicorn's HTTP parser takes 16 kB."""
+    urls = [("https://a.example/" + "x" * 400)[:400]] * 10
+    answer = api.client.get(address, params={"copy_url": urls, "original_url": urls[0], "note": "\u6a21" * 1000})
+    assert answer.status_code == 200, answer.text
+    assert len(str(answer.request.url)) < 15_000
