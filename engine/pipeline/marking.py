@@ -5,17 +5,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.model import Camera, Float64, GaussianModel
 from engine.pictures.landmarks import Landmarks
 from engine.pipeline.scenes import ViewSet
-from engine.pipeline.sealing import draw_spreading, plan_of
+from engine.pipeline.sealing import OpenedRecord, draw_spreading, plan_of
 from engine.pipeline.settling import Settled, measure
 from engine.pipeline.strength import Fidelity, add_dc
 from engine.pipeline.variant import AtView
 from engine.records.header import Arrays
-from engine.watermark.grain import ATTRIBUTES, roughen
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
+from engine.watermark.layout import Layout
 from engine.watermark.messages import Signs
 from engine.watermark.planning import capacity_bits, check_capacity, grain_capacity
 from engine.watermark.spreading import Spreading, signed_amplitudes, spread_grain
@@ -96,12 +98,26 @@ def make_mark(
         )
         tint, grain_key = draw_spreading(copy.key, copy.asset, copy.name, plan.layout, promised)
         signed = signed_amplitudes(plan.layout.amplitudes, tint, copy.message)
-        model = views.model.with_(sh=add_dc(views.model.sh, plan.layout.displace(signed)))
-        if grain.there:
-            signs = spread_grain(grain_key, len(model), bits).signs(copy.message)
-            model = roughen(model, grain, signs.astype(np.float32).reshape(-1, ATTRIBUTES))
+        rough = spread_grain(grain_key, len(views.model), bits).signs(copy.message) if grain.there else None
+        model = _displaced(views.model, plan.layout, signed, grain, rough)
         fidelity = measure(views, model, at_view)
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
         settled = settled.lowered(fidelity, wanted)
     return Mark(model, promised, tint, signed, settled, fidelity, capacity, pictured)
+
+
+def mark_again(opened: OpenedRecord) -> GaussianModel:
+    """A record's marked model, drawn again: what was delivered but for the rounding of its file's format."""
+    layout, grain, chips = opened.layout, opened.grain, opened.layout.chips
+    signs = opened.spreading_of(chips + grain.chips(len(opened.reference))).signs(opened.message)
+    signed = opened.strength * layout.amplitudes * signs[:chips]
+    return _displaced(opened.reference, layout, signed, grain, signs[chips:] if grain.there else None)
+
+
+def _displaced(
+    model: GaussianModel, layout: Layout, signed: Float64, grain: Grain, rough: npt.NDArray[np.int8] | None
+) -> GaussianModel:
+    """The model with its tint displaced by `signed` (C,) and, where it has a grain, roughened by signs (6 N,)."""
+    model = model.with_(sh=add_dc(model.sh, layout.displace(signed)))
+    return model if rough is None else roughen(model, grain, rough.astype(np.float32).reshape(-1, ATTRIBUTES))

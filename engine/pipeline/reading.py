@@ -136,9 +136,9 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
 
 def read_pictures(
     images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
-) -> tuple[Evidence, Evidence, tuple[str, ...]]:
+) -> tuple[Evidence, Evidence, tuple[str, ...], tuple[Camera | None, ...]]:
     """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, read in the two ways of
-    `PictureEvidence`; and why one could not be read.
+    `PictureEvidence`; why one could not be read; and from where each that was read shows the asset.
 
     Cameras that are not given are found from the record's landmarks. The evidence is all zero where no picture could
     be read. InputError if there is no picture, the cameras are not as many, or one must be found without landmarks.
@@ -148,7 +148,8 @@ def read_pictures(
     if cameras is not None and len(cameras) != len(images):
         raise InputError(f"{len(images)} pictures but {len(cameras)} cameras")
     said: PictureEvidence | None = None
-    notes = []
+    notes: list[str] = []
+    seen: list[Camera | None] = [None] * len(images)
     reference = ReferenceViews(opened)
     edges = cache(lambda: describe_views(*_many_views(opened.reference)))
     bank = cache(lambda: _bank_views(opened))
@@ -160,7 +161,7 @@ def read_pictures(
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
-            turned = found.mirrored
+            camera, turned = found.camera, found.mirrored
             with clock.stage("read picture"):
                 evidence = _read_found(found.face(image), found, reference)
         else:
@@ -169,11 +170,11 @@ def read_pictures(
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
-        said = _added(said, evidence)
+        said, seen[number] = _added(said, evidence), camera
         if turned:
             notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
     scattered = _nothing(opened) if said is None else said.by_scatter(opened.strength)
-    return _evidence(said, opened), scattered, tuple(notes)
+    return _evidence(said, opened), scattered, tuple(notes), tuple(seen)
 
 
 def _read_picture(image: Float32, camera: Camera, reference: ReferenceViews) -> tuple[PictureEvidence | None, bool]:

@@ -86,6 +86,7 @@ class Reading:
     derivation: Derivation  # the same, with how much of it and where
     pictures: Evidence | None = None  # what pictures of it alone say
     scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
+    cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
 
     @property
     def derived_fraction(self) -> float | None:
@@ -101,6 +102,7 @@ class Verification:
     evidence: Evidence
     seconds: float
     seconds_by_stage: dict[str, float]
+    cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
 
     def report(self) -> dict[str, Any]:
         """Plain values for `verify --json`."""
@@ -125,11 +127,11 @@ def readings(
     The routes are those of `Suspect.routes`, the seed that of the registration's trials.
     """
     if suspect.model is None:
-        evidence, scattered, notes = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
+        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
         # Each picture in which the asset was not found left one note that begins so.
         seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
-        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight, evidence, scattered)
+        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight, evidence, scattered, cameras)
         return
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
@@ -183,7 +185,7 @@ def verify(
         found = reading.registration is not None and reading.registration.found
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
         if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
-            best = Verification(claim, reading.evidence, 0.0, {})
+            best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras)
         if claim.verdict is not Verdict.INCONCLUSIVE and found:  # so near the original, renders show no more
             break
     assert best is not None

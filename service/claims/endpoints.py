@@ -2,12 +2,13 @@
 
 import base64
 import json
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
+from service.claims.told import Told
 from service.db import page
 from service.db.schema import claims
 from service.http.access import Admin, After, Core, Follower, Limit, Reader, visible
@@ -17,6 +18,7 @@ from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
 JWS_TYPE = "application/jose"
+PACK_TYPE = "application/zip"
 
 
 class Fact(BaseModel):
@@ -139,6 +141,26 @@ def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     row = visible(core, caller, claims, claim_id)
     pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
+
+
+@router.get(
+    "/v1/claims/{claim_id}/pack",
+    operation_id="getPack",
+    response_class=Response,
+    responses={
+        200: {"content": {PACK_TYPE: {"schema": {"type": "string", "format": "binary"}}}, "description": "A ZIP"},
+        **responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request"),
+    },
+)
+def get_pack(claim_id: str, core: Core, caller: Follower, told: Annotated[Told, Query()]) -> Response:
+    """What to send a platform: comparison, finding in words, notice with blanks, and the signed claim."""
+    from service.claims.pack import make_pack, shown_in_pack
+
+    row = visible(core, caller, claims, claim_id)
+    document, digests = json.loads(row.document), json.loads(row.pictures)
+    pictures = {name: core.blobs.read(digests[name]) for name in shown_in_pack(digests)}
+    headers = {"Content-Disposition": f'attachment; filename="{row.id}-pack.zip"', "Cache-Control": "no-store"}
+    return Response(make_pack(document, row.jws, pictures, row.timestamp, told), headers=headers, media_type=PACK_TYPE)
 
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())

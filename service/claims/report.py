@@ -26,7 +26,9 @@ _AXIS_LEFT, _AXIS_RIGHT, _AXIS_POWERS = 8, 700, 60
 SIGNS = {True: ("pass", "✓"), False: ("fail", "✕"), None: ("open", "–")}
 CAPTIONS = {
     "suspect": "The suspect.",
-    "reference": "The registered original, without the mark.",
+    "asset": "The registered model as it was delivered, with its mark.",
+    "reference": "The registered original, without the mark.",  # in claims of before; no pack holds it
+    "difference": "Suspect less registered model, five times as large, about grey; white was not compared.",
     "heatmap": (
         "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says"
         " nothing. Each patch sums many secret positions, so none can be read off."
@@ -54,14 +56,14 @@ def report_html(
         ],
         evidence=[(ROUTES.get(one["route"], one["route"]), one) for one in document["evidence"]],
         checks=[(*SIGNS[check["ok"]], check) for check in named(document["checks"])],
-        timeline=_timeline(document, jws, timestamp),
+        timeline=timeline(document, jws, timestamp),
         jws=jws,
         timestamp=base64.b64encode(timestamp).decode() if timestamp else "",
         plain=_pretty(document),
     )
 
 
-def _timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) -> list[tuple[str, str, str]]:
+def timeline(document: Mapping[str, Any], jws: str, timestamp: bytes | None) -> list[tuple[str, str, str]]:
     """Time, what happened, and what proves it."""
     log = document["audit"]
     events = []

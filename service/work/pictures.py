@@ -8,9 +8,13 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
+from engine.pictures.alignment import Alignment, align_image
+from engine.pictures.background import find_background
 from engine.pictures.features import LUMA
+from engine.pipeline.marking import mark_again
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
+from engine.pipeline.searching import Suspect
 from engine.pipeline.verification import Verification
 from engine.raster import View, prepare_view, render, sh_colors
 from engine.watermark.statistics import weighted_evidence
@@ -28,6 +32,12 @@ _INK, _PAPER = (27, 31, 36), (255, 255, 255)
 
 EVIDENCE_SIZE = (640, 480)
 LARGEST_SUSPECT = 800
+SUSPECT_GAIN = 5
+"""A suspect's difference is drawn so many times as large."""
+SAME_SHAPE = 0.02
+"""Ratios of sides that differ by less are of one picture, made smaller."""
+SURE_CORRELATION = 0.95
+"""Above it, a picture lies the right way round."""
 
 CELL_CODES = 32
 """Code vectors of the spatial stage in one cell of the map. A cell shows one sum over these and its share of all
@@ -93,23 +103,57 @@ def draw_preview(path: Path, original: GaussianModel, marked: GaussianModel) -> 
     save_png(sheet, path)
 
 
-def draw_evidence(
-    folder: Path, opened: OpenedRecord, found: Verification, model: GaussianModel | None, picture: Float32 | None
-) -> dict[str, str]:
-    """Draw `suspect` (the model, or the (H, W, 3) picture), `reference` and `heatmap`; names of their files."""
-    reference = opened.reference
-    camera = choose_view(reference, *EVIDENCE_SIZE)
-    view = prepare_view(reference, camera)
-    position = camera.position.astype(np.float32)
-    image, alpha = view.render(sh_colors(reference.sh, reference.means, position))
-    pictures = {"reference": to_picture(image), "heatmap": _heatmap(opened, found, view, image, alpha)}
-    if model is not None:
-        pictures["suspect"] = to_picture(_suspect_view(model, found, camera))
-    elif picture is not None:
+def draw_evidence(folder: Path, opened: OpenedRecord, found: Verification, suspect: Suspect) -> dict[str, str]:
+    """Draw `suspect`, `asset`, `heatmap` and, where both are seen from one camera, `difference`; names of their files.
+
+    The asset is drawn with its mark, as it was delivered: claims are handed out, and two pictures from one camera, with
+    the mark and without, would tell its signs.
+    """
+    marked = mark_again(opened)
+    shown = next((number for number, camera in enumerate(found.cameras) if camera is not None), None)
+    known = found.cameras[shown] if shown is not None else None
+    if known is not None:
+        camera = known.with_side(min(EVIDENCE_SIZE[0], max(known.width, known.height)))
+    else:
+        camera = choose_view(marked, *EVIDENCE_SIZE)
+    view = prepare_view(marked, camera)
+    image, alpha = view.render(sh_colors(marked.sh, marked.means, camera.position.astype(np.float32)))
+    image = np.clip(image, 0.0, 1.0)
+    pictures = {"asset": to_picture(image), "heatmap": _heatmap(opened, found, view, image, alpha)}
+    laid: tuple[Float32, Bool] | None = None
+    if suspect.model is not None:
+        seen = np.clip(_suspect_view(suspect.model, found, camera), 0.0, 1.0)
+        pictures["suspect"] = to_picture(seen)
+        laid = (seen, np.ones(seen.shape[:2], dtype=bool)) if found.claim.transform is not None else None
+    elif suspect.pictures:
+        picture = suspect.pictures[shown or 0]
         pictures["suspect"] = to_picture(picture, LARGEST_SUSPECT)
+        laid = _laid_over(picture, image, alpha) if known is not None else None
+    if laid is not None:
+        change = np.clip(0.5 + SUSPECT_GAIN * (laid[0] - image), 0.0, 1.0)
+        pictures["difference"] = to_picture(np.where(laid[1][..., None], change, np.float32(1.0)))
     for name, drawn in pictures.items():
         save_png(drawn, folder / f"{name}.png")
     return {name: f"{name}.png" for name in pictures}
+
+
+def _laid_over(picture: Float32, image: Float32, alpha: Float32) -> tuple[Float32, Bool] | None:
+    """A suspect picture in the pixels of the asset's render, less what shines through from behind, and where it can be
+    compared; None where it cannot be laid over it."""
+    height, width = alpha.shape
+    small = to_picture(picture)
+    if abs(width / height - small.width / small.height) < SAME_SHAPE:
+        small = small.resize((width, height), reducing_gap=2.0)
+    best: Alignment | None = None
+    for hand in (1, -1):  # as it is, and turned over left to right
+        faced = np.asarray(small, dtype=np.float32)[:, ::hand] / np.float32(255.0)
+        behind = find_background(faced, alpha) if faced.shape == image.shape else None
+        fit = align_image(image, faced if behind is None else faced - behind.through)
+        if fit is not None and (best is None or fit.correlation > best.correlation):
+            best = fit
+        if best is not None and best.correlation > SURE_CORRELATION:
+            break
+    return None if best is None else (best.warped, best.mask)
 
 
 def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> Float32:

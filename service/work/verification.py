@@ -41,8 +41,7 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
     started = time.perf_counter()
     if best is not None and best.opened is not None and best.found is not None:
         progress("picture", 0.0)
-        picture = suspect.pictures[0] if suspect.pictures else None
-        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect.model, picture)
+        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect)
     return reply | {
         "subject": subject,
         "tried": [_brief(outcome) for outcome in found.outcomes],

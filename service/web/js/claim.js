@@ -1,6 +1,7 @@
 // A claim: the verdict in words first, then how sure, then the evidence.
 import { download, getBlob } from "./api.js";
 import { fact, h } from "./dom.js";
+import { packForm } from "./pack.js";
 import { problemBox } from "./problem.js";
 import { TONES, when } from "./words.js";
 import { bits, scale } from "./charts.js";
@@ -26,7 +27,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     h("h2", {}, "What was checked"),
     h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
-    files(claim));
+    files(claim), packForm(claim));
   return { element, heading };
 }
 

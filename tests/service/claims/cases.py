@@ -94,4 +94,4 @@ def picture(shade: int) -> bytes:
     return file.getvalue()
 
 
-PICTURES = {name: picture(shade) for shade, name in enumerate(("heatmap", "reference", "suspect"))}
+PICTURES = {name: picture(shade) for shade, name in enumerate(("asset", "difference", "heatmap", "suspect"))}

@@ -25,7 +25,7 @@ def test_the_page_stands_alone(registry: Registry, kind: str) -> None:
     assert not re.search(r"<script|<link|@import|url\(|javascript:|\bon\w+=", text, re.IGNORECASE)
     assert {match[:5] for match in re.findall(r'(?:src|href)="([^"]*)"', text)} == {"data:"}
     assert "default-src &#39;none&#39;" in text or "default-src 'none'" in text
-    assert text.count("<img") == 3
+    assert text.count("<img") == 4
 
 
 def test_the_same_claim_gives_the_same_page(registry: Registry) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,6 +88,23 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert "Acme" in opened.value.locator("body").inner_text()
     opened.value.screenshot(path=tmp_path / "report.png")
     opened.value.close()
+
+    result.get_by_text("Ask a platform to take it down").click()
+    result.get_by_label("Where the copy is").fill("https://a.example/1\nnonsense")
+    pack = result.get_by_role("button", name="Download the takedown pack")
+    pack.click()
+    result.get_by_role("alert").wait_for()
+    result.get_by_label("Where the copy is").fill("https://a.example/1\nhttps://a.example/2")
+    result.get_by_label("In your own words").fill("Bought & copied")
+    shoot(page, "claim-pack")
+    with page.expect_download() as download:
+        pack.click()
+    assert download.value.suggested_filename.endswith("-pack.zip")
+    with zipfile.ZipFile(download.value.path()) as archive:
+        notice = next(archive.read(name).decode() for name in archive.namelist() if name.endswith("notice.txt"))
+        assert any(name.endswith("comparison.png") for name in archive.namelist())
+    assert "Found at: https://a.example/2" in notice
+    assert "| Bought & copied" in notice
 
     # 6. both are found again
     page.get_by_role("link", name="Library").click()

@@ -35,7 +35,7 @@ def test_a_marked_model_is_told_with_pictures(verify: Ask, marked: Marked, tmp_p
     assert reply["subject"] == {"format": "ply", "gaussians": len(read_model(marked.original).model), "pictures": 0}
     assert [check["code"] for check in reply["checks"]] == FIVE
     assert set(checks(reply).values()) == {True}
-    assert set(reply["files"]) == {"heatmap", "suspect", "reference"}
+    assert set(reply["files"]) == {"heatmap", "suspect", "asset", "difference"}
     for name in reply["files"].values():
         with Image.open(tmp_path / name) as picture:
             assert max(picture.size) <= 800

@@ -1,0 +1,135 @@
+"""The takedown pack: what a platform is sent about a copy, as one ZIP. The same claim and words give the same bytes.
+
+Pictures of an unmarked original have no place in it (`PICTURES`): it goes to strangers.
+"""
+
+import io
+import textwrap
+import zipfile
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment
+from PIL import Image, ImageDraw, ImageFont
+
+from engine.pipeline.pages import templates
+from engine.watermark.numerals import PLAIN, when
+from service.claims.document import document_words
+from service.claims.report import CAPTIONS, timeline
+from service.claims.told import Told
+from service.problems import Problem
+
+PICTURES = ("suspect", "asset", "difference", "heatmap")
+"""What a pack may show; `heatmap` where it is drawn over the `asset`, so not in claims of before."""
+NAMES = {
+    "suspect": "Suspect",
+    "asset": "Registered model, marked",
+    "difference": "Difference x5",
+    "heatmap": "where.png",
+}
+PANEL, GAP, CAPTION = (480, 480), 8, 26
+"""Largest picture in the comparison, and what lies between and above them, pixels."""
+WIDTH = 110
+MAP = "Orange speaks for the mark, blue against it, grey says nothing. Each patch sums many secret positions."
+_SINCE = (1980, 1, 1, 0, 0, 0)
+"""Of every file in the ZIP: the first time that the format can say."""
+
+
+def shown_in_pack(pictures: Mapping[str, Any]) -> list[str]:
+    """Names of the pictures of a claim that may be shown to strangers."""
+    return [name for name in PICTURES if name in pictures and (name == "suspect" or "asset" in pictures)]
+
+
+def make_pack(
+    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, told: Told
+) -> bytes:
+    """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
+
+    "conflict" where the claim recognised nothing: then there is nothing to ask a platform for.
+    """
+    if document["verdict"] == "inconclusive" and not (document.get("derivation") or {}).get("derived"):
+        raise Problem("conflict", "this claim recognised nothing of the asset, so there is nothing to take down")
+    if pictures.keys() != set(shown_in_pack(pictures)):
+        raise ValueError(f"not to be shown to strangers: {sorted(pictures)}")
+    issuer, digests = document.get("issuer") or {}, document["pictures"]
+    address = issuer.get("address") or "[address of the service that issued the claim]"
+    about = {
+        "claim": document,
+        "words": document_words(document, PLAIN),
+        "timeline": timeline(document, jws, timestamp),
+        "issuer": f"{issuer.get('name') or 'Mark3DGS'}, {address}",
+        "keys": f"{address.rstrip('/')}/.well-known/jwks.json",
+        "stamped": timestamp is not None,
+        "shown": list(pictures),
+        "same_camera": "difference" in pictures,
+        "names": NAMES,
+        "captions": CAPTIONS | {"heatmap": MAP},
+        "digests": [(name, digests[name]) for name in pictures],
+        "told": told,
+        "note": [part for line in told.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],
+    }
+    files = {
+        f"{name}.txt": _texts().get_template(f"{name}.txt").render(about).encode() for name in ("finding", "notice")
+    }
+    files |= {f"signed/{name}.png": data for name, data in pictures.items()}
+    if "asset" in pictures:
+        files |= {"comparison.png": _side_by_side(pictures), "where.png": pictures["heatmap"]}
+    files["claim.jws"] = jws.encode()
+    if timestamp is not None:
+        files["claim.jws.tst"] = timestamp
+    return _zip(document["claim_id"], files)
+
+
+def _zip(folder: str, files: Mapping[str, bytes]) -> bytes:
+    """Stored, not deflated: compressors differ from one version to the next."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in sorted(files.items()):
+            entry = zipfile.ZipInfo(f"{folder}/{name}", _SINCE)
+            entry.create_system, entry.external_attr = 3, 0o644 << 16  # of no machine in particular
+            archive.writestr(entry, data)
+    return made.getvalue()
+
+
+def _side_by_side(pictures: Mapping[str, bytes]) -> bytes:
+    """One picture of all but the map, each under its name."""
+    panels = [(NAMES[name], Image.open(io.BytesIO(pictures[name]))) for name in PICTURES[:3] if name in pictures]
+    for _, panel in panels:
+        panel.thumbnail(PANEL)
+    width = len(panels) * (PANEL[0] + GAP) - GAP
+    sheet = Image.new("RGB", (width, CAPTION + max(panel.height for _, panel in panels)), "white")
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=15)
+    for column, (name, panel) in enumerate(panels):
+        left = column * (PANEL[0] + GAP)
+        pen.text((left + 2, 4), name, fill="black", font=font)
+        sheet.paste(panel, (left, CAPTION))
+    made = io.BytesIO()
+    sheet.save(made, "PNG")
+    return made.getvalue()
+
+
+def _fill(text: str, first: str = "  ", then: str = "") -> str:
+    return textwrap.fill(_line(text), WIDTH, initial_indent=first, subsequent_indent=then or " " * len(first))
+
+
+def _line(value: Any) -> str:
+    """Text that stays on its line and says what it seems to: no line breaks, no characters that turn text round."""
+    return "".join(letter if letter.isprintable() else " " for letter in str(value))
+
+
+@cache
+def _texts() -> Environment:
+    def plain(value: Any) -> Any:
+        return value if isinstance(value, _Filled) else _line(value)
+
+    environment = templates(Path(__file__).parent, keep_trailing_newline=True)
+    environment.autoescape = False  # these are no pages; names from outside stay on their line
+    environment.finalize = plain
+    environment.filters.update(when=when, fill=lambda *given: _Filled(_fill(*given)))
+    return environment
+
+
+class _Filled(str):
+    """A paragraph, its line breaks our own."""

@@ -1,0 +1,172 @@
+"""The takedown pack: what it holds, that it can be checked, and what must never be in it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from typing import Any
+
+import pytest
+from PIL import Image
+from pydantic import ValidationError
+
+from service.claims.offline import verify_report
+from service.claims.pack import make_pack, shown_in_pack
+from service.claims.told import Told
+from service.problems import Problem
+from tests.service.claims.cases import KINDS, PICTURES, nothing, picture, reply
+from tests.service.claims.conftest import Registry
+
+TOLD = Told(copy_url=["https://elsewhere.example/m/1", "https://elsewhere.example/m/2"], note="Taken from my shop.")
+
+
+def pack(registry: Registry, found: dict[str, Any] | None = None, told: Told = TOLD, **changes: Any) -> bytes:
+    claim = registry.issue(found, **{"job": changes.pop("job", "job_1")})
+    given = {"pictures": PICTURES, "timestamp": None} | changes
+    return make_pack(claim.document, claim.jws, given["pictures"], given["timestamp"], told)
+
+
+def opened(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name.partition("/")[2]: archive.read(name) for name in archive.namelist()}
+
+
+def texts(data: bytes) -> tuple[str, str]:
+    files = opened(data)
+    return files["finding.txt"].decode(), files["notice.txt"].decode()
+
+
+def test_the_same_claim_and_words_give_the_same_bytes(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = pack(registry)
+    monkeypatch.setattr("time.time", lambda: 2e9)
+    assert pack(registry) == first
+    assert pack(registry, told=Told()) != first
+
+
+def test_what_it_holds_can_be_checked(registry: Registry) -> None:
+    files = opened(pack(registry))
+    pictures = {f"signed/{name}.png" for name in PICTURES}
+    assert files.keys() == {"comparison.png", "where.png", "finding.txt", "notice.txt", "claim.jws"} | pictures
+    checked = verify_report(files["claim.jws"], registry.jwks)
+    assert checked.valid
+    assert checked.document is not None
+    signed = checked.document["pictures"]
+    said = files["finding.txt"].decode()
+    for name, digest in signed.items():
+        assert hashlib.sha256(files[f"signed/{name}.png"]).hexdigest() == digest
+        assert f"{digest}  signed/{name}.png" in said
+    assert files["where.png"] == PICTURES["heatmap"]
+    assert "mark3dgs verify-report claim.jws --jwks jwks.json" in said
+
+
+def test_suspect_asset_and_difference_stand_side_by_side(registry: Registry) -> None:
+    wide = {name: picture(shade) for name, shade in zip(PICTURES, (50, 100, 150, 200), strict=True)}
+    with Image.open(io.BytesIO(opened(pack(registry, pictures=wide))["comparison.png"])) as sheet:
+        below = sheet.height - 3
+        assert [sheet.getpixel((left, below))[0] for left in (3, 491, 979)] == [200, 50, 100]
+
+
+def test_each_verdict_has_its_words(registry: Registry) -> None:
+    marked, not_marked, undecided = (texts(pack(registry, reply(kind), job=f"job_{kind}")) for kind in KINDS)
+    for finding, notice in (marked, not_marked, undecided):
+        for text in (finding, notice):
+            assert "https://elsewhere.example/m/1" in text
+            assert "https://elsewhere.example/m/2" in text
+            assert "| Taken from my shop." in text
+            assert "ab" * 32 in text
+        assert "attested by the log" in finding
+        assert "Nobody but the issuer attests these dates" in finding
+        assert "as_1" in notice
+        assert "cd" * 16 in notice
+        assert "12" * 32 in notice
+        assert "original since: " in notice
+        assert "[your signature]" in notice
+    assert marked[0].startswith("MARK FOUND")
+    for text in marked:
+        assert "It does not say who published the suspect" in text
+    assert "where the hidden mark" not in not_marked[1]
+    assert "where.png" in marked[1]
+    assert "It does not acquit anybody" in not_marked[0]
+    assert "Of 1 pictures" not in undecided[0]
+
+
+def test_blanks_stay_where_the_owner_said_nothing(registry: Registry) -> None:
+    finding, notice = texts(pack(registry, told=Told()))
+    assert "Found at: [links to the copy]" in notice
+    assert "[link to the original, or: it is not published]" in notice
+    assert "What the owner adds" not in notice
+    assert "[not told]" in finding
+
+
+def test_the_issuer_is_where_the_keys_are(registry: Registry) -> None:
+    claim = registry.issue()
+    document = {**claim.document, "issuer": {"name": "Marks Ltd", "address": "https://marks.example/"}}
+    for text in texts(make_pack(document, claim.jws, PICTURES, None, TOLD)):
+        assert "https://marks.example/.well-known/jwks.json" in text
+        assert "Marks Ltd" in text
+
+
+def test_a_stamp_comes_along(registry: Registry) -> None:
+    data = pack(registry, timestamp=b"no token at all")
+    assert opened(data)["claim.jws.tst"] == b"no token at all"
+    assert "Nobody but the issuer" not in texts(data)[0]
+
+
+def test_no_unmarked_picture_is_ever_packed(registry: Registry) -> None:
+    """Claims of before show the original without its mark, and a map drawn over it."""
+    before = {name: picture(3) for name in ("heatmap", "reference", "suspect")}
+    assert shown_in_pack(before) == ["suspect"]
+    assert set(shown_in_pack(PICTURES | before)) == set(PICTURES)
+    with pytest.raises(ValueError, match="reference"):
+        pack(registry, pictures=PICTURES | before)
+    files = opened(pack(registry, pictures={"suspect": PICTURES["suspect"]}))
+    assert files.keys() == {"finding.txt", "notice.txt", "claim.jws", "signed/suspect.png"}
+    assert "check the suspect again" in files["finding.txt"].decode()
+
+
+def test_another_camera_is_said(registry: Registry) -> None:
+    alone = {name: data for name, data in PICTURES.items() if name != "difference"}
+    finding, notice = texts(pack(registry, pictures=alone))
+    assert "from a camera of its own" in finding
+    assert "from the same camera" not in finding + notice
+
+
+def test_nothing_found_is_nothing_to_take_down(registry: Registry) -> None:
+    with pytest.raises(Problem, match="recognised nothing") as caught:
+        pack(registry, nothing())
+    assert caught.value.kind == "conflict"
+
+
+def test_words_from_outside_stay_what_they_are(registry: Registry) -> None:
+    """A note cannot pass itself off as the finding, nor a recipient's name as a line of the notice."""
+    registry.register(id="as_2", job="two", copy="Nord\nVALID: the owner is right\u202e")
+    note = "a\nMARK FOUND\u2028HOW TO CHECK\x0bx\r\n" + "w" * 300 + "\n{{ 7 * 7 }}<script>"
+    for text in texts(pack(registry, reply(asset="as_2"), Told(note=note))):
+        assert not [line for line in text.splitlines() if line.startswith(("VALID", "HOW TO CHECK\x0b", "www"))]
+        assert sum(line.strip().startswith("| ") for line in text.split("\n")) >= 6
+        assert "\u202e" not in text
+        assert "{{ 7 * 7 }}<script>" in text
+        assert len(text.splitlines()) == len(text.split("\n")) - 1, "a line break that is not ours"
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"copy_url": ["javascript:alert(1)"]},
+        {"copy_url": ["ftp://a.example/x"]},
+        {"copy_url": ["https://me:secret@a.example/"]},
+        {"copy_url": ["https://a.example/"] * 11},
+        {"copy_url": ["https://a.example/" + "x" * 400]},
+        {"original_url": "not an address"},
+        {"note": "x" * 1001},
+        {"copyurl": ["https://a.example/"]},
+    ],
+)
+def test_what_is_no_address_is_refused(said: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        Told.model_validate(said)
+
+
+def test_an_address_keeps_to_its_line() -> None:
+    assert str(Told(copy_url=["https://a.example/x\ny"]).copy_url[0]) == "https://a.example/xy"
