@@ -179,7 +179,7 @@ class Collide(_Simulate):
     """Every object is a body of its own, thrown at the middle of them all with `speed`, radii of the scene a second."""
 
     speed: float = given(Table.number, 1.5, 0.0, 100.0)
-    height: float = given(Table.number, 0.0, 0.0, 100.0)
+    height: float = given(Table.number, 0.2, 0.0, 100.0)
     seconds: float = given(Table.number, 1.2, 0.02, 60.0)
 
     def involved(self, world: World) -> tuple[Mapping[str, GaussianModel], Extent]:
