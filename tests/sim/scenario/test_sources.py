@@ -49,6 +49,7 @@ class Kiss:
 def test_odometry_gives_the_path_in_scene_units(monkeypatch: pytest.MonkeyPatch) -> None:
     path = walk(5)
     kiss = Kiss(path)
+    assert path.times is not None
     monkeypatch.setattr(posing, "_load_extra", lambda module, package, purpose: kiss)
     scans = [Scan(PointCloud(RANGES), f"{k}", float(time)) for k, time in enumerate(path.times)]
     found = posing.odometry(scans)

@@ -76,7 +76,10 @@ CASES: dict[str, tuple[str, Check]] = {
         lambda m, o: 0.2 < (o.world.flat().means != m.means)[:, 0].mean() < 0.8,
     ),
     "rotate": (step("rotate", "degrees = 90"), lambda m, o: not np.allclose(o.world.flat().means, m.means, atol=0.1)),
-    "scale": (step("scale", "factor = 2"), lambda m, o: np.isclose(height(o.world.flat()), 2 * height(m), rtol=0.01)),
+    "scale": (
+        step("scale", "factor = 2"),
+        lambda m, o: bool(np.isclose(height(o.world.flat()), 2 * height(m), rtol=0.01)),
+    ),
     "recolor": (
         step("recolor", "gain = [2, 1, 1]"),
         lambda m, o: (
