@@ -20,25 +20,27 @@ if TYPE_CHECKING:
 COLUMNS = f"{'step':<44} {'object':<14} {'verdict':<12} {'bits':>7} {'z':>7} {'false claim':>11} {'PSNR':>6}"
 
 
-def _list_steps(wanted: bool) -> None:
-    if not wanted:
-        return
+def _list_steps(console: Console) -> int:
+    """All kinds of steps, one line each."""
     from engine.sim.scenario import KINDS
 
     for word, kind in KINDS.items():
-        typer.echo(f"  {word:<12} {kind.summary}")
-    raise typer.Exit()
+        console.say(f"  {word:<12} {kind.summary}")
+    console.emit({"steps": [{"step": word, "summary": kind.summary} for word, kind in KINDS.items()]})
+    return 0
 
 
 def sim(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="What happens, in order.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for table, pictures and film; made if missing.")],
+    scenario: Annotated[
+        Path | None, typer.Argument(metavar="SCENARIO.toml", help="What happens, in order.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for table, pictures and film; made if missing.")
+    ] = None,
     keep_model: Annotated[
         bool, typer.Option("--keep-model", help="Also write the model as it is at the end (model.ply).")
     ] = False,
-    list_all: Annotated[
-        bool, typer.Option("--list", callback=_list_steps, is_eager=True, help="List all kinds of steps.")
-    ] = False,
+    steps: Annotated[bool, typer.Option("--steps", "--list", help="List all kinds of steps, one line each.")] = False,
     json: Json = False,
 ) -> int:
     """Play a scenario: edits, physics, attacks; look for every mark after each step.
@@ -49,10 +51,14 @@ def sim(
 
     Examples:
 
-      mark3dgs sim --list
+      mark3dgs sim --steps
       mark3dgs sim docs/scenarios/theft.toml --out theft
     """
     console = Console(json)
+    if steps:
+        return _list_steps(console)
+    if scenario is None or out is None:
+        raise InputError("name a SCENARIO.toml and, with --out, the folder to write; --steps lists all steps")
     from engine.sim.scenario import read_scenario, run_scenario
 
     plan = read_scenario(scenario)

@@ -5,7 +5,7 @@ Lengths and places are in robust radii of the model the step works on, about its
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from engine.pipeline.rigs import Extent, measure_extent
 from engine.sim import edits
 from engine.sim.edits.inpainting import inpaint
 from engine.sim.scenario.tables import Table, given
-from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step, viewpoint
+from engine.sim.scenario.world import Advance, Outcome, StepKind, Tracked, World, step, viewpoint
 
 __all__ = ["KINDS"]
 
@@ -112,13 +112,19 @@ class _Edit(ABC):
         extent = measure_extent(model)
         chosen = self.select(model, extent)
         share = f"{100.0 * chosen.mean():.1f} % of {name} selected"
-        return Outcome(world.put(name, self.change(model, chosen, extent).model), notes=(share,))
+        edited = self.change(model, chosen, extent)
+        world = world.put(name, edited.model)
+        known = world.tracks.get(name)
+        if known is not None and known.end is model:  # nothing else has happened to it: the owner's own edit
+            tracked = Tracked(known.track.then(edited.edit), edited.model)
+            world = replace(world, tracks={**world.tracks, name: tracked})
+        return Outcome(world, notes=(share,))
 
     @abstractmethod
     def change(self, model: GaussianModel, chosen: Bool, extent: Extent) -> edits.Edited: ...
 
 
-@step(KINDS, "move", "shift = [x, y, z]; select, on")
+@step(KINDS, "move", "a selection is moved: shift = [x, y, z]; select, on")
 @dataclass(frozen=True)
 class Move(_Edit):
     shift: tuple[float, ...] = given(Table.vector, None)
@@ -127,7 +133,7 @@ class Move(_Edit):
         return edits.move(model, chosen, extent.radius * np.array(self.shift))
 
 
-@step(KINDS, "rotate", "axis, degrees; select, on")
+@step(KINDS, "rotate", "a selection is turned: axis, degrees; select, on")
 @dataclass(frozen=True)
 class Rotate(_Edit):
     axis: tuple[float, ...] = given(Table.vector, (0.0, 1.0, 0.0))
@@ -137,7 +143,7 @@ class Rotate(_Edit):
         return edits.rotate(model, chosen, self.axis, self.degrees)
 
 
-@step(KINDS, "scale", "factor; select, on")
+@step(KINDS, "scale", "a selection is scaled: factor; select, on")
 @dataclass(frozen=True)
 class Scale(_Edit):
     factor: float = given(Table.number, None, 1e-6, 1e6)
@@ -146,7 +152,7 @@ class Scale(_Edit):
         return edits.scale(model, chosen, self.factor)
 
 
-@step(KINDS, "recolor", "gain and tint, or color and amount; select, on")
+@step(KINDS, "recolor", "a selection is painted: gain and tint, or color and amount; select, on")
 @dataclass(frozen=True)
 class Recolor(_Edit):
     paint: Change = given(read_paint)
@@ -155,7 +161,7 @@ class Recolor(_Edit):
         return self.paint(model, chosen)
 
 
-@step(KINDS, "duplicate", "shift; select, on")
+@step(KINDS, "duplicate", "a selection is copied: shift; select, on")
 @dataclass(frozen=True)
 class Duplicate(_Edit):
     shift: tuple[float, ...] = given(Table.vector, None)
@@ -164,7 +170,7 @@ class Duplicate(_Edit):
         return edits.duplicate(model, chosen, Similarity(1.0, np.eye(3), extent.radius * np.array(self.shift)))
 
 
-@step(KINDS, "delete", "inpaint = true fills the hole; select, on")
+@step(KINDS, "delete", "a selection is removed and the hole filled: inpaint = true; select, on")
 @dataclass(frozen=True)
 class Delete(_Edit):
     inpaint: bool = given(Table.flag, True)

@@ -1,9 +1,5 @@
-"""Steps of a model's own life: it falls, is pressed, objects come and go.
+"""Steps in which objects come and go, and time passes for those that move."""
 
-A body's robust radius counts as one metre, so that everything falls and bends alike whatever its units are.
-"""
-
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,91 +7,24 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.formats import read_model
-from engine.model import GaussianModel
+from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import transform_model
-from engine.pipeline.rigs import UP, Extent, measure_extent
-from engine.sim.physics import world as matter
-from engine.sim.physics.body import Material, make_body, pose, strain_norms
-from engine.sim.scenario.marking import read_name
+from engine.numerics.umeyama import Similarity
+from engine.pipeline.rigs import UP, measure_extent
+from engine.sim.edits.objects import Scene, model_box
+from engine.sim.scenario.bringing import read_name, read_optional
 from engine.sim.scenario.tables import Table, given
 from engine.sim.scenario.world import Advance, Outcome, StepKind, World, step
+from engine.sim.variants.moving import move_record, visible
 
 __all__ = ["KINDS"]
 
 KINDS: dict[str, StepKind] = {}
 
-GRAVITY = 9.81
-FLOOR_QUANTILE = 0.005
-"""The floor lies below all but this share of a body's centres: a floater does not hold it up."""
-
-
-@dataclass(frozen=True)
-class _Simulate(ABC):
-    """Bodies of soft matter on a floor, for some seconds; a lid may press them."""
-
-    seconds: float = given(Table.number, 1.0, 0.02, 60.0)
-    frames: int = given(Table.integer, 24, 0, 1000)
-    compliance: float = given(Table.number, 2e-5, 0.0, 1.0)  # 1 / Young's modulus, 1/Pa
-    resolution: int = given(Table.integer, 16, 2, 96)  # voxels along the longest side of a body
-    on: str = given(Table.text, "")
-
-    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
-        name, model = world.target(self.on)
-        extent = measure_extent(model)
-        metric = transform_model(model, 1.0 / extent.radius, np.eye(3), -extent.center / extent.radius)
-        body = make_body(metric, resolution=self.resolution, material=Material(compliance=self.compliance))
-        heights = metric.means.astype(np.float64) @ UP
-        bottom, top = np.quantile(heights, [FLOOR_QUANTILE, 1.0 - FLOOR_QUANTILE])
-        state = matter.World((body,), gravity=-GRAVITY * UP, planes=self.planes(float(bottom), float(top)))
-        steps = max(1, round(self.seconds / matter.STEP))
-        shown = set(np.linspace(1, steps, min(self.frames, steps)).round().astype(int).tolist())
-        frames = []
-        for number in range(1, steps + 1):
-            state = matter.step(state)
-            if number in shown:
-                frames.append(_back(pose(state.bodies[0]), extent))
-            advance(number / steps)
-        end = _back(pose(state.bodies[0]), extent)
-        strain = float(np.median(strain_norms(state.bodies[0])))
-        note = f"median strain {strain:.3f}, {len(body.lattice.tets)} tetrahedra"
-        shots = tuple(world.put(name, frame).flat() for frame in frames)
-        return Outcome(world.put(name, end), frames=shots, notes=(note,))
-
-    @abstractmethod
-    def planes(self, bottom: float, top: float) -> tuple[matter.Plane, ...]:
-        """The floor, and what else stops a body that stands between these heights."""
-
-
-def _back(model: GaussianModel, extent: Extent) -> GaussianModel:
-    return transform_model(model, extent.radius, np.eye(3), extent.center)
-
-
-@step(KINDS, "drop", "it falls as soft matter: height, seconds, frames, compliance, resolution, on")
-@dataclass(frozen=True)
-class Drop(_Simulate):
-    """A fall of `height` radii."""
-
-    height: float = given(Table.number, 0.5, 0.0, 100.0)
-    seconds: float = given(Table.number, 1.2, 0.02, 60.0)
-
-    def planes(self, bottom: float, top: float) -> tuple[matter.Plane, ...]:
-        return (matter.Plane((bottom - self.height) * UP, UP),)
-
-
-@step(KINDS, "press", "a lid presses it to a share of its height: share, seconds, frames, compliance, on")
-@dataclass(frozen=True)
-class Press(_Simulate):
-    """A lid that leaves `share` of the height; 1 presses nothing."""
-
-    share: float = given(Table.number, 0.7, 0.1, 1.0)
-    seconds: float = given(Table.number, 1.5, 0.02, 60.0)
-
-    def planes(self, bottom: float, top: float) -> tuple[matter.Plane, ...]:
-        floor = matter.Plane(bottom * UP, UP)
-        if self.share == 1.0:
-            return (floor,)
-        speed = (1.0 - self.share) * (top - bottom) / self.seconds
-        return floor, matter.Plane((top + 0.02) * UP, -UP, -speed * UP)
+TRIES = 400
+"""Places that are tried for an inserted object."""
+GAP = 1e-6
+"""Objects that stand on each other do not count as being in each other's way; part of their height."""
 
 
 @step(KINDS, "add", "an unmarked model joins: model, name, at, size")
@@ -119,6 +48,79 @@ class AddObject:
         return Outcome(replace(world, objects={**world.objects, self.name: placed}))
 
 
+def read_copied(table: Table, name: str) -> str:
+    """The object that is copied, where no model file is named."""
+    return table.text(name, "") if "model" in table else table.text(name)
+
+
+@step(KINDS, "insert", "copies stand where boxes leave room: model or of, name, count, size, spread, stack")
+@dataclass(frozen=True)
+class Insert:
+    """Copies of a file or of an object, found room for in the hierarchy of all objects' boxes.
+
+    `size` is that of a copy, `spread` how far from the middle it may stand, in radii of the scene. With `stack` it
+    stands on what a ray from above meets first, else on the ground.
+    """
+
+    model: Path | None = given(read_optional)
+    of: str = given(read_copied)
+    name: str = given(Table.text, "copy")
+    count: int = given(Table.integer, 1, 1, 200)
+    size: float = given(Table.number, 0.3, 1e-6, 1e6)
+    spread: float = given(Table.number, 1.5, 0.0, 1e6)
+    stack: bool = given(Table.flag, False)
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        new = world.target(self.of)[1] if self.model is None else read_model(self.model).model
+        scene = Scene().insert_all((name, model, Similarity.identity()) for name, model in world.objects.items())
+        host, own = measure_extent(world.flat()), measure_extent(new)
+        factor = self.size * host.radius / own.radius
+        ground = min(float(min(o.low @ UP, o.high @ UP)) for o in scene.objects.values())
+        tried = 0
+        for number in range(1, self.count + 1):
+            for _ in range(TRIES):
+                tried += 1
+                turn = _yaw(rng.uniform(0.0, 2.0 * np.pi))
+                upright = transform_model(new, factor, turn, np.zeros(3))
+                low, high = model_box(upright)
+                away, angle = self.spread * host.radius * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
+                foot = host.center + away * np.array([np.cos(angle), 0.0, np.sin(angle)])
+                shift = self._standing(scene, foot, low, high, ground)
+                free = GAP * (high - low)
+                if not scene.in_box(low + shift + free, high + shift - free):
+                    break
+            else:
+                taken = f"{number - 1} of {self.count} copies stand"
+                raise InputError(f"no room within {self.spread:g} radii for another of size {self.size:g}: {taken}")
+            scene = scene.insert(_numbered(self.name, number, self.count), new, Similarity(factor, turn, shift))
+            advance(number / self.count)
+        objects = {name: scene.get(name).placed for name in scene.names}
+        kept = {name: world.objects.get(name, model) for name, model in objects.items()}  # what stood stays as it is
+        return Outcome(replace(world, objects=kept), notes=(f"{self.count} placed after {tried} looks",))
+
+    def _standing(self, scene: Scene, foot: Float64, low: Float64, high: Float64, ground: float) -> Float64:
+        """The shift by which a box stands with its middle over `foot`."""
+        height = ground
+        if self.stack:
+            above = foot + (max(float(max(o.low @ UP, o.high @ UP)) for o in scene.objects.values()) - foot @ UP) * UP
+            above = above + float(np.ptp([low @ UP, high @ UP])) * UP
+            below = scene.along_ray(above, -UP)
+            height = float(above @ UP) - below[0][1] if below else ground
+        shift = foot - 0.5 * (low + high)
+        shift -= (shift @ UP) * UP
+        return np.asarray(shift + (height - min(float(low @ UP), float(high @ UP))) * UP)
+
+
+def _yaw(angle: float) -> Float64:
+    """The turn about UP."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _numbered(name: str, number: int, count: int) -> str:
+    return f"{name} {number}" if count > 1 else name
+
+
 @step(KINDS, "remove", "an object is taken out: name")
 @dataclass(frozen=True)
 class RemoveObject:
@@ -132,3 +134,35 @@ class RemoveObject:
         if not left:
             raise InputError(f"{self.name!r} is the only object; nothing would be left")
         return Outcome(replace(world, objects=left))
+
+
+@step(KINDS, "moment", "time passes for an object that moves: time, frames, on")
+@dataclass(frozen=True)
+class Moment:
+    """A clip's moment, exported as plain Gaussians; its record is moved along by the owner's original."""
+
+    time: float = given(Table.number, None)
+    frames: int = given(Table.integer, 16, 0, 1000)
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        clip = world.clips.get(name)
+        if clip is None or clip.shown is not model:
+            raise InputError(f"{name!r} is no clip as delivered; moving are {', '.join(world.clips) or 'none'}")
+        low, high = clip.original.span
+        if not low <= self.time <= high:
+            raise InputError(f"time {self.time:g} lies outside the clip, {low:g} to {high:g}")
+
+        def at(time: float) -> GaussianModel:
+            return clip.place(visible(clip.marked.at(time)))
+
+        frames = []
+        for k in range(self.frames):
+            frames.append(world.put(name, at(clip.time + (self.time - clip.time) * (k + 1) / self.frames)).flat())
+            advance((k + 1) / self.frames)
+        still = at(self.time)
+        now = replace(clip, time=self.time, shown=still)
+        record = move_record(clip.opened, clip.original, self.time)
+        world = replace(world.put(name, still), clips={**world.clips, name: now})
+        return Outcome(replace(world, records={**world.records, name: record}), frames=tuple(frames))

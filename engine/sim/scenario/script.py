@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from engine.errors import InputError
-from engine.sim.scenario import edit_steps, life_steps, theft_steps
+from engine.sim.scenario import audit_steps, capture_steps, edit_steps, life_steps, matter_steps, theft_steps
 from engine.sim.scenario.marking import Part
 from engine.sim.scenario.tables import Table, given, read_table
 from engine.sim.scenario.world import Step
@@ -17,10 +17,18 @@ T = TypeVar("T")
 MAX_STEPS = 200
 MAX_OBJECTS = 64
 
-KINDS = {**theft_steps.KINDS, **edit_steps.KINDS, **life_steps.KINDS, **theft_steps.PATIENT}
+KINDS = {
+    **theft_steps.KINDS,
+    **edit_steps.KINDS,
+    **matter_steps.KINDS,
+    **life_steps.KINDS,
+    **capture_steps.KINDS,
+    **theft_steps.PATIENT,
+    **audit_steps.KINDS,
+}
 """Every kind of step, by the word that a scenario calls it with."""
 
-TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "on")
+TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "time", "on")
 """Values that make up the label of a step without one."""
 
 

@@ -44,7 +44,8 @@ class Show:
             hold = max(1, self._film.frames // len(shown))
             moments = [picture for picture in shown for _ in range(hold)]
         else:
-            models = outcome.frames or (outcome.world.flat(),) * max(self._film.frames, 1)
+            still = outcome.world.flat() if outcome.shown is None else outcome.shown
+            models = outcome.frames or (still,) * max(self._film.frames, 1)
             self._follow(models[-1])
             moments = []
             for model in models:

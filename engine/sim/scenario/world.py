@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Protocol, TypeVar
 
@@ -14,10 +14,13 @@ from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.pipeline.rigs import FIELD_OF_VIEW, UP, Extent, direction
 from engine.pipeline.sealing import OpenedRecord
 from engine.sim.cost import Cost
+from engine.sim.edits.tracking import EditTrack
 from engine.sim.model_placement import join
+from engine.sim.variants.moving import Moving
+from engine.watermark.claim import Claim
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["Advance", "Outcome", "Step", "StepKind", "World", "step", "viewpoint"]
+__all__ = ["Advance", "Clip", "Outcome", "Step", "StepKind", "Tracked", "World", "step", "viewpoint"]
 
 Advance = Callable[[float], None]
 """Told the fraction of a step that is done."""
@@ -27,6 +30,26 @@ EVERYTHING = "everything"
 
 MARGIN = 1.3
 """Distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """The edits of an object since it was delivered, as its owner wrote them down."""
+
+    track: EditTrack
+    end: GaussianModel  # the object after the last of them; what happened to another one is on no track
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """An object that moves, of which the world holds one moment."""
+
+    marked: Moving
+    original: Moving  # the owner's, to which the record commits
+    opened: OpenedRecord  # of the clip; the world's record is this one, moved to the moment
+    place: Callable[[GaussianModel], GaussianModel]  # from the clip's frame into the world
+    time: float
+    shown: GaussianModel  # the moment, as it was put into the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +64,8 @@ class World:
     unmarked: Mapping[str, GaussianModel]
     profiles: Mapping[str, str]  # profiles with which the objects were marked
     key: OwnerKey  # of the owner of all of them
+    tracks: Mapping[str, Tracked] = field(default_factory=dict)  # of the objects as they came in
+    clips: Mapping[str, Clip] = field(default_factory=dict)  # of the objects that move
 
     def flat(self) -> GaussianModel:
         """All objects in one file."""
@@ -79,6 +104,8 @@ class Outcome:
     frames: tuple[GaussianModel, ...] = ()  # moments in between, for the film; empty where nothing moves
     pictures: tuple[Float32, ...] = ()  # what turned up instead of the model; verification reads these then
     cameras: tuple[Camera, ...] | None = None  # of the pictures, where the verifier is told them
+    shown: GaussianModel | None = None  # drawn instead of the world: a map of it
+    claims: Mapping[str, Claim] = field(default_factory=dict)  # of records that the step has read in a way of its own
     notes: tuple[str, ...] = ()
     cost: Cost | None = None  # what the step cost the look, where it is an attack
 
@@ -93,7 +120,7 @@ class Step(Protocol):
 
 @dataclass(frozen=True)
 class StepKind:
-    """A kind of step: a dataclass of `given` fields, and one line for `mark3dgs sim --list`."""
+    """A kind of step: a dataclass of `given` fields, and one line for `mark3dgs sim --steps`."""
 
     made: type[Step]
     summary: str
