@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 
-from service.client import Client, ServiceError, sources
+from service.client import Client, ServiceError, sources, wire
+from service.uploads import taking
 from tests.service.api.conftest import SMALL, Api
 
 DATA = SMALL.read_bytes()
@@ -22,7 +22,8 @@ Way = Callable[[httpx.BaseTransport, httpx.Request], httpx.Response]
 def _small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 3 * PIECE < len(DATA) < 5 * PIECE
     monkeypatch.setattr(sources, "PIECE", PIECE)
-    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(wire, "FIRST_PAUSE", 0.001)
+    monkeypatch.setattr(taking, "run_once", lambda *_: {"format": "ply", "gaussians": 1000})  # looked at elsewhere
 
 
 class Line(httpx.BaseTransport):
@@ -109,13 +110,13 @@ def test_a_file_that_became_shorter(api: Api, tmp_path: Path) -> None:
     def cut(stage: str, share: float) -> None:
         path.write_bytes(DATA[:PIECE])
 
-    with pytest.raises(ServiceError, match="changed: 'm.ply' became shorter"):
+    with pytest.raises(ServiceError, match=r"changed: 'm\.ply' became shorter"):
         Line(api).client(api).upload(path, progress=cut)
 
 
 def test_what_the_service_refuses_is_said(api: Api) -> None:
     with pytest.raises(ServiceError) as caught:
-        Line(api).client(api).upload(b"no model at all")
-    assert (caught.value.code, caught.value.status) == ("unreadable-model", 422)
+        Line(api).client(api).upload(bytes(api.service.settings.max_upload_bytes + 1))
+    assert (caught.value.code, caught.value.status) == ("too-large", 413)
     with pytest.raises(ServiceError, match="invalid-request"):
         Line(api).client(api).upload(b"")
