@@ -11,10 +11,7 @@ from urllib.parse import quote
 from service.client.errors import ServiceError
 from service.client.flows import silent
 from service.client.sources import digest_of
-from service.client.wire import FIRST_PAUSE, Fetch, Flow, Pause, Progress, Reply, Request, Work
-
-BREAKS = 3
-"""Broken connections in a row, with nothing come in between, after which a download is given up."""
+from service.client.wire import BREAKS, FIRST_PAUSE, Fetch, Flow, Pause, Progress, Reply, Request, Work
 
 Target = str | os.PathLike[str]
 

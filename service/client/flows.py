@@ -11,11 +11,13 @@ from urllib.parse import quote
 from service.client.answers import Asset, Claim, ClaimSummary, Embedded, Job, Upload, Verified, embedded, read, verified
 from service.client.errors import ServiceError
 from service.client.sources import Measured, Source, measure, piece
-from service.client.wire import Flow, Pause, Progress, Reply, Request, Work, ask
+from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Pause, Progress, Reply, Request, Work, ask
 
 A = TypeVar("A")
 FIRST_LOOK, LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks at a job: doubled while nothing changes."""
+LOOKS = 10
+"""At an upload that is whole, and of which nothing is known yet."""
 
 
 class EmbedOptions(TypedDict, total=False):
@@ -70,20 +72,27 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
     """
     announced: Measured = yield Work(partial(measure, source))
     slot = yield from _slot(announced)
+    path, breaks = _path("uploads", slot.id), 0
     while slot.state == "open":
         data: bytes = yield Work(partial(piece, source, slot.offset))
         if not data:
             raise ServiceError("changed", f"{announced.name!r} became shorter while it was sent")
         headers = {"Upload-Offset": str(slot.offset), "Content-Type": "application/octet-stream"}
-        path = f"/v1/uploads/{slot.id}"
-        reply: Reply = yield Request("PUT", path, headers=headers, content=data, again=True)
-        if not reply.good and reply.status != 409:
+        reply: Reply = yield Request("PUT", path, headers=headers, content=data)
+        if not reply.good and reply.status not in (0, 409):
             raise reply.error()
-        # 409: another try has continued it, such as one of our own whose answer was lost on the way.
-        before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _get(path)))
-        if slot.state == "open" and slot.offset == before.offset:
+        # No answer: some of it may have come, or all. 409: somebody else sends the same file.
+        before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _look(path)))
+        breaks = breaks + 1 if slot.offset == before.offset else 0
+        if breaks > BREAKS:
             raise reply.error()
+        yield Pause(FIRST_PAUSE * breaks)
         progress("upload", slot.offset / max(announced.size, 1))
+    for _ in range(LOOKS):  # its answer was lost, and the service still looks at what came
+        if slot.info is not None:
+            break
+        yield Pause(2 * FIRST_PAUSE)
+        slot = read(Upload, (yield from _look(path)))
     return slot
 
 
@@ -222,6 +231,11 @@ def _all(kind: type[A], path: str) -> Flow[list[A]]:
         found += [read(kind, each) for each in page["items"]]
         after = page["next"]
     return found
+
+
+def _look(path: str) -> Flow[Any]:
+    """As `_get`, again where no answer comes."""
+    return (yield from ask(Request("GET", path, again=True))).json()
 
 
 def _get(path: str, params: dict[str, str] | None = None) -> Flow[Any]:

@@ -22,6 +22,8 @@ Progress = Callable[[str, float], object]
 REFUSED_FOR_NOW = (429, 503)
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
 """Seconds between tries, doubled each time, and drawn from half of that on, lest all clients come back together."""
+BREAKS = 3
+"""Broken connections in a row, with nothing gone or come in between, after which a file is given up."""
 
 
 @dataclass(frozen=True)

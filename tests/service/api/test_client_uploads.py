@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.client import Client, ServiceError, sources, wire
+from service.client import Client, ServiceError, flows, sources
 from service.uploads import taking
 from tests.service.api.conftest import SMALL, Api
 
@@ -22,7 +22,7 @@ Way = Callable[[httpx.BaseTransport, httpx.Request], httpx.Response]
 def _small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 3 * PIECE < len(DATA) < 5 * PIECE
     monkeypatch.setattr(sources, "PIECE", PIECE)
-    monkeypatch.setattr(wire, "FIRST_PAUSE", 0.001)
+    monkeypatch.setattr(flows, "FIRST_PAUSE", 0.001)
     monkeypatch.setattr(taking, "run_once", lambda *_: {"format": "ply", "gaussians": 1000})  # looked at elsewhere
 
 
@@ -76,6 +76,13 @@ def test_a_broken_connection_costs_a_piece(api: Api, way: Way, piece: int) -> No
     assert done.info["gaussians"] == 1000
     assert (seen, seen[-1]) == (sorted(seen), 1.0)
     assert line.sent <= len(DATA) + PIECE
+
+
+def test_a_line_that_takes_nothing_is_given_up(api: Api) -> None:
+    line = Line(api, dict.fromkeys(range(100), lost))
+    with pytest.raises(ServiceError, match="unreachable: ConnectError"):
+        line.client(api).upload(DATA)
+    assert line.methods.count("PUT") == 4
 
 
 def test_a_stopped_upload_is_continued_by_the_next_try(api: Api) -> None:
