@@ -86,7 +86,8 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
         breaks = breaks + 1 if slot.offset == before.offset else 0
         if breaks > BREAKS:
             raise reply.error()
-        yield Pause(FIRST_PAUSE * breaks)
+        if breaks:
+            yield Pause(FIRST_PAUSE * breaks)
         progress("upload", slot.offset / max(announced.size, 1))
     for _ in range(LOOKS):  # its answer was lost, and the service still looks at what came
         if slot.info is not None:
