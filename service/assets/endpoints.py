@@ -14,6 +14,7 @@ from service.http.access import Admin, After, Core, Follower, Limit, OriginalsRe
 from service.http.downloads import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
+from service.http.results import Time
 from service.problems import Problem
 from service.trust.commitments import forget
 
@@ -38,7 +39,7 @@ class Asset(BaseModel):
     original_format: str
     model_sha256: str
     model_format: str
-    registered_at: str
+    registered_at: Time
     report: Annotated[dict[str, Any], FROM_JSON] = Field(description="Measurements of the embedding.")
 
 

@@ -13,6 +13,7 @@ from service.db import page
 from service.db.schema import claims
 from service.http.access import Admin, After, Core, Follower, Limit, Reader, visible
 from service.http.failures import OF_LIST, OF_OWN, responses
+from service.http.results import Time
 from service.trust.commitments import forget
 from service.trust.signing import jwks
 
@@ -73,7 +74,7 @@ class ClaimSummary(BaseModel):
     headline: str
     finding: str
     log10_false_claim: float
-    created_at: str
+    created_at: Time
 
 
 class ClaimList(BaseModel):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from engine.pipeline.dispute_text import dispute_page, dispute_words
 from service.core import Service
@@ -24,10 +24,13 @@ router = APIRouter(prefix="/v1/disputes", tags=["disputes"])
 AssetId = Annotated[str, Field(min_length=1, max_length=64)]
 
 
+_EXAMPLE: JsonValue = {"asset_a": "as_d40313a36c48f4baf73fb30a", "asset_b": "as_77f1ce0c1f4b2d2a5a3f9c10"}
+
+
 class DisputeRequest(BaseModel):
     """Which two registered assets are held against each other."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
     asset_b: AssetId
 

@@ -26,13 +26,15 @@ Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
 
 
 _GIVEN: dict[str, JsonValue] = {"message": {"type": "string"}, "bits": {"type": "integer"}}
+_EXAMPLE: JsonValue = {"upload_id": "up_d40313a36c48f4baf73fb30a", "copy_name": "acme", "profile": "fast"}
 
 
 class EmbedRequest(BaseModel):
     """What to mark, under which key, and how."""
 
     model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}}
+        extra="forbid",
+        json_schema_extra={"not": {"required": ["message", "bits"], "properties": _GIVEN}, "examples": [_EXAMPLE]},
     )
     upload_id: str = Field(min_length=1, max_length=64, description="A complete upload: the model.")
     key_id: str | None = Field(

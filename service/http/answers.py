@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from service.core import Service
 from service.http import idempotency
 from service.http.failures import responses
+from service.http.results import Failure, Result, Time, TimeOrNot
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
 from service.trust.api_keys import Caller
@@ -32,11 +33,11 @@ class JobView(BaseModel):
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
     cancelling: bool
-    result: dict[str, Any] | None = Field(description="asset_id or claim_id and what to know at once.")
-    problem: dict[str, Any] | None = Field(description="Why it failed (RFC 9457).")
-    created_at: str
-    started_at: str
-    finished_at: str
+    result: Result = Field(description="asset_id or claim_id and what to know at once; null until it succeeded.")
+    problem: Failure | None = Field(description="Why it failed (RFC 9457).")
+    created_at: Time
+    started_at: TimeOrNot
+    finished_at: TimeOrNot
 
 
 Prefer = Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")]

@@ -1,7 +1,7 @@
 """Requests as JSON, or as a multipart form with the files in it, so that one `curl` does it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from fastapi import Request
@@ -65,17 +65,23 @@ async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tu
 
 
 def form_schema(
-    kind: type[BaseModel], files: dict[str, tuple[str, bool]], without: Sequence[str], required: Sequence[str] = ()
+    kind: type[BaseModel],
+    files: dict[str, tuple[str, bool]],
+    without: Sequence[str],
+    required: Sequence[str] = (),
+    ways: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Any]:
     """OpenAPI `requestBody` for `read_form`; `files`: field -> (description, several files?).
 
     A form needs no properties `without`, since the files stand for them, and must have the fields `required`. Which of
-    them go together is said for JSON only: generators of forms and of clients cope badly with combined schemas.
+    them go together is said for JSON only: `ways` has, for each way to ask, its title and those of `without` that it
+    takes, the first of which it needs. Each way is a whole schema, for generators of clients lose what stands beside a
+    combination of schemas.
     """
     schema = kind.model_json_schema()
     binary = {"type": "string", "format": "binary"}
     form = {**schema, "properties": {k: v for k, v in schema["properties"].items() if k not in without}}
-    for rule in ("oneOf", "not", "required"):
+    for rule in ("examples", "not", "required"):
         form.pop(rule, None)
     if required:
         form["required"] = list(required)
@@ -85,5 +91,19 @@ def form_schema(
             if several
             else {**binary, "description": text}
         )
+    if ways:
+        schema = {"oneOf": [_way(schema, title, without, taken) for title, taken in ways.items()]}
     content = {"application/json": {"schema": schema}, "multipart/form-data": {"schema": form}}
     return {"requestBody": {"required": True, "content": content}}
+
+
+def _way(schema: dict[str, Any], title: str, without: Sequence[str], taken: Sequence[str]) -> dict[str, Any]:
+    """The schema of one way to ask."""
+    left = {name: value for name, value in schema["properties"].items() if name in taken or name not in without}
+    needed = {name: value for name, value in left[taken[0]].items() if name not in ("anyOf", "default")}
+    # What must be there is not null, and of a list it is one entry at least.
+    needed |= left[taken[0]]["anyOf"][0] if "anyOf" in left[taken[0]] else {"minItems": 1}
+    examples = [example for example in schema["examples"] if taken[0] in example]
+    return {**schema, "title": title, "properties": {**left, taken[0]: needed}, "required": [taken[0]]} | {
+        "examples": examples
+    }

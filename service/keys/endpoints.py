@@ -13,6 +13,7 @@ from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
 from service.http.failures import OF_LIST, responses
+from service.http.results import Time
 from service.problems import Problem
 from service.trust import owner_keys
 
@@ -21,12 +22,13 @@ router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
 _ONE_BYTE: JsonValue = {"type": "string", "pattern": r"^(..)\1+$"}
 """One byte repeated is no key."""
+_EXAMPLE: JsonValue = {"label": "Studio", "reveal": True}
 
 
 class NewKey(BaseModel):
     """An owner key to make, or to import."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [_EXAMPLE]})
     label: str = Field("", max_length=200, description="For people.")
     key: str | None = Field(
         None,
@@ -44,7 +46,7 @@ class KeyView(BaseModel):
     id: str
     fingerprint: str = Field(description="Public short name of the key; records name it.")
     label: str
-    created_at: str
+    created_at: Time
 
 
 class MadeKey(KeyView):

@@ -1,16 +1,17 @@
 """/v1/uploads: slots, and their bytes."""
 
 import asyncio
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.db import page
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Uploader
 from service.http.failures import OF_LIST, OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
+from service.http.results import FileInfo, Time
 from service.problems import Problem
 from service.uploads import store
 from service.uploads.taking import take
@@ -20,10 +21,13 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 OCTETS = {"requestBody": {"required": True, "content": {"application/octet-stream": BINARY}}}
 
 
+_EXAMPLE: JsonValue = {"name": "plant.ply", "size": 28185736}
+
+
 class NewUpload(BaseModel):
     """A slot for one file."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [_EXAMPLE]})
     name: str = Field("", max_length=200, description="For people; it never becomes a path.")
     size: Annotated[int, Field(ge=1, le=1 << 50), WHOLE] | None = Field(
         None, description="Bytes to come; needed to resume."
@@ -41,8 +45,8 @@ class Upload(BaseModel):
     offset: int = Field(validation_alias="received", description="Bytes received: the next request continues here.")
     state: Literal["open", "complete"]
     sha256: str | None
-    info: Annotated[dict[str, Any] | None, FROM_JSON] = Field(description="What the file is, once it was inspected.")
-    created_at: str
+    info: Annotated[FileInfo | None, FROM_JSON] = Field(description="What the file is, once it was inspected.")
+    created_at: Time
 
 
 class UploadList(BaseModel):

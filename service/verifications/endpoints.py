@@ -28,24 +28,16 @@ _DAY = BeforeValidator(lambda text: date.fromisoformat(text) if isinstance(text,
 Id = Annotated[str, Field(min_length=1, max_length=64)]
 
 
-_ONE_MODEL: JsonValue = {
-    "required": ["upload_id"],
-    "properties": {
-        "upload_id": {"type": "string", "minLength": 1},
-        "image_upload_ids": {"maxItems": 0},
-        "cameras_upload_id": {"type": "null"},
-    },
-}
-_PICTURES: JsonValue = {
-    "required": ["image_upload_ids"],
-    "properties": {"upload_id": {"type": "null"}, "image_upload_ids": {"minItems": 1}},
-}
+_EXAMPLES: JsonValue = [
+    {"upload_id": "up_f6b2ce7c59a1e745e1b7d86e", "suspect_seen": "2026-11-21"},
+    {"image_upload_ids": ["up_0c9f0f3f7fd1b4b3c8b41a42"], "asset_id": "as_d40313a36c48f4baf73fb30a"},
+]
 
 
 class VerifyRequest(BaseModel):
     """What to check, and against what."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [_ONE_MODEL, _PICTURES]})
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": _EXAMPLES})
     upload_id: str | None = Field(
         None, min_length=1, max_length=64, description="A complete upload: the suspect model."
     )
@@ -75,7 +67,8 @@ FILES = {
     "images": ("1 to 64 pictures.", True),
     "cameras": ("Cameras of the pictures, in their order.", False),
 }
-BODY = form_schema(VerifyRequest, FILES, ("upload_id", "image_upload_ids", "cameras_upload_id"))
+WAYS = {"VerifyModelRequest": ("upload_id",), "VerifyPicturesRequest": ("image_upload_ids", "cameras_upload_id")}
+BODY = form_schema(VerifyRequest, FILES, ("upload_id", "image_upload_ids", "cameras_upload_id"), ways=WAYS)
 
 
 @router.post(

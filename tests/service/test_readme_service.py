@@ -57,6 +57,23 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
 
 
+def test_the_client_on_the_page_runs_as_written(tmp_path: Path) -> None:
+    program = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "SERVICE.md").read_text(), re.DOTALL)[0]
+    served = serving.start(tmp_path)
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    path = f"{ROOT}{os.pathsep}{ROOT / 'service' / 'installed'}"
+    environment = os.environ | {"MARK3DGS_API_KEY": served.api_key, "PYTHONPATH": path}
+    command = [sys.executable, "-c", program.replace("http://127.0.0.1:8000", served.address)]
+    try:
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    finally:
+        served.stop()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith("marked -")
+    assert done.stdout.endswith("not-found\n")
+    assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
+
+
 def test_every_setting_is_documented() -> None:
     text = (ROOT / "docs" / "SERVICE.md").read_text()
     for name, field in Settings.model_fields.items():

@@ -1,0 +1,22 @@
+"""A client of the service, sync and async, on httpx alone: it knows neither the service's code nor the engine.
+
+Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` says what a flow is, `clients` does it.
+"""
+
+from service.client.answers import Asset, Check, Claim, ClaimSummary, Embedded, Job, Upload, Verified
+from service.client.clients import AsyncClient, Client
+from service.client.errors import ServiceError
+
+__all__ = [
+    "Asset",
+    "AsyncClient",
+    "Check",
+    "Claim",
+    "ClaimSummary",
+    "Client",
+    "Embedded",
+    "Job",
+    "ServiceError",
+    "Upload",
+    "Verified",
+]

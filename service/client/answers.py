@@ -1,0 +1,157 @@
+"""What the service answers, as values. Members that a later service adds are passed over."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeVar, cast
+
+from service.client.errors import ServiceError, of_problem
+
+A = TypeVar("A")
+FINAL = frozenset({"succeeded", "disputed", "failed", "cancelled"})
+
+
+def read(kind: type[A], plain: Any) -> A:
+    """A value of a dataclass of this file from a JSON object; ServiceError where a member is missing."""
+    names = [each.name for each in fields(cast(Any, kind))]
+    try:
+        return kind(**{name: plain[name] for name in names})
+    except (KeyError, TypeError) as error:
+        text = f"no {kind.__name__}: {type(error).__name__} {error} in {str(plain)[:200]}"
+        raise ServiceError("unexpected-answer", text) from None
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A file on its way, or there."""
+
+    id: str
+    name: str
+    size: int | None
+    offset: int  # bytes that are there
+    state: Literal["open", "complete"]
+    sha256: str | None
+    info: Mapping[str, Any] | None  # kind: model, picture or cameras; format, gaussians, ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as it stands; times are UTC, ISO 8601."""
+
+    id: str
+    kind: Literal["embed", "verify", "dispute"]
+    state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
+    stage: str
+    fraction: float
+    cancelling: bool
+    result: Mapping[str, Any] | None
+    problem: Mapping[str, Any] | None
+    created_at: str
+    started_at: str | None
+    finished_at: str | None
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more will come of it."""
+        return self.state in FINAL
+
+    def outcome(self) -> Mapping[str, Any]:
+        """Its result; ServiceError if it failed, was cancelled, found a dispute, or has not ended."""
+        if self.state == "succeeded" and self.result is not None:
+            return self.result
+        if self.problem is not None:
+            try:
+                raise of_problem(self.problem, job=self.id)
+            except (KeyError, TypeError, ValueError):
+                pass
+        told = str((self.result or {}).get("text", f"job {self.id} is {self.state}, stage {self.stage!r}"))
+        code = self.state if self.state in ("disputed", "cancelled") else "unexpected-answer"
+        raise ServiceError(code if self.ended else "timed-out", told, values={"job": self.id})
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What came of marking a model."""
+
+    asset_id: str
+    record_id: str
+    message: str  # hexadecimal
+    psnr_worst_view: float  # dB, against the unmarked render
+    ssim_worst_view: float
+    gaussians: int
+    seconds: float
+    already_carries: list[str]  # the tenant's own assets whose mark the model carried before
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked; `ok` is None where it could not be."""
+
+    code: str
+    ok: bool | None
+    text: str
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What came of holding a suspect against the record of one asset, or of all."""
+
+    claim_id: str
+    asset_id: str | None  # None where none of all was recognised
+    verdict: Literal["marked", "not_marked", "inconclusive"]
+    confidence: float  # 1 - min(1, bound): not the probability that the suspect is marked
+    log10_false_claim: float  # of the bound on a false claim, all tries counted
+    checks: list[Check]
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One registered embedding."""
+
+    id: str
+    label: str
+    copy_name: str
+    owner_key_id: str
+    record_id: str
+    message: str
+    profile: str
+    gaussians: int
+    original_sha256: str
+    original_format: str
+    model_sha256: str
+    model_format: str
+    registered_at: str
+    report: Mapping[str, Any]  # measurements of the embedding
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A signed claim; docs/CLAIM.md has its document."""
+
+    document: Mapping[str, Any]
+    jws: str
+    timestamp: str | None
+    summary: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ClaimSummary:
+    """A claim in a list."""
+
+    id: str
+    asset_id: str | None
+    verdict: str
+    headline: str
+    finding: str
+    log10_false_claim: float
+    created_at: str
+
+
+def embedded(job: Job) -> Embedded:
+    """What an embed job came to; ServiceError where to nothing."""
+    return read(Embedded, job.outcome())
+
+
+def verified(job: Job) -> Verified:
+    """What a verify job came to; ServiceError where to nothing."""
+    plain = job.outcome()
+    return read(Verified, {**plain, "checks": [read(Check, each) for each in plain.get("checks", ())]})

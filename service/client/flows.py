@@ -1,0 +1,248 @@
+"""What the client can do, each a flow of `wire`: the same for both drivers."""
+
+import os
+import secrets
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
+from urllib.parse import quote
+
+from service.client.answers import Asset, Claim, ClaimSummary, Embedded, Job, Upload, Verified, embedded, read, verified
+from service.client.errors import ServiceError
+from service.client.sources import Measured, Source, measure, piece
+from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Pause, Progress, Reply, Request, Work, ask
+
+A = TypeVar("A")
+FIRST_LOOK, LONGEST_LOOK = 0.1, 2.0
+"""Seconds between looks at a job: doubled while nothing changes."""
+LOOKS = 10
+"""At an upload that is whole, and of which nothing is known yet."""
+
+
+class EmbedOptions(TypedDict, total=False):
+    """Of POST /v1/embed, as the API's description has them; what is left out is the service's default."""
+
+    key_id: str
+    message: str
+    bits: int
+    profile: Literal["fast", "balanced", "strong", "auto", "paper", "paper-appendix"]
+    psnr: float
+    budget: float
+    output: Literal["fidelity", "compact"]
+    format: Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
+    copy_name: str
+    label: str
+    spz_frame: Literal["auto", "spec", "ply"]
+
+
+class VerifyOptions(TypedDict, total=False):
+    """Of POST /v1/verify; without `asset_id` the suspect is held against all assets of the tenant."""
+
+    asset_id: str
+    false_claim_rate: float
+    suspect_seen: str  # YYYY-MM-DD
+    route: Literal["auto", "model", "render", "image"]
+    spz_frame: Literal["auto", "spec", "ply"]
+
+
+def silent(stage: str, fraction: float) -> None:
+    """Progress that nobody watches."""
+
+
+def call(method: str, path: str, *, json: Any = None, params: dict[str, str] | None = None) -> Flow[Any]:
+    """Any request of the API: the JSON of its answer, None where it has no body. ServiceError for a bad answer."""
+    reply = yield from ask(Request(method, path, params or {}, json=json))
+    return reply.json() if reply.body else None
+
+
+def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
+    """Send a file, by pieces. What an earlier try left, of this process or another, is not sent again.
+
+    Parameters
+    ----------
+    source : path or bytes
+    progress : callable
+        Called with "upload" and the share that is there.
+
+    Returns
+    -------
+    Upload
+        Complete, with `info` on what the file is.
+    """
+    announced: Measured = yield Work(partial(measure, source))
+    slot = yield from _slot(announced)
+    path, breaks = _path("uploads", slot.id), 0
+    while slot.state == "open":
+        data: bytes = yield Work(partial(piece, source, slot.offset))
+        if not data:
+            raise ServiceError("changed", f"{announced.name!r} became shorter while it was sent")
+        headers = {"Upload-Offset": str(slot.offset), "Content-Type": "application/octet-stream"}
+        reply: Reply = yield Request("PUT", path, headers=headers, content=data)
+        if not reply.good and reply.status not in (0, 409):
+            raise reply.error()
+        # No answer: some of it may have come, or all. 409: somebody else sends the same file.
+        before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _look(path)))
+        breaks = breaks + 1 if slot.offset == before.offset else 0
+        if breaks > BREAKS:
+            raise reply.error()
+        if breaks:
+            yield Pause(FIRST_PAUSE * breaks)
+        progress("upload", slot.offset / max(announced.size, 1))
+    for _ in range(LOOKS):  # its answer was lost, and the service still looks at what came
+        if slot.info is not None:
+            break
+        yield Pause(2 * FIRST_PAUSE)
+        slot = read(Upload, (yield from _look(path)))
+    return slot
+
+
+def _slot(announced: Measured) -> Flow[Upload]:
+    """An open upload of these very bytes, or a new one."""
+    listed = yield from _get("/v1/uploads", {"limit": "100"})
+    for plain in listed["items"]:
+        slot = read(Upload, plain)
+        if (slot.state, slot.size, slot.sha256) == ("open", announced.size, announced.sha256):
+            return slot
+    body = {"name": announced.name, "size": announced.size, "sha256": announced.sha256}
+    return read(Upload, (yield from call("POST", "/v1/uploads", json=body)))
+
+
+def submit_embed(
+    model: Source, *, cameras: Source | None = None, progress: Progress = silent, **options: Unpack[EmbedOptions]
+) -> Flow[Job]:
+    """Upload a model, and the cameras to mark it for, and start the job that marks it."""
+    named: dict[str, Any] = {"upload_id": (yield from upload(model, progress=progress)).id}
+    if cameras is not None:
+        named["cameras_upload_id"] = (yield from upload(cameras)).id
+    return (yield from _submit("/v1/embed", {**named, **options}))
+
+
+def submit_verify(
+    suspect: Source | Sequence[Source],
+    *,
+    cameras: Source | None = None,
+    progress: Progress = silent,
+    **options: Unpack[VerifyOptions],
+) -> Flow[Job]:
+    """Upload a suspect - a model, a picture, or several pictures of one - and start the job that checks it."""
+    ids, kind = [], ""
+    for source in [suspect] if isinstance(suspect, str | bytes | os.PathLike) else suspect:
+        sent = yield from upload(source, progress=progress)
+        ids.append(sent.id)
+        kind = (sent.info or {}).get("kind", "")
+    named: dict[str, Any] = {"upload_id": ids[0]} if len(ids) == 1 and kind == "model" else {"image_upload_ids": ids}
+    if cameras is not None:
+        named["cameras_upload_id"] = (yield from upload(cameras)).id
+    return (yield from _submit("/v1/verify", {**named, **options}))
+
+
+def _submit(path: str, body: dict[str, Any]) -> Flow[Job]:
+    # The service knows the key again: a request whose answer was lost becomes one job, not two.
+    headers = {"Idempotency-Key": secrets.token_hex(16)}
+    reply = yield from ask(Request("POST", path, headers=headers, json=body, again=True))
+    return read(Job, reply.json())
+
+
+def job(job_id: str) -> Flow[Job]:
+    """A job as it stands."""
+    return read(Job, (yield from _get(_path("jobs", job_id))))
+
+
+def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Flow[Job]:
+    """A job once it has ended, however it did; ServiceError "timed-out" after `timeout` seconds: it goes on.
+
+    A connection that breaks meanwhile is made anew.
+    """
+    until = None if timeout is None else time.monotonic() + timeout
+    etag, pause = "", FIRST_LOOK
+    while True:
+        headers = {"If-None-Match": etag} if etag else {}
+        reply: Reply = yield Request("GET", _path("jobs", job_id), headers=headers, again=True)
+        if reply.status != 304:
+            if not reply.good:
+                raise reply.error()
+            found, etag, pause = read(Job, reply.json()), reply.headers.get("etag", ""), FIRST_LOOK
+            progress(found.stage, found.fraction)
+            if found.ended:
+                return found
+        if until is not None and time.monotonic() + pause > until:
+            text = f"job {job_id} has not ended within {timeout:g} s; it goes on"
+            raise ServiceError("timed-out", text, values={"job": job_id})
+        yield Pause(pause)
+        pause = min(2 * pause, LONGEST_LOOK)
+
+
+def cancel(job_id: str) -> Flow[Job]:
+    """Stop a job; ServiceError "conflict" where it has ended."""
+    return read(Job, (yield from call("DELETE", _path("jobs", job_id))))
+
+
+def embed(
+    model: Source,
+    *,
+    cameras: Source | None = None,
+    progress: Progress = silent,
+    timeout: float | None = None,
+    **options: Unpack[EmbedOptions],
+) -> Flow[Embedded]:
+    """Upload a model, have it marked, and wait; ServiceError where nothing came of it (`values["job"]`: the job)."""
+    started = yield from submit_embed(model, cameras=cameras, progress=progress, **options)
+    return embedded((yield from wait(started.id, progress=progress, timeout=timeout)))
+
+
+def verify(
+    suspect: Source | Sequence[Source],
+    *,
+    cameras: Source | None = None,
+    progress: Progress = silent,
+    timeout: float | None = None,
+    **options: Unpack[VerifyOptions],
+) -> Flow[Verified]:
+    """Upload a suspect - a model, a picture, or several pictures of one - and wait for the signed answer."""
+    started = yield from submit_verify(suspect, cameras=cameras, progress=progress, **options)
+    return verified((yield from wait(started.id, progress=progress, timeout=timeout)))
+
+
+def asset(asset_id: str) -> Flow[Asset]:
+    """One asset."""
+    return read(Asset, (yield from _get(_path("assets", asset_id))))
+
+
+def assets() -> Flow[list[Asset]]:
+    """All assets of the tenant, newest first."""
+    return (yield from _all(Asset, "/v1/assets"))
+
+
+def claim(claim_id: str) -> Flow[Claim]:
+    """A claim, with its signature."""
+    return read(Claim, (yield from _get(_path("claims", claim_id))))
+
+
+def claims() -> Flow[list[ClaimSummary]]:
+    """All claims of the tenant, newest first."""
+    return (yield from _all(ClaimSummary, "/v1/claims"))
+
+
+def _all(kind: type[A], path: str) -> Flow[list[A]]:
+    found: list[A] = []
+    after: str | None = ""
+    while after is not None:
+        page = yield from _get(path, {"limit": "100", "after": after})
+        found += [read(kind, each) for each in page["items"]]
+        after = page["next"]
+    return found
+
+
+def _look(path: str) -> Flow[Any]:
+    """As `_get`, again where no answer comes."""
+    return (yield from ask(Request("GET", path, again=True))).json()
+
+
+def _get(path: str, params: dict[str, str] | None = None) -> Flow[Any]:
+    return (yield from call("GET", path, params=params))
+
+
+def _path(kind: str, identifier: str) -> str:
+    """Address of one thing; an id is never more than one part of a path."""
+    return f"/v1/{kind}/{quote(identifier, safe='')}"
