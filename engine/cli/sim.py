@@ -45,8 +45,8 @@ def sim(
 ) -> int:
     """Play a scenario: edits, physics, attacks; look for every mark after each step.
 
-    The scenario is a TOML file of [[objects]] (models, marked at the start)
-    and [[steps]]; docs/SIMULATOR.md explains it, docs/scenarios has
+    The scenario is a TOML file: tables of objects (models, marked at the start)
+    and of steps; docs/SIMULATOR.md explains it, docs/scenarios has
     examples. Writes report.json, report.md, a picture a step, and film.webp.
 
     Examples:
