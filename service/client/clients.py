@@ -226,8 +226,8 @@ def _settings(address: str, api_key: str) -> dict[str, Any]:
 
 def _arguments(request: Request) -> dict[str, Any]:
     plain = {"method": request.method, "url": request.path, "headers": dict(request.headers)}
-    given = {"params": dict(request.params), "json": request.json, "content": request.content}
-    return plain | {name: value for name, value in given.items() if value not in (None, {})}
+    given = {"params": dict(request.params) or None, "json": request.json, "content": request.content}
+    return plain | {name: value for name, value in given.items() if value is not None}  # an empty object is a body
 
 
 def _headers(answer: httpx.Response) -> dict[str, str]:

@@ -203,3 +203,10 @@ def test_lists_go_on_to_their_end(driver: str) -> None:
         return httpx.Response(200, json={"items": items, "next": following})
 
     assert [claim.id for claim in do(driver, service, "claims")] == ["cl_3", "cl_2", "cl_1"]
+
+
+def test_an_empty_object_is_a_body(driver: str) -> None:
+    played = Played(httpx.Response(201, json={"id": "key_1"}))
+    assert do(driver, played, "call", "POST", "/v1/keys", json={}) == {"id": "key_1"}
+    assert played.asked[0].content == b"{}"
+    assert played.asked[0].headers["content-type"] == "application/json"

@@ -16,15 +16,15 @@ import pytest
 
 from tests.scenes import sparse_plant
 from tests.service import serving
-from tests.service.flow.test_main_job import Client
+from tests.service.flow.commands import Line
 from tests.service.postgres import Postgres
 from tests.service.serving import ROOT, Served
 
 SMALL = ROOT / "tests" / "data" / "train_1000.ply"
 
 
-def admin(served: Served) -> Client:
-    return Client(base_url=served.address, headers=served.headers, timeout=120)
+def admin(served: Served) -> Line:
+    return Line(base_url=served.address, headers=served.headers, timeout=120)
 
 
 @pytest.fixture

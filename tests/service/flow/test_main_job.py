@@ -6,8 +6,6 @@ import asyncio
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -21,16 +19,10 @@ from engine.records.signatures import DISPUTE, verify
 from service.client import AsyncClient, Client, Embedded, ServiceError
 from tests.scenes import sparse_plant
 from tests.service import serving
+from tests.service.flow.commands import client_of, mark3dgs
 from tests.service.serving import ROOT, Served
 
 SCENE = encode_model(read_model(ROOT / "tests" / "data" / "train_1000.ply").model, "splat")
-
-
-def mark3dgs(served: Served, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command beside the running service."""
-    environment = {**os.environ, "MARK3DGS_DATA_DIR": str(served.folder / "data")}
-    command = [sys.executable, "-m", "service.cli", *arguments]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -39,43 +31,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     made = serving.start(tmp_path_factory.mktemp("served"), SUBJECT_VERIFIES_PER_DAY="8", WORKER_SILENCE_SECONDS="4")
     yield made
     made.stop()
-
-
-def token_of(served: Served, tenant: str) -> str:
-    done = mark3dgs(served, "apikey", "create", "--tenant", tenant, "--scopes", "admin", "--json")
-    return str(json.loads(done.stdout)["api_key"])
-
-
-def client_of(served: Served, tenant: str) -> Client:
-    return Client(served.address, token_of(served, tenant))
-
-
-@pytest.fixture(scope="module")
-def token(served: Served) -> str:
-    """Alice's API key."""
-    return token_of(served, "alice")
-
-
-@pytest.fixture(scope="module")
-def alice(served: Served, token: str) -> Client:
-    return Client(served.address, token)
-
-
-@pytest.fixture(scope="module")
-def raw(served: Served, token: str) -> httpx.Client:
-    """Alice, as she sees what goes over the line."""
-    return httpx.Client(base_url=served.address, headers={"Authorization": f"Bearer {token}"}, timeout=120)
-
-
-@pytest.fixture(scope="module")
-def bob(served: Served) -> Client:
-    return client_of(served, "bob")
-
-
-@pytest.fixture(scope="module")
-def owner_key(alice: Client) -> str:
-    """Alice has it, whichever test comes first."""
-    return str(alice.call("POST", "/v1/keys", json={})["id"])
 
 
 @pytest.fixture(scope="module")
