@@ -99,7 +99,7 @@ def make_mark(
         tint, grain_key = draw_spreading(copy.key, copy.asset, copy.name, plan.layout, promised)
         signed = signed_amplitudes(plan.layout.amplitudes, tint, copy.message)
         rough = spread_grain(grain_key, len(views.model), bits).signs(copy.message) if grain.there else None
-        model = _displaced(views.model, plan.layout, signed, grain, rough)
+        model = displaced(views.model, plan.layout, signed, grain, rough)
         fidelity = measure(views, model, at_view)
         if fidelity.meets(wanted) or not np.isfinite(fidelity.psnr_db) or not left:
             break
@@ -112,11 +112,11 @@ def mark_again(opened: OpenedRecord) -> GaussianModel:
     layout, grain, chips = opened.layout, opened.grain, opened.layout.chips
     signs = opened.spreading_of(chips + grain.chips(len(opened.reference))).signs(opened.message)
     signed = opened.strength * layout.amplitudes * signs[:chips]
-    return _displaced(opened.reference, layout, signed, grain, signs[chips:] if grain.there else None)
+    return displaced(opened.reference, layout, signed, grain, signs[chips:] if grain.there else None)
 
 
-def _displaced(
-    model: GaussianModel, layout: Layout, signed: Float64, grain: Grain, rough: npt.NDArray[np.int8] | None
+def displaced(
+    model: GaussianModel, layout: Layout, signed: Float64, grain: Grain, rough: npt.NDArray[np.int8] | Float64 | None
 ) -> GaussianModel:
     """The model with its tint displaced by `signed` (C,) and, where it has a grain, roughened by signs (6 N,)."""
     model = model.with_(sh=add_dc(model.sh, layout.displace(signed)))

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Camera, Float32
+from engine.pipeline.marking import displaced
 from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.strength import add_dc
 from engine.raster import RasterSettings, View, draw, render
-from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.image_evidence import PictureEvidence, gather_image_evidence
 from engine.watermark.spreading import public_signs
@@ -29,11 +28,8 @@ class ReferenceViews:
         model, layout, grain = opened.reference, opened.layout, opened.grain
         self.opened = opened
         self.signs = public_signs(layout.chips + grain.chips(len(model)))
-        tint = layout.displace(layout.amplitudes * self.signs[: layout.chips])
-        self.marked = model.with_(sh=add_dc(model.sh, tint))
-        if grain.there:
-            own = self.signs[layout.chips :].reshape(len(model), ATTRIBUTES).astype(np.float32)
-            self.marked = roughen(self.marked, grain, own)
+        rough = self.signs[layout.chips :] if grain.there else None
+        self.marked = displaced(model, layout, layout.amplitudes * self.signs[: layout.chips], grain, rough)
 
     def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
         """The reference from one camera."""
