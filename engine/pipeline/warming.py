@@ -26,12 +26,23 @@ gains."""
 _ROOT = Path(__file__).parents[2]
 
 
-def warm_up(work: Work, progress: Callable[[float], None] | None = None, processes: int | None = None) -> None:
+def warm_up(
+    work: Work,
+    progress: Callable[[float], None] | None = None,
+    processes: int | None = None,
+    compiling: Callable[[], None] = lambda: None,
+) -> None:
     """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
-    compile. `processes`, as many as there are cores by default, at most compile side by side."""
+    compile, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are cores by
+    default, at most compile side by side."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
-    with _at_first_compilation(lambda: _call_helpers(plan, (processes or _cores()) - 1)):
+
+    def begin() -> None:
+        compiling()
+        _call_helpers(plan, (processes or _cores()) - 1)
+
+    with _at_first_compilation(begin):
         mine = set()
         while (name := plan.take()) is not None:
             steps[name].run()

@@ -50,7 +50,9 @@ def test_a_missing_kernel_calls_helpers_and_what_they_did_is_loaded(
         ran.append("first")
 
     small_steps(monkeypatch, first=compiling, second=lambda: ran.append("second"))
-    warm_up("embed", told.append, processes=2)
+    said: list[str] = []
+    warm_up("embed", told.append, processes=2, compiling=lambda: said.append("compiling"))
+    assert said == ["compiling"]
     assert asked == ["second"]
     assert ran == ["first", "second"]
     assert told == sorted(told)
@@ -60,8 +62,9 @@ def test_a_missing_kernel_calls_helpers_and_what_they_did_is_loaded(
 def test_nobody_is_called_where_every_kernel_is_there(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
     ran = list[str]()
     small_steps(monkeypatch, first=lambda: ran.append("first"), second=lambda: ran.append("second"))
-    warm_up("embed", processes=4)
-    assert (asked, ran) == ([], ["first", "second"])
+    said: list[str] = []
+    warm_up("embed", processes=4, compiling=lambda: said.append("compiling"))
+    assert (asked, ran, said) == ([], ["first", "second"], [])
 
 
 def test_a_step_waits_for_those_with_the_same_kernels() -> None:
