@@ -19,11 +19,13 @@ from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import LANDMARK_SIZE, Extent, make_rig
 from engine.pipeline.scenes import ViewSet
+from engine.pipeline.sealing import landmarks_in
 from engine.pipeline.settling import Grained, settle_grain
 from engine.pipeline.variant import Variant
 from engine.records.header import Arrays
+from engine.records.record import Record, this_version
 
-__all__ = ["Asset", "bank_of"]
+__all__ = ["Asset", "bank_of", "known_landmarks"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +54,20 @@ class Asset:
 
 
 def bank_of(
-    model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock
+    model: GaussianModel, extent: Extent, config: EmbedConfig, clock: Clock, known: Landmarks | None = None
 ) -> tuple[Landmarks | None, SeenPoints | None]:
     """The bank by which the camera of a screenshot is found, from regular views of the unmarked model; and what an
-    index of many assets keeps of it."""
+    index of many assets keeps of it. `known` is the bank, where an earlier copy has it."""
     if config.landmark_views == 0:
         return None, None
     rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
-    landmarks = make_landmarks(model, rig, clock.advance)
+    landmarks = make_landmarks(model, rig, clock.advance) if known is None else known
     return landmarks, see_points(landmarks, rig)
+
+
+def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Landmarks | None:
+    """The bank of an earlier copy's record, where a copy of this reference and these settings would get the same: made
+    of the same reference, from as many views, by this version."""
+    header, views = earlier.header, dict(earlier.extra.get("settings", {})).get("landmark_views")
+    same = (header.reference_digest, header.tool_version, views) == (digest.hex(), this_version(), config.landmark_views)
+    return landmarks_in(earlier.plan_arrays) if same else None

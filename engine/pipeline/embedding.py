@@ -20,7 +20,7 @@ from engine.compress.hvq import Stage, group_means
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.pipeline.asset import Asset, bank_of
+from engine.pipeline.asset import Asset, bank_of, known_landmarks
 from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import slim_down, unmarked_delivery
 from engine.pipeline.groundwork import lay_groundwork
@@ -67,6 +67,7 @@ def embed(
     progress: Progress | None = None,
     variant: Variant = PLAIN,
     drawn: str = "",
+    earlier: Record | None = None,
 ) -> Embedding:
     """Mark a model.
 
@@ -94,6 +95,9 @@ def embed(
     drawn : str
         What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
         so decides the chips, which nobody can then try out beforehand.
+    earlier : Record, optional
+        Of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of made
+        anew: same bytes, in half of the time.
     """
     return next(
         embed_copies(
@@ -109,6 +113,7 @@ def embed(
             progress=progress,
             variant=variant,
             drawn=drawn,
+            earlier=earlier,
         )
     )
 
@@ -127,6 +132,7 @@ def embed_copies(
     progress: Progress | None = None,
     variant: Variant = PLAIN,
     drawn: str = "",
+    earlier: Record | None = None,
 ) -> Iterator[Embedding]:
     """Mark a model for each of these recipients, one after another; parameters as for `embed`.
 
@@ -136,7 +142,7 @@ def embed_copies(
     clock = Clock(progress)
     bits = len(message) if message is not None else bits
     check_bits(bits)
-    asset = _prepare(model, key, original_sha256, clock, bits, config, cameras, variant)
+    asset = _prepare(model, key, original_sha256, clock, bits, config, cameras, variant, earlier)
     for copy in copies:
         yield _mark(asset, key, clock, message, bits, copy, registered_at, drawn)
         clock = Clock(progress)
@@ -152,6 +158,7 @@ def _prepare(
     config: Settings | None,
     cameras: Sequence[Camera] | None,
     variant: Variant,
+    earlier: Record | None,
 ) -> Asset:
     """Everything up to the recipient's own part."""
     choice: Choice | None = None
@@ -179,7 +186,8 @@ def _prepare(
         digest = reference_digest(reference)
         views = ground.views_of(delivered, clock)
     with clock.stage("landmarks"):
-        landmarks, seen = bank_of(delivered, original.extent, settings, clock)
+        known = None if earlier is None else known_landmarks(earlier, digest, settings)
+        landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
     return Asset(
         original=original,
         original_sha256=original_sha256,

@@ -150,9 +150,6 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
             arrays["cameras/viewmats"], arrays["cameras/intrinsics"], arrays["cameras/sizes"], strict=True
         )
     ]
-    landmarks = None
-    if "landmarks/points" in arrays:
-        landmarks = Landmarks(arrays["landmarks/points"], arrays["landmarks/descriptors"], arrays["landmarks/views"])
     return OpenedRecord(
         record.header,
         record.copy,
@@ -164,7 +161,14 @@ def _open(record: Record, key: OwnerKey) -> OpenedRecord:
         spreading,
         grain_key(key, context),
         cameras,
-        landmarks,
+        landmarks_in(arrays),
         dict(record.extra["settings"]),
         dict(record.plan.get("commitments", {})),
     )
+
+
+def landmarks_in(arrays: Mapping[str, npt.NDArray[Any]]) -> Landmarks | None:
+    """The bank among a plan's arrays, None where it has none."""
+    if "landmarks/points" not in arrays:
+        return None
+    return Landmarks(*(arrays[f"landmarks/{name}"] for name in ("points", "descriptors", "views")))

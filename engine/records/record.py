@@ -74,7 +74,7 @@ class Record:
             original_digest=original_digest,
             registered_at=registered_at,
             copy_digest=copy_digest(key, copy),
-            tool_version=_tool_version() if tool_version is None else tool_version,
+            tool_version=this_version() if tool_version is None else tool_version,
             key_check=key_check(key, record_id),
         )
         return cls(header, copy, plan, plan_arrays, extra or {}, reference_arrays)
@@ -130,7 +130,8 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str) and value.encode(errors="replace").decode() == value
 
 
-def _tool_version() -> str:
+def this_version() -> str:
+    """Of this program, as the records it makes name it; empty where it is not installed."""
     try:
         return importlib.metadata.version("mark3dgs")
     except importlib.metadata.PackageNotFoundError:  # run from a source tree

@@ -43,6 +43,7 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "drawn": drawn,
             "candidates": service.candidates(rows, run),
             "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
+            "earlier": _earlier(service, run),
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
     ) | {"drawn": drawn}
@@ -51,6 +52,16 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
 def _drawn(service: Service, job: Job) -> str:
     """What the service puts into the plan: nobody knows it before the job is there, so nobody can try records out."""
     return service.master.mac("drawn for a record", job.id)
+
+
+def _earlier(service: Service, run: Run) -> str:
+    """Where the record of the newest copy of this model under this key lies, "" if there is none: it saves time."""
+    asked = run.job.request
+    mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
+    query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
+    with service.db.read() as connection:
+        row = connection.execute(query.order_by(assets.c.registered_at.desc())).first()
+    return "" if row is None else service.local_or_gone(row.record_sha256, run)
 
 
 def _to_screen(service: Service, run: Run, model: dict[str, Any]) -> list[Any]:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.catalogue.entry import Entry
+from engine.errors import Mark3DGSError
 from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import compose
+from engine.records.record import Record
 from engine.registration.sketch import make_sketch
 from engine.sim.variants.scenes import embed_variant, encode_scene, notes_of, output_of, written_as
 from engine.watermark.keys import OwnerKey
@@ -52,6 +54,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "cameras": cameras,
         "registered_at": request.get("registered_at") or "",
         "drawn": request.get("drawn") or "",
+        "earlier": _earlier(request, key),
         "progress": progress,
     }
     copy, scene = request.get("copy") or "", loaded.scene
@@ -99,3 +102,13 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "original_sha256": loaded.sha256,
         "files": files,
     }
+
+
+def _earlier(request: Mapping[str, Any], key: OwnerKey) -> Record | None:
+    """The record of another copy of this model, if there is one that can be read: it only saves time."""
+    if not request.get("earlier"):
+        return None
+    try:
+        return Record.from_bytes(Path(request["earlier"]).read_bytes(), key)
+    except (OSError, Mark3DGSError):
+        return None

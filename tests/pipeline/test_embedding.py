@@ -1,19 +1,24 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from engine.compress.pruning import PruneConfig
 from engine.errors import CapacityError, InputError
 from engine.evaluate.marked_scene import MarkedScene, bench_key
-from engine.model import GaussianModel
+from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
+from engine.pictures.landmarks import Landmarks
+from engine.pipeline import asset
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.profiles import RefineConfig, profile
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
+from engine.records.record import Record
 from engine.watermark.grain import units
 from engine.watermark.masses import find_masses
 from engine.watermark.messages import message_hex, message_signs
@@ -29,6 +34,7 @@ def quick(model: GaussianModel, **changes: object) -> Embedding:
     bits = options.pop("bits", 32)
     message = options.pop("message", None)
     copy = options.pop("copy", "")
+    earlier = options.pop("earlier", None)
     return embed(
         model,
         bench_key(1),
@@ -36,6 +42,7 @@ def quick(model: GaussianModel, **changes: object) -> Embedding:
         bits=bits,
         message=message,
         copy=copy,
+        earlier=earlier,
         config=profile("fast", **options),
     )
 
@@ -70,6 +77,33 @@ def test_same_input_key_and_config_give_the_same_bytes(small_plant: GaussianMode
     np.testing.assert_array_equal(first.model.sh, second.model.sh)
     key = bench_key(1)
     assert first.record.to_bytes(key) == second.record.to_bytes(key)
+
+
+def test_a_later_copy_takes_the_landmarks_of_an_earlier_ones_record(
+    small_plant: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def record(copy: str, views: int, earlier: Record | None = None) -> tuple[bytes, int]:
+        made = quick(small_plant, copy=copy, landmark_views=views, earlier=earlier)
+        return made.record.to_bytes(bench_key(1)), drawn.pop() if drawn else 0
+
+    drawn: list[int] = []
+    make = asset.make_landmarks
+
+    def counted(model: GaussianModel, cameras: list[Camera], *rest: Any) -> Landmarks:
+        drawn.append(len(cameras))
+        return make(model, cameras, *rest)
+
+    monkeypatch.setattr(asset, "make_landmarks", counted)
+    first, views = record("a", 3)
+    assert views == 3
+    opened = Record.from_bytes(first, bench_key(1))
+    again, views = record("b", 3, opened)
+    assert views == 0
+    assert (again, 3) == record("b", 3)
+    assert record("b", 2, opened)[1] == 2  # from as many views as were asked for
+    half = quick(small_plant.take(np.arange(0, len(small_plant), 2)), landmark_views=3, earlier=opened)
+    assert drawn == [3]  # of another model
+    assert half.seen is not None
 
 
 @pytest.mark.parametrize("bits", [16, 48, 128])

@@ -243,6 +243,14 @@ def test_a_killed_worker_loses_nothing(served: Served, alice: Client, owner_key:
     assert names.count("survivor") == 1
 
 
+def test_a_later_copy_costs_a_part(alice: Client, owner_key: str) -> None:
+    """The killed worker's model again, for another buyer."""
+    ended = alice.embed(sparse_plant(), key_id=owner_key, profile="fast", copy_name="second")
+    first = next(asset for asset in alice.assets() if asset.copy_name == "survivor")
+    made, taken = (alice.asset(name).report["seconds_by_stage"]["landmarks"] for name in (first.id, ended.asset_id))
+    assert taken < 0.3 * made
+
+
 def test_a_model_too_small_for_its_message(raw: httpx.Client, owner_key: str) -> None:
     small = (ROOT / "tests" / "data" / "train_1000.ply").read_bytes()
     answer = raw.post(
