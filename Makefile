@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # One more than there are cores: some tests wait for servers and browsers.
 WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
-UNITS := architecture cli compress formats numerics pictures pipeline raster records registration theory watermark
+UNITS := architecture cli compress credentials formats numerics pictures pipeline raster records registration theory watermark
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal
 
 .PHONY: install demo test quick mutants results docker-test check kernels clean

@@ -12,6 +12,7 @@ from engine.cli import (
     bench,
     config,
     convert,
+    credentials,
     demo,
     dispute,
     embed,
@@ -79,6 +80,7 @@ app.command("sim")(sim.sim)
 app.command("evaluate")(evaluate.evaluate)
 app.command("bench", help=bench.HELP)(bench.bench)
 app.add_typer(config.app, name="config")
+app.add_typer(credentials.app, name="credentials")
 app.command("demo")(demo.demo)
 
 

@@ -12,8 +12,10 @@ import typer
 from engine.cli.console import Console
 from engine.cli.embed import size
 from engine.cli.options import Json, SpzFrame
+from engine.cli.trusting import read_certificates
 
 if TYPE_CHECKING:
+    from engine.credentials.reading import Credentials
     from engine.sim.variants.scenes import Loaded
 
 DRAWN = {
@@ -23,13 +25,28 @@ DRAWN = {
 }
 """How a model is to be drawn, in words."""
 
+HOLDS = {
+    "Trusted": "hold, and the signer is one you trust",
+    "Valid": "hold; the signer is nobody you named",
+    "Invalid": "DO NOT HOLD: altered, or of another file",
+    "Unread": "could not be read",
+}
+"""The states of Content Credentials, in words."""
+
 
 def inspect(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model in any format that is read here.")],
     spz_frame: SpzFrame = "auto",
+    trust: Annotated[
+        Path | None, typer.Option("--trust", metavar="PEM", help="Certificates whose signers of credentials you trust.")
+    ] = None,
     json: Json = False,
 ) -> int:
     """Say what a model file holds, and what was repaired to read it.
+
+    Content Credentials (C2PA) in the file, or beside it in one that ends .c2pa,
+    are shown, too. They are their signer's word: whether a mark is there, only
+    'mark3dgs verify' says.
 
     Example:
 
@@ -37,12 +54,19 @@ def inspect(
     """
     console = Console(json)
     began = time.perf_counter()
+    anchors = "" if trust is None else _pem(trust)
+    from engine.credentials.reading import read_credentials
     from engine.sim.variants.scenes import read_scene
 
     with console.progress() as progress:
         progress("read", 0.0)
         loaded = read_scene(model, spz_frame=spz_frame)
-    report = describe_model(loaded) | {"file": str(model), "seconds": time.perf_counter() - began}
+    credentials = read_credentials(model, loaded.format, anchors)
+    report = describe_model(loaded) | {
+        "file": str(model),
+        "credentials": None if credentials is None else credentials.to_json(),
+        "seconds": time.perf_counter() - began,
+    }
     low, high = report["bounds"]
     console.say(f"{model}: {report['format']}, {size(report['bytes'])}")
     console.say(f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each")
@@ -58,6 +82,8 @@ def inspect(
         console.say(f"  repaired    {repair['text']}")
     if not report["repairs"]:
         console.say("  repaired    nothing")
+    if credentials is not None:
+        _say_credentials(console, credentials)
     console.emit(report)
     return 0
 
@@ -86,6 +112,27 @@ def describe_model(loaded: Loaded) -> dict[str, Any]:
         "scale_median": float(np.exp(np.median(model.log_scales))),
         "repairs": [asdict(repair) for repair in loaded.repairs],
     }
+
+
+def _say_credentials(console: Console, found: Credentials) -> None:
+    why = found.reason or ", ".join(found.failures)
+    console.say(f"  credentials {found.place}: {HOLDS[found.state]}{f' ({why})' if why else ''}")
+    if found.state not in ("Trusted", "Valid"):  # what it says is not to be put down to whoever it names
+        return
+    when = f", {found.signed_at}" if found.signed_at else ", at a time that nobody attests"
+    console.say(f"  signed by   {found.signer} ({found.issuer}), {found.algorithm}{when}")
+    console.say(f"  says        {found.generator}: {', '.join(found.actions)}")
+    for alg, value in found.bindings:
+        console.say(f"  bound to    {alg} {value}")
+    for record in found.record_ids:
+        console.say(f"              which is the record {record}")
+
+
+def _pem(path: Path) -> str:
+    """Certificates as text, checked to be some."""
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    return "".join(each.public_bytes(Encoding.PEM).decode() for each in read_certificates(path))
 
 
 def _vector(values: list[float]) -> str:

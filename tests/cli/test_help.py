@@ -23,6 +23,8 @@ COMMANDS = (
     ["evaluate"],
     ["bench"],
     ["config", "show"],
+    ["credentials", "sign"],
+    ["credentials", "trial"],
     ["demo"],
 )
 HEAVY = ("torch", "numba", "cv2", "scipy", "numpy", "matplotlib", "skimage", "PIL")

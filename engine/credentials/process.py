@@ -1,0 +1,32 @@
+"""The process that reads a manifest: one JSON object on standard input, one on standard output (`native.parse`)."""
+
+import json
+import math
+import resource
+import sys
+from pathlib import Path
+
+from engine.credentials.native import parse
+from engine.credentials.reading import MEMORY_BYTES, SECONDS
+from engine.errors import InputError
+
+
+def main() -> None:
+    """Answer one request, within limits on memory, time and files."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # it writes nothing
+    for kind, most in ((resource.RLIMIT_AS, MEMORY_BYTES), (resource.RLIMIT_CPU, math.ceil(SECONDS))):
+        ceiling = resource.getrlimit(kind)[1]
+        if ceiling != resource.RLIM_INFINITY:
+            most = min(most, ceiling)
+        resource.setrlimit(kind, (most, most))
+    asked = json.load(sys.stdin)
+    try:
+        said = parse(Path(asked["model"]), asked["media_type"], bytes.fromhex(asked["store"]), asked["anchors"])
+    except InputError as error:
+        said = {"reason": str(error)}
+    sys.stdout.write(json.dumps(said))
+
+
+if __name__ == "__main__":
+    main()

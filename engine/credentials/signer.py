@@ -1,0 +1,178 @@
+"""Who signs: a certificate chain and its private key, both PEM; and a chain of one's own, for trials.
+
+C2PA Technical Specification 2.4: 13.2 (algorithms), 14.5 (certificates).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from engine.errors import InputError
+
+_MOST_BYTES = 1 << 20
+_CURVES = {"secp256r1": "es256", "secp384r1": "es384", "secp521r1": "es512"}
+_LEAST_RSA_BITS = 2048
+_SLACK = timedelta(minutes=5)
+"""A clock that is a little behind finds a fresh certificate valid."""
+
+
+@dataclass(frozen=True)
+class Signer:
+    """A chain (PEM, the signer's own certificate first) and its private key (PEM, not encrypted).
+
+    InputError, on construction, where they are none, do not belong together, or are not valid now.
+    """
+
+    chain: bytes
+    key: bytes
+
+    def __post_init__(self) -> None:
+        own = self.certificate
+        if own.public_key().public_bytes(*_PUBLIC) != self._private().public_key().public_bytes(*_PUBLIC):
+            raise InputError("the private key does not belong to the first certificate of the chain")
+        now = datetime.now(UTC)
+        if not own.not_valid_before_utc <= now <= own.not_valid_after_utc:
+            first, last = own.not_valid_before_utc, own.not_valid_after_utc
+            raise InputError(f"the certificate is valid from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} UTC only")
+        if own.issuer == own.subject:
+            raise InputError("the certificate signs itself, which C2PA does not take: it wants one that another issued")
+        _ = self.algorithm
+
+    @property
+    def certificate(self) -> x509.Certificate:
+        """The signer's own."""
+        try:
+            return x509.load_pem_x509_certificates(self.chain)[0]
+        except ValueError:
+            raise InputError("the certificate chain holds no certificates in PEM") from None
+
+    @property
+    def algorithm(self) -> str:
+        """As C2PA calls it: es256, es384, es512, ps256 or ed25519. InputError for a key that it does not take."""
+        key = self._private()
+        if isinstance(key, ec.EllipticCurvePrivateKey) and key.curve.name in _CURVES:
+            return _CURVES[key.curve.name]
+        if isinstance(key, ed25519.Ed25519PrivateKey):
+            return "ed25519"
+        if isinstance(key, rsa.RSAPrivateKey) and key.key_size >= _LEAST_RSA_BITS:
+            return "ps256"
+        raise InputError("the private key is neither P-256, P-384, P-521, Ed25519 nor RSA of 2,048 bits or more")
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the chain as given, hexadecimal."""
+        return sha256(self.chain).hexdigest()
+
+    def _private(self) -> ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey:
+        try:
+            key = load_pem_private_key(self.key, None)
+        except TypeError:
+            raise InputError(
+                "the private key is encrypted: give it without a password, in a file of mode 0600"
+            ) from None
+        except (ValueError, UnsupportedAlgorithm):
+            raise InputError("the private key is no private key in PEM") from None
+        if isinstance(key, ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey):
+            return key
+        raise InputError("the private key is of a kind that C2PA does not take")
+
+
+_PUBLIC = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+
+
+def read_signer(certificates: Path, key: Path) -> Signer:
+    """The signer whose chain and key are in these files; InputError names what is wrong with which."""
+    chain, private = (_read(path) for path in (certificates, key))
+    try:
+        return Signer(chain, private)
+    except InputError as error:
+        raise InputError(f"{str(certificates)!r} and {str(key)!r}: {error}") from None
+
+
+def make_trial_signer(name: str, days: int) -> tuple[Signer, bytes]:
+    """A signer whom nobody knows, and the certificate (PEM) of the authority that issued its own.
+
+    Who trusts that authority finds the signer trusted. Its key is thrown away: it issues nothing else.
+    """
+    if not 1 <= len(name) <= 64 or not name.isprintable():  # RFC 5280, A.1: ub-common-name
+        raise InputError(f"the name must have 1 to 64 printable characters, got {name!r}")
+    if not 1 <= days <= 3650:
+        raise InputError(f"a certificate is made for 1 to 3,650 days, got {days}")
+    root, own = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
+    authority = x509.Name(
+        [
+            x509.NameAttribute(NameOID.COMMON_NAME, "Trial authority"),
+            x509.NameAttribute(NameOID.ORGANIZATION_NAME, name),
+        ]
+    )
+    subject = x509.Name(
+        [x509.NameAttribute(NameOID.COMMON_NAME, name), x509.NameAttribute(NameOID.ORGANIZATION_NAME, name)]
+    )
+    issued = _issue(authority, root, authority, root, days, of_authority=True)
+    leaf = _issue(subject, own, authority, root, days, of_authority=False)
+    private = own.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    return Signer(leaf.public_bytes(Encoding.PEM), private), issued.public_bytes(Encoding.PEM)
+
+
+def _issue(
+    subject: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    issuer: x509.Name,
+    by: ec.EllipticCurvePrivateKey,
+    days: int,
+    *,
+    of_authority: bool,
+) -> x509.Certificate:
+    now = datetime.now(UTC)
+    usage = dict.fromkeys(
+        (
+            *("content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
+            *("encipher_only", "decipher_only"),
+        ),
+        False,
+    )
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _SLACK)
+        .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=of_authority, path_length=0 if of_authority else None), critical=True)
+        .add_extension(
+            x509.KeyUsage(
+                digital_signature=not of_authority, key_cert_sign=of_authority, crl_sign=of_authority, **usage
+            ),
+            critical=True,
+        )
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(by.public_key()), critical=False)
+    )
+    if not of_authority:  # one of those that 14.5.1 lets a signer have
+        builder = builder.add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.EMAIL_PROTECTION]), critical=False)
+    return builder.sign(by, hashes.SHA256())
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as opened:
+            return opened.read(_MOST_BYTES)
+    except OSError as error:
+        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
