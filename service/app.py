@@ -15,6 +15,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
 from service.assets.endpoints import router as assets
+from service.assets.resolution import router as credentials
 from service.claims.endpoints import router as claims
 from service.core import Service
 from service.disputes.endpoints import router as disputes
@@ -85,7 +86,7 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    for router in (keys, uploads, embeds, verifications, disputes, jobs, assets, claims, health):
+    for router in (keys, uploads, embeds, verifications, disputes, jobs, assets, credentials, claims, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)

@@ -59,6 +59,10 @@ class Settings(BaseSettings):
         "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."
     )
     tsa_url: str = Field("", description="RFC 3161 time-stamping service; empty: no stamp.")
+    credentials_certificates: str = Field(
+        "", description="File with the certificate chain (PEM) that signs Content Credentials; empty: none are made."
+    )
+    credentials_key: str = Field("", description="File with the private key (PEM) of that chain's first certificate.")
 
     def database(self) -> str:
         """SQLAlchemy URL of our tables."""

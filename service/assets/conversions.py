@@ -1,6 +1,7 @@
 """What is made of stored files when somebody asks for it, and kept: made once, also for many who ask at a time."""
 
 import asyncio
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import sqlalchemy as sa
@@ -42,16 +43,21 @@ async def converted(service: Service, tenant: str, sha256: str, kind: str) -> st
 
     budget-exceeded where as many others are being made for this tenant as may be.
     """
-    this, making = (sha256, kind), service.making
-    if this not in making and (found := await asyncio.to_thread(kept, service, sha256, kind)) is not None:
+    this = (sha256, kind)
+    if this not in service.making and (found := await asyncio.to_thread(kept, service, sha256, kind)) is not None:
         return found
-    work = making.get(this)
+    return await once(service, tenant, this, lambda: _convert(service, tenant, sha256, kind))
+
+
+async def once(service: Service, tenant: str, this: tuple[str, str], make: Callable[[], str]) -> str:
+    """What `make` makes of a file, once for all who ask meanwhile; budget-exceeded as `converted`."""
+    making, work = service.making, service.making.get(this)
     if work is None:
         most = service.settings.conversions_at_once
         if sum(whose == tenant for whose, _ in list(making.values())) >= most:
             text = f"{most} models are being converted for this tenant: ask again when one is done"
             raise Problem("budget-exceeded", text, headers={"Retry-After": "5"})
-        work = making[this] = tenant, _threads.submit(_convert, service, tenant, sha256, kind)
+        work = making[this] = tenant, _threads.submit(make)
         work[1].add_done_callback(lambda _: making.pop(this, None))  # in its thread, or here if it is done already
     # Shielded: one who breaks off takes the work from nobody else.
     return await asyncio.shield(asyncio.wrap_future(work[1]))

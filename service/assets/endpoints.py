@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
 from service.assets.conversions import converted, drop
+from service.assets.credentials import delivered, forget_manifests
 from service.db import own, page
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, visible
@@ -78,7 +79,11 @@ async def get_model(
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
     version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
 ) -> Response:
-    """The marked model (or your original), converted where another format is asked for."""
+    """The marked model (or your original), converted where another format is asked for.
+
+    Where the operator signs Content Credentials, a marked .sog has them inside, and the header Link leads to those of
+    a .sog or .glb.
+    """
     row, marked = await asyncio.to_thread(visible, core, caller, assets, asset_id), version == "marked"
     if not marked and not caller.may("originals"):
         raise Problem("forbidden", "this API key lacks the scope 'originals', which the unmarked original needs")
@@ -86,7 +91,10 @@ async def get_model(
     if wanted is not None and wanted != kind:
         sha256, kind = await converted(core, caller.tenant, sha256, wanted), wanted
     ending = "ply" if kind == "spacetime" else kind  # a clip is one
-    return await asyncio.to_thread(send_blob, core, sha256, f"{row.id}-{version}.{ending}", MODEL_TYPE, want)
+    file = await delivered(core, row, sha256, kind if marked else "")
+    answer = await asyncio.to_thread(send_blob, core, file.sha256, f"{row.id}-{version}.{ending}", MODEL_TYPE, want)
+    answer.headers.update(file.headers)
+    return answer
 
 
 @router.get(
@@ -114,4 +122,5 @@ def delete_asset(asset_id: str, core: Core, caller: Admin) -> None:
     go with the next tidying up. The log keeps that it was registered, and that it was deleted."""
     row = own(core.db, assets, caller.tenant, asset_id)
     forget(core.db, assets, caller.tenant, asset_id)
+    forget_manifests(core, asset_id)
     drop(core, row.model_sha256, row.original_sha256, row.record_sha256)

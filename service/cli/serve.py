@@ -46,12 +46,18 @@ def serve(
     """
     import uvicorn
 
+    from engine.credentials.native import require
     from service.app import make_app
+    from service.assets.credentials import signer_of
     from service.http.patience import ImpatientProtocol
 
     console = Console(machine=False)
     _check_free(host, port)
     settings, service = start(console, may_make=True)
+    if (signer := signer_of(settings)) is not None:  # what is wrong with it is said now, not at the first download
+        require()
+        until = f"{signer.certificate.not_valid_after_utc:%Y-%m-%d}"
+        console.note(f"Content Credentials are signed by {signer.certificate.subject.rfc4514_string()}, until {until}.")
     count = settings.workers if workers is None else workers
     crew = Crew([f"local-{number}" for number in range(1, count + 1)])
     console.note(f"Serving on http://{host}:{port} with {count} worker{'s' if count != 1 else ''}. Ctrl-C stops.")

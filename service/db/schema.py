@@ -93,6 +93,16 @@ assets = Table(
 
 conversions = Table("conversions", metadata, *_key("model_sha256", "format"), *_texts("sha256"))
 
+# Signed manifests (C2PA) of delivered files: what was signed once stays to be found.
+manifests = Table(
+    "manifests",
+    metadata,
+    *_key("id"),  # urn:c2pa:...
+    *_texts("asset", "binding", index=True),  # binding: id of the mark's record
+    *_texts("signer", "source_sha256"),  # of the certificate chain, and of the file that was to be signed
+    *_texts("file_sha256", "sha256", "created_at"),  # of the file as it is delivered, and of the manifest store
+)
+
 claims = Table(
     "claims",
     metadata,

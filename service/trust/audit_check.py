@@ -14,7 +14,7 @@ from engine.records import merkle
 from engine.records.signatures import SignatureFault, verify
 from service.blobs import Blobs
 from service.db import Database
-from service.db.schema import assets, audit_nodes, claims, uploads
+from service.db.schema import assets, audit_nodes, claims, manifests, uploads
 from service.db.schema import audit as log
 from service.trust import audit
 from service.trust.canonical import canonical
@@ -171,6 +171,8 @@ def _check_files(db: Database, blobs: Blobs) -> tuple[int, list[Fault]]:
         for row in _all(connection, claims.select(), claims.c.id):
             for name, digest in json.loads(row.pictures).items():
                 named.setdefault(digest, []).append(f"the picture {name} of {row.id} ({row.tenant})")
+        for row in _all(connection, manifests.select(), manifests.c.id):
+            named.setdefault(row.sha256, []).append(f"the manifest {row.id} of {row.asset}")
         for row in _all(connection, uploads.select().where(uploads.c.state == "complete"), uploads.c.id):
             named.setdefault(row.sha256, []).append(f"the upload {row.id} ({row.tenant})")
     faults = []

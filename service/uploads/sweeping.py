@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from service.clock import ago
 from service.core import Service
-from service.db.schema import assets, claims, conversions, jobs, uploads
+from service.db.schema import assets, claims, conversions, jobs, manifests, uploads
 from service.jobs.port import FINAL
 from service.uploads import store
 
@@ -46,7 +46,8 @@ def _named(service: Service) -> set[str]:
     of_assets = [assets.c[f"{name}_sha256"] for name in ("original", "model", "record", "preview", "sketch")]
     found: set[str] = set()
     with service.db.read() as connection:
-        for column in (uploads.c.sha256, conversions.c.sha256, *of_assets):
+        of_manifests = (manifests.c.file_sha256, manifests.c.sha256)
+        for column in (uploads.c.sha256, conversions.c.sha256, *of_manifests, *of_assets):
             found.update(digest for (digest,) in connection.execute(sa.select(column)) if digest)
         for (pictures,) in connection.execute(sa.select(claims.c.pictures)):
             found.update(json.loads(pictures).values())

@@ -27,6 +27,7 @@ TASKS: Mapping[str, Task] = {
     "inspect": _task("files", "inspect"),
     "picture": _task("files", "look_at_picture"),
     "screen": _task("screening", "screen"),
+    "sign": _task("credentials", "sign_model"),
     "verify": _task("verification", "verify_suspect"),
 }
 

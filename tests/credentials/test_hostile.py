@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.server
-import json
 import os
 import sys
 import threading
@@ -181,8 +180,9 @@ def test_words_that_harm_a_terminal(
     path = tmp_path / "loud.sog"
     sign_into(files["sog"], path, RECORD, desk.signer)
     found = read(path)
-    text = json.dumps(found.to_json(), ensure_ascii=False)
-    assert text.isprintable()
+    told = (*found.actions, *(part for binding in found.bindings for part in binding), found.generator, found.signer)
+    assert all(text.isprintable() for text in told)
+    assert "?[31mvalue" in found.bindings[0][1]
     assert len(found.generator) <= MOST_CHARACTERS
     assert len(found.bindings) == len(found.actions) == MOST_TOLD
     assert found.record_ids == []

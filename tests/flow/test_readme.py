@@ -60,6 +60,7 @@ def test_readme_shows_commands() -> None:
         "attack",
         "trace",
         "attest",
+        "credentials sign",
         "dispute",
         "sim",
         "config show",

@@ -16,7 +16,11 @@ from service.db.schema import assets, claims
 from service.jobs.port import Job, State
 from tests.service.api.conftest import SMALL, Api
 
-PUBLIC = {"/healthz", "/readyz", "/.well-known/jwks.json"}
+PUBLIC = {
+    *("/healthz", "/readyz", "/.well-known/jwks.json"),
+    # what was let out with a file, for who has the id that is in it (test_credentials)
+    *("/v1/matches/byBinding", "/v1/manifests/{manifest_id}", "/v1/services/supportedAlgorithms"),
+}
 
 
 def _rows(service: Service, tenant: str, job: str) -> tuple[str, str]:
@@ -88,7 +92,7 @@ def test_every_route_with_anothers_ids(api: Api, stranger: Api, ids: dict[str, s
     tried = 0
     for method, path, _ in _operations(api.client):
         names = re.findall(r"{(\w+)}", path)
-        if not names:
+        if not names or path in PUBLIC:
             continue
         address = path.format(**ids)
         mine = stranger.client.request(method, address)

@@ -155,11 +155,12 @@ def test_a_newer_database(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_the_first_version_is_brought_up_to_date(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
-    """As `0001` left it: without names of tenants."""
+    """As `0001` left it: without names of tenants, and without manifests."""
     mark3dgs("init")
     database = Database(Settings(data_dir=tmp_path / "data").database())
     with database.write() as connection:
         connection.exec_driver_sql("DROP TABLE tenants")
+        connection.exec_driver_sql("DROP TABLE manifests")
         connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0001'")
     assert mark3dgs("tenant", "default", "Studio Nord")[0] == 0
     with database.read() as connection:
@@ -192,3 +193,12 @@ def test_another_master_key(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
     assert mark3dgs("rotate-master-key")[0] == 0
     assert (tmp_path / "data" / "master.key").read_text() != before
     assert mark3dgs("rotate-signing-key")[0] == 0
+
+
+def test_serve_refuses_a_signer_who_can_sign_nothing(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
+    """At once, and not at the first download."""
+    chain = str(tmp_path / "chain.pem")
+    code, _, err = mark3dgs("serve", "--port", "0", CREDENTIALS_CERTIFICATES=chain)
+    assert (code, "go together" in err) == (2, True)
+    code, _, err = mark3dgs("serve", "--port", "0", CREDENTIALS_CERTIFICATES=chain, CREDENTIALS_KEY=chain)
+    assert (code, "cannot read" in err, "chain.pem" in err) == (2, True, True)

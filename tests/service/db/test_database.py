@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 
 from service.clock import now
 from service.db import Database, metadata
-from service.db.schema import usage, workers
+from service.db.schema import manifests, tenants, usage, workers
 from service.problems import Problem
 
 VERSIONS = Path(__file__).parents[3] / "service" / "db" / "migrations" / "versions"
@@ -30,6 +30,19 @@ def test_migrations_make_what_the_schema_says(db: Database) -> None:
         context = MigrationContext.configure(connection)
         assert compare_metadata(context, metadata) == []
         assert context.get_current_revision() == max(path.stem[:4] for path in VERSIONS.glob("0*.py"))
+
+
+def test_an_earlier_versions_database_becomes_what_the_schema_says(tmp_path: Path) -> None:
+    older = Database(f"sqlite:///{tmp_path / 'test.sqlite'}")
+    with older.engine.begin() as connection:
+        metadata.create_all(
+            connection, tables=[each for each in metadata.sorted_tables if each not in (tenants, manifests)]
+        )
+        connection.exec_driver_sql("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)")
+        connection.exec_driver_sql("INSERT INTO alembic_version VALUES ('0001')")
+    older.migrate()
+    with older.engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), metadata) == []
 
 
 def test_durable_and_one_writer(db: Database) -> None:

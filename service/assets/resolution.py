@@ -1,0 +1,88 @@
+"""The query and fetch routes of C2PA's Soft Binding Resolution API 2.4, under /v1: a mark leads to its manifest.
+
+Open to all, as manifests are: whoever names a record's id (128 bits, in the file, in its claims and nowhere to be
+guessed) gets what the owner let out with the file, and nothing else.
+"""
+
+from typing import Annotated
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, Field
+
+from engine.credentials.manifest import ALG, MEDIA_TYPE, bound_record
+from service.db import missing
+from service.db.schema import assets, manifests
+from service.http.access import Core
+from service.http.failures import responses
+
+router = APIRouter(prefix="/v1", tags=["credentials"])
+_FILE = {
+    "description": "The manifest store",
+    "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+}
+
+
+class Match(BaseModel):
+    """A manifest that a soft binding leads to."""
+
+    manifestId: str = Field(examples=["urn:c2pa:3fad1ead-8ed5-44d0-873b-ea5f58adea82"])
+
+
+class Matches(BaseModel):
+    """Manifests of one mark, the latest first."""
+
+    matches: list[Match]
+
+
+class Algorithm(BaseModel):
+    """A soft binding's algorithm."""
+
+    alg: str = Field(examples=[ALG])
+
+
+class Algorithms(BaseModel):
+    """Algorithms that can be asked for."""
+
+    watermarks: list[Algorithm]
+
+
+@router.get("/matches/byBinding", operation_id="queryByBinding", responses=responses("invalid-request"))
+def query_by_binding(
+    core: Core,
+    alg: Annotated[str, Query(description="Name of the soft binding's algorithm.", max_length=200)],
+    value: Annotated[str, Query(description="As the manifest names it: 16 bytes in base64.", max_length=200)],
+    most: Annotated[int, Query(alias="maxResults", ge=1, le=100)] = 10,
+) -> Matches:
+    """Ids of the manifests that name this mark; none where it, or the algorithm, is unknown."""
+    record = bound_record(value) if alg == ALG else ""
+    joined = manifests.join(assets, manifests.c.asset == assets.c.id)
+    query = sa.select(manifests.c.id).select_from(joined).where(manifests.c.binding == record)
+    with core.db.read() as connection:
+        found = connection.execute(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
+    return Matches(matches=[Match(manifestId=each) for each in found])
+
+
+@router.get(
+    "/manifests/{manifest_id}",
+    operation_id="getManifestById",
+    response_class=Response,
+    responses={200: _FILE, **responses("not-found")},
+)
+def get_manifest(manifest_id: str, core: Core) -> Response:
+    """A manifest store as it was signed. It is bound to one file to the last bit: of a changed copy it says what that
+    was made from."""
+    joined = manifests.join(assets, manifests.c.asset == assets.c.id)
+    query = sa.select(manifests.c.sha256).select_from(joined).where(manifests.c.id == manifest_id)
+    with core.db.read() as connection:
+        digest = connection.execute(query).scalar()
+    if digest is None:
+        raise missing(manifests, manifest_id)
+    headers = {"Content-Disposition": 'attachment; filename="manifest.c2pa"'}
+    return Response(core.blobs.read(digest), headers=headers, media_type=MEDIA_TYPE)
+
+
+@router.get("/services/supportedAlgorithms", operation_id="getSupportedBindings", responses=responses())
+def get_supported_bindings() -> Algorithms:
+    """The soft binding's algorithm that is known here: ours."""
+    return Algorithms(watermarks=[Algorithm(alg=ALG)])

@@ -1,0 +1,25 @@
+"""Task `sign`: a model of ours as it is delivered, with its Content Credentials. Contract: docs/SERVICE.md."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from engine.credentials.manifest import EMBEDS
+from engine.credentials.signer import Signer
+from engine.credentials.signing import sign_beside, sign_into
+from service.work.process import Progress
+
+
+def sign_model(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """The manifest, and the model with it inside where its format takes one up."""
+    progress("write", 0.0)
+    signer = Signer(request["certificates"].encode(), request["key"].encode())
+    model, kind, record_id = Path(request["model"]), request["format"], request["record_id"]
+    files = {"manifest": "manifest.c2pa"}
+    if kind == EMBEDS:
+        files["model"] = f"model.{kind}"
+        made = sign_into(model, folder / files["model"], record_id, signer)
+    else:
+        made = sign_beside(model, kind, record_id, signer)
+    (folder / files["manifest"]).write_bytes(made.store)
+    return {"manifest_id": made.id, "files": files}
