@@ -22,10 +22,9 @@ from engine.credentials.manifest import (
     manifest_beside,
     model_type,
 )
+from engine.credentials.process import SECONDS
 from engine.errors import InputError
 
-SECONDS = 60.0
-MEMORY_BYTES = 4 << 30
 _COMMAND = (sys.executable, "-P", "-m", "engine.credentials.process")
 """-P: the folder that one stands in may be anybody's, too; no module is taken from there."""
 

@@ -25,7 +25,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from engine.errors import InputError
 
+Private = ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey
+
 _MOST_BYTES = 1 << 20
+_PUBLIC = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
 _CURVES = {"secp256r1": "es256", "secp384r1": "es384", "secp521r1": "es512"}
 _LEAST_RSA_BITS = 2048
 _SLACK = timedelta(minutes=5)
@@ -34,7 +37,8 @@ _SLACK = timedelta(minutes=5)
 
 @dataclass(frozen=True)
 class Signer:
-    """A chain (PEM, the signer's own certificate first) and its private key (PEM, not encrypted).
+    """A chain (PEM, the signer's own certificate first) and its private key (PEM, not encrypted); both are kept without
+    what else was in their files.
 
     InputError, on construction, where they are none, do not belong together, or are not valid now.
     """
@@ -43,8 +47,9 @@ class Signer:
     key: bytes
 
     def __post_init__(self) -> None:
-        own = self.certificate
-        if own.public_key().public_bytes(*_PUBLIC) != self._private().public_key().public_bytes(*_PUBLIC):
+        certificates, key = _certificates(self.chain), _private_key(self.key)
+        own, public = certificates[0], key.public_key().public_bytes(*_PUBLIC)
+        if own.public_key().public_bytes(*_PUBLIC) != public:
             raise InputError("the private key does not belong to the first certificate of the chain")
         now = datetime.now(UTC)
         if not own.not_valid_before_utc <= now <= own.not_valid_after_utc:
@@ -52,48 +57,24 @@ class Signer:
             raise InputError(f"the certificate is valid from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} UTC only")
         if own.issuer == own.subject:
             raise InputError("the certificate signs itself, which C2PA does not take: it wants one that another issued")
-        _ = self.algorithm
+        _algorithm(key)
+        object.__setattr__(self, "chain", b"".join(each.public_bytes(Encoding.PEM) for each in certificates))
+        object.__setattr__(self, "key", key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
 
     @property
     def certificate(self) -> x509.Certificate:
         """The signer's own."""
-        try:
-            return x509.load_pem_x509_certificates(self.chain)[0]
-        except ValueError:
-            raise InputError("the certificate chain holds no certificates in PEM") from None
+        return _certificates(self.chain)[0]
 
     @property
     def algorithm(self) -> str:
-        """As C2PA calls it: es256, es384, es512, ps256 or ed25519. InputError for a key that it does not take."""
-        key = self._private()
-        if isinstance(key, ec.EllipticCurvePrivateKey) and key.curve.name in _CURVES:
-            return _CURVES[key.curve.name]
-        if isinstance(key, ed25519.Ed25519PrivateKey):
-            return "ed25519"
-        if isinstance(key, rsa.RSAPrivateKey) and key.key_size >= _LEAST_RSA_BITS:
-            return "ps256"
-        raise InputError("the private key is neither P-256, P-384, P-521, Ed25519 nor RSA of 2,048 bits or more")
+        """As C2PA calls it: es256, es384, es512, ps256 or ed25519."""
+        return _algorithm(_private_key(self.key))
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the chain as given, hexadecimal."""
+        """SHA-256 of the chain, hexadecimal."""
         return sha256(self.chain).hexdigest()
-
-    def _private(self) -> ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey:
-        try:
-            key = load_pem_private_key(self.key, None)
-        except TypeError:
-            raise InputError(
-                "the private key is encrypted: give it without a password, in a file of mode 0600"
-            ) from None
-        except (ValueError, UnsupportedAlgorithm):
-            raise InputError("the private key is no private key in PEM") from None
-        if isinstance(key, ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey):
-            return key
-        raise InputError("the private key is of a kind that C2PA does not take")
-
-
-_PUBLIC = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
 
 
 def read_signer(certificates: Path, key: Path) -> Signer:
@@ -168,6 +149,38 @@ def _issue(
     if not of_authority:  # one of those that 14.5.1 lets a signer have
         builder = builder.add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.EMAIL_PROTECTION]), critical=False)
     return builder.sign(by, hashes.SHA256())
+
+
+def _certificates(pem: bytes) -> list[x509.Certificate]:
+    try:
+        found = x509.load_pem_x509_certificates(pem)
+        for each in found:
+            each.public_key()
+    except (ValueError, x509.InvalidVersion, UnsupportedAlgorithm):
+        raise InputError("the certificate chain holds no certificates in PEM, or some that cannot be read") from None
+    return found
+
+
+def _private_key(pem: bytes) -> Private:
+    try:
+        key = load_pem_private_key(pem, None)
+    except TypeError:
+        raise InputError("the private key is encrypted: give it without a password, in a file of mode 0600") from None
+    except (ValueError, UnsupportedAlgorithm):
+        raise InputError("the private key is no private key in PEM") from None
+    if isinstance(key, Private):
+        return key
+    raise InputError("the private key is of a kind that C2PA does not take")
+
+
+def _algorithm(key: Private) -> str:
+    if isinstance(key, ec.EllipticCurvePrivateKey) and key.curve.name in _CURVES:
+        return _CURVES[key.curve.name]
+    if isinstance(key, ed25519.Ed25519PrivateKey):
+        return "ed25519"
+    if isinstance(key, rsa.RSAPrivateKey) and key.key_size >= _LEAST_RSA_BITS:
+        return "ps256"
+    raise InputError("the private key is neither P-256, P-384, P-521, Ed25519 nor RSA of 2,048 bits or more")
 
 
 def _read(path: Path) -> bytes:

@@ -27,15 +27,8 @@ class Manifest:
 
 
 def sign_into(source: Path, target: Path, record_id: str, signer: Signer) -> Manifest:
-    """Write a copy of a .sog file with a manifest in it.
-
-    Parameters
-    ----------
-    source, target : Path
-        The marked model, which holds none yet, and the file to write.
-    record_id : str
-        Of the record of its mark.
-    signer : Signer
+    """Write `target`: a copy of `source`, a marked .sog file that holds no manifest yet, with one in it that names the
+    record of its mark.
 
     InputError if the source is no .sog file or holds a manifest already, or the certificate is not one that C2PA
     takes, or c2pa is not installed.

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from engine.credentials.manifest import ALG, EMBEDDED, binding_value, bound_record, describe, embedded_manifest
@@ -112,6 +113,16 @@ def test_every_kind_of_key_signs(algorithm: str, files: dict[str, Path], tmp_pat
     made = sign_beside(files["glb"], "glb", RECORD, signer)
     found = parse(files["glb"], "model/gltf-binary", made.store)
     assert (found["state"], found["algorithm"].lower()) == ("Valid", algorithm)
+
+
+def test_files_as_tools_write_them(files: dict[str, Path], tmp_path: Path) -> None:
+    """OpenSSL's old form of a key, and what it says around certificates, in the letters of its user."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    said = "Bag Attributes\n    friendlyName: Müller\n".encode("latin-1")
+    old = key.private_bytes(Encoding.PEM, PrivateFormat.TraditionalOpenSSL, NoEncryption())
+    signer = Signer(said + chain_of(key, usages=MAIL), said + old)
+    assert (signer.chain + signer.key).isascii()
+    assert sign_beside(files["glb"], "glb", RECORD, signer).id
 
 
 def test_signers_that_are_none(desk: Desk) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import logging
 from collections.abc import Iterator
@@ -18,9 +19,9 @@ from engine.credentials.native import parse
 from engine.errors import InputError
 from engine.formats import encode_model, read_model
 from service.app import make_app
-from service.assets.credentials import signer_of
+from service.assets.credentials import delivered, signer_of
 from service.core import Service
-from service.db.schema import assets
+from service.db.schema import assets, manifests
 from service.settings import Settings
 from service.trust.audit_check import verify_log
 from service.trust.commitments import commit_asset
@@ -161,6 +162,19 @@ def test_deleting_takes_the_manifest_along(signing: Service) -> None:
     assert anybody(signing).get(f"/v1/manifests/{name}").status_code == 404
     age(signing)
     assert sweep(signing)[1] == 7, "all files of the asset, the signed one and the manifest"
+
+
+def test_what_is_signed_while_the_asset_goes_is_not_found(signing: Service) -> None:
+    with signing.db.read() as connection:
+        row = connection.execute(assets.select()).one()
+    assert owner(signing).client.delete("/v1/assets/as_1").status_code == 204
+    assert asyncio.run(delivered(signing, row, row.model_sha256, "sog")).headers == {}
+    with signing.db.write() as connection:
+        assert connection.execute(manifests.select()).first() is None
+        orphan = {column.name: "x" for column in manifests.columns} | {"id": "urn:c2pa:x", "binding": RECORD}
+        connection.execute(manifests.insert().values(orphan))  # as if the power had failed between two steps
+    assert found(signing) == []
+    assert anybody(signing).get("/v1/manifests/urn:c2pa:x").status_code == 404
 
 
 def test_the_audit_hashes_manifests(signing: Service) -> None:
