@@ -16,8 +16,9 @@ from engine.formats.sog.archive import ZipArchive
 ALG = "io.github.mark3dgs.1"
 """Our algorithm's name for a soft binding, by the rules of the Soft Binding Algorithm List, on which it does not stand.
 
-Its value is the record's id, 16 bytes in base64: a keyed hash, from which nothing follows. Whoever has the record
-reads the mark (extraction is informed) and knows the id; nobody else gets it out of a model.
+Its value is the record's id, 16 bytes in base64 (which c2pa writes as text, where the standard has a byte string): a
+keyed hash, from which nothing follows. Whoever has the record reads the mark (extraction is informed) and knows the id;
+nobody else gets it out of a model.
 """
 
 EMBEDS = "sog"
@@ -26,10 +27,9 @@ EMBEDDED = "META-INF/content_credential.c2pa"
 SIDECAR = ".c2pa"
 MEDIA_TYPE = "application/c2pa"
 MOST_BYTES = 1 << 20
-"""Of a manifest store that is looked at; one of ours has 14 kB."""
+"""Of a manifest store that is looked at; one of ours has 4 kB."""
 
 _MODEL_TYPES = {"sog": "application/x-zip", "glb": "model/gltf-binary"}
-_SCHEMA = "c2pa.soft-binding"
 _PARENT = "unmarked"
 
 
@@ -85,7 +85,7 @@ def describe(record_id: str) -> dict[str, Any]:
                 },
             },
             {
-                "label": _SCHEMA,
+                "label": "c2pa.soft-binding",
                 "data": {
                     "alg": ALG,
                     "name": "Ownership watermark; the owner's record is needed to read it",
