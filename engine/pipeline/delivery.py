@@ -32,6 +32,8 @@ def slim_down(
     if budget is None:
         return model, {}
     measure = worst_psnr_against(original.images, original.cameras)
+    if config.prune.sh_degree < model.sh_degree:
+        model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
