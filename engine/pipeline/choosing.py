@@ -12,11 +12,12 @@ from typing import Any
 
 from engine.model import Camera, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.pipeline.delivery import Delivery, deliver
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import Auto, EmbedConfig
 from engine.pipeline.progress import Clock
 from engine.pipeline.rehearsing import Rehearsal, Rehearsing
-from engine.pipeline.spending import Delivery, deliver, file_bytes, ways
+from engine.pipeline.spending import file_bytes, ways
 from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold

@@ -22,6 +22,7 @@ from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.pipeline.asset import Asset, bank_of, known_landmarks
 from engine.pipeline.choosing import Choice, choose
+from engine.pipeline.delivery import deliver
 from engine.pipeline.groundwork import lay_groundwork
 from engine.pipeline.marking import Committed, Copy, make_mark
 from engine.pipeline.profiles import Auto, EmbedConfig, Settings
@@ -29,7 +30,6 @@ from engine.pipeline.progress import Clock, Progress
 from engine.pipeline.scenes import worst_psnr_against
 from engine.pipeline.sealing import DRAWN
 from engine.pipeline.settling import settle
-from engine.pipeline.spending import deliver
 from engine.pipeline.strength import Fidelity
 from engine.pipeline.variant import PLAIN, Variant
 from engine.records.record import Record

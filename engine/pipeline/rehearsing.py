@@ -18,10 +18,10 @@ import numpy as np
 
 from engine.model import Camera, Float32
 from engine.numerics.image_metrics import psnr
+from engine.pipeline.delivery import Delivery
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.scenes import look
-from engine.pipeline.spending import Delivery
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.layout import Layout

@@ -188,9 +188,10 @@ def draw_bytes_and_seconds(found: Sequence[Result]) -> Figure:
 
 
 def _spared(found: Sequence[Result]) -> str:
-    allowed = _of(found, "allowance")
-    least = min(float(result.row["sog_bytes"]) for result in allowed or found)
-    return f"Down to {100 * least / float(found[0].row['sog_bytes']):.0f} % of the bytes by what loss is allowed"
+    allowed = [float(result.row["sog_bytes"]) for result in _of(found, "allowance")]
+    if not allowed:
+        return "What the delivered file takes"
+    return f"Down to {100 * min(allowed) / float(found[0].row['sog_bytes']):.0f} % of the bytes by what loss is allowed"
 
 
 def _of(found: Sequence[Result], axis: str) -> list[Result]:
