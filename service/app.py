@@ -17,6 +17,7 @@ from fastapi.staticfiles import StaticFiles
 from service.assets.endpoints import router as assets
 from service.assets.resolution import router as credentials
 from service.claims.endpoints import router as claims
+from service.claims.share_endpoints import router as shares
 from service.core import Service
 from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
@@ -24,9 +25,11 @@ from service.health.endpoints import router as health
 from service.http.failures import install
 from service.http.middleware import BodyLimit, SafeHeaders
 from service.keys.endpoints import router as keys
+from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
+from service.webhooks.endpoints import router as webhooks
 
 WEB = Path(__file__).parent / "web"
 THREADS = 128
@@ -86,7 +89,8 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    for router in (keys, uploads, embeds, verifications, disputes, jobs, assets, credentials, claims, health):
+    ours = (me, keys, uploads, embeds, verifications, disputes, jobs, assets, credentials, claims, shares, webhooks)
+    for router in (*ours, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)

@@ -1,10 +1,11 @@
-"""The process that does the jobs: flows of all kinds, one job at a time, and tidying up now and then."""
+"""The process that does the jobs: flows of all kinds, one job at a time; webhooks, and tidying up now and then."""
 
 import logging
 import threading
 import time
 from typing import NoReturn
 
+from service.claims import shares
 from service.core import Service
 from service.disputes.flow import dispute_flow
 from service.embeds.flow import embed_flow
@@ -12,6 +13,7 @@ from service.http.budgets import forget
 from service.jobs.worker import Worker
 from service.uploads.sweeping import sweep
 from service.verifications.flow import verify_flow
+from service.webhooks.delivery import deliver_for_ever
 
 TIDY_SECONDS = 3600.0
 log = logging.getLogger("mark3dgs.worker")
@@ -19,7 +21,8 @@ log = logging.getLogger("mark3dgs.worker")
 
 def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
     """Do jobs until told to stop; ends the process."""
-    threading.Thread(target=_tidy, args=(service,), daemon=True).start()
+    for beside in (_tidy, deliver_for_ever):
+        threading.Thread(target=beside, args=(service,), daemon=True).start()
     flows = {"embed": embed_flow(service), "verify": verify_flow(service), "dispute": dispute_flow(service)}
     Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()
 
@@ -29,6 +32,7 @@ def _tidy(service: Service) -> None:
         time.sleep(TIDY_SECONDS)
         try:
             sweep(service)
+            shares.sweep(service.db)
             forget(service.db)
             service.jobs.prune(24 * service.settings.job_days)
         except Exception as error:  # the jobs matter more; the next hour tries again

@@ -10,7 +10,8 @@ from typing import Any, BinaryIO, Concatenate, ParamSpec, Self, TypeVar
 
 import httpx
 
-from service.client import downloads, flows
+from service.client import downloads, flows, lists, sharing
+from service.client import webhooks as hooks
 from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
 
 P = ParamSpec("P")
@@ -114,23 +115,31 @@ class Client:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
+    add_webhook = _now(hooks.add_webhook)
     asset = _now(flows.asset)
-    assets = _now(flows.assets)
+    assets = _now(lists.assets)
     call = _now(flows.call)
     cancel = _now(flows.cancel)
     claim = _now(flows.claim)
-    claims = _now(flows.claims)
+    claims = _now(lists.claims)
+    delete_webhook = _now(hooks.delete_webhook)
     download = _now(downloads.download)
     embed = _now(flows.embed)
     job = _now(flows.job)
+    jobs = _now(lists.jobs)
     jws = _now(downloads.jws)
+    me = _now(lists.me)
     record = _now(downloads.record)
     report = _now(downloads.report)
+    revoke_share = _now(sharing.revoke_share)
+    share = _now(sharing.share)
+    shares = _now(sharing.shares)
     submit_embed = _now(flows.submit_embed)
     submit_verify = _now(flows.submit_verify)
     upload = _now(flows.upload)
     verify = _now(flows.verify)
     wait = _now(flows.wait)
+    webhooks = _now(hooks.webhooks)
 
 
 class AsyncClient:
@@ -200,23 +209,31 @@ class AsyncClient:
     ) -> None:
         await self.close()
 
+    add_webhook = _soon(hooks.add_webhook)
     asset = _soon(flows.asset)
-    assets = _soon(flows.assets)
+    assets = _soon(lists.assets)
     call = _soon(flows.call)
     cancel = _soon(flows.cancel)
     claim = _soon(flows.claim)
-    claims = _soon(flows.claims)
+    claims = _soon(lists.claims)
+    delete_webhook = _soon(hooks.delete_webhook)
     download = _soon(downloads.download)
     embed = _soon(flows.embed)
     job = _soon(flows.job)
+    jobs = _soon(lists.jobs)
     jws = _soon(downloads.jws)
+    me = _soon(lists.me)
     record = _soon(downloads.record)
     report = _soon(downloads.report)
+    revoke_share = _soon(sharing.revoke_share)
+    share = _soon(sharing.share)
+    shares = _soon(sharing.shares)
     submit_embed = _soon(flows.submit_embed)
     submit_verify = _soon(flows.submit_verify)
     upload = _soon(flows.upload)
     verify = _soon(flows.verify)
     wait = _soon(flows.wait)
+    webhooks = _soon(hooks.webhooks)
 
 
 def _settings(address: str, api_key: str) -> dict[str, Any]:

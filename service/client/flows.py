@@ -5,15 +5,14 @@ import secrets
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal, TypedDict, TypeVar, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote
 
-from service.client.answers import Asset, Claim, ClaimSummary, Embedded, Job, Upload, Verified, embedded, read, verified
+from service.client.answers import Asset, Claim, Embedded, Job, Upload, Verified, embedded, read, verified
 from service.client.errors import ServiceError
 from service.client.sources import Measured, Source, measure, piece
-from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Pause, Progress, Reply, Request, Work, ask
+from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Params, Pause, Progress, Reply, Request, Work, ask
 
-A = TypeVar("A")
 FIRST_LOOK, LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks at a job: doubled while nothing changes."""
 LOOKS = 10
@@ -50,7 +49,7 @@ def silent(stage: str, fraction: float) -> None:
     """Progress that nobody watches."""
 
 
-def call(method: str, path: str, *, json: Any = None, params: dict[str, str] | None = None) -> Flow[Any]:
+def call(method: str, path: str, *, json: Any = None, params: Params | None = None) -> Flow[Any]:
     """Any request of the API: the JSON of its answer, None where it has no body. ServiceError for a bad answer."""
     reply = yield from ask(Request(method, path, params or {}, json=json))
     return reply.json() if reply.body else None
@@ -72,7 +71,7 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
     """
     announced: Measured = yield Work(partial(measure, source))
     slot = yield from _slot(announced)
-    path, breaks = _path("uploads", slot.id), 0
+    path, breaks = address("uploads", slot.id), 0
     while slot.state == "open":
         data: bytes = yield Work(partial(piece, source, slot.offset))
         if not data:
@@ -146,7 +145,7 @@ def _submit(path: str, body: dict[str, Any]) -> Flow[Job]:
 
 def job(job_id: str) -> Flow[Job]:
     """A job as it stands."""
-    return read(Job, (yield from _get(_path("jobs", job_id))))
+    return read(Job, (yield from _get(address("jobs", job_id))))
 
 
 def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Flow[Job]:
@@ -158,7 +157,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
     etag, pause = "", FIRST_LOOK
     while True:
         headers = {"If-None-Match": etag} if etag else {}
-        reply: Reply = yield Request("GET", _path("jobs", job_id), headers=headers, again=True)
+        reply: Reply = yield Request("GET", address("jobs", job_id), headers=headers, again=True)
         if reply.status != 304:
             if not reply.good:
                 raise reply.error()
@@ -175,7 +174,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
 
 def cancel(job_id: str) -> Flow[Job]:
     """Stop a job; ServiceError "conflict" where it has ended."""
-    return read(Job, (yield from call("DELETE", _path("jobs", job_id))))
+    return read(Job, (yield from call("DELETE", address("jobs", job_id))))
 
 
 def embed(
@@ -206,32 +205,12 @@ def verify(
 
 def asset(asset_id: str) -> Flow[Asset]:
     """One asset."""
-    return read(Asset, (yield from _get(_path("assets", asset_id))))
-
-
-def assets() -> Flow[list[Asset]]:
-    """All assets of the tenant, newest first."""
-    return (yield from _all(Asset, "/v1/assets"))
+    return read(Asset, (yield from _get(address("assets", asset_id))))
 
 
 def claim(claim_id: str) -> Flow[Claim]:
     """A claim, with its signature."""
-    return read(Claim, (yield from _get(_path("claims", claim_id))))
-
-
-def claims() -> Flow[list[ClaimSummary]]:
-    """All claims of the tenant, newest first."""
-    return (yield from _all(ClaimSummary, "/v1/claims"))
-
-
-def _all(kind: type[A], path: str) -> Flow[list[A]]:
-    found: list[A] = []
-    after: str | None = ""
-    while after is not None:
-        page = yield from _get(path, {"limit": "100", "after": after})
-        found += [read(kind, each) for each in page["items"]]
-        after = page["next"]
-    return found
+    return read(Claim, (yield from _get(address("claims", claim_id))))
 
 
 def _look(path: str) -> Flow[Any]:
@@ -239,10 +218,10 @@ def _look(path: str) -> Flow[Any]:
     return (yield from ask(Request("GET", path, again=True))).json()
 
 
-def _get(path: str, params: dict[str, str] | None = None) -> Flow[Any]:
+def _get(path: str, params: Params | None = None) -> Flow[Any]:
     return (yield from call("GET", path, params=params))
 
 
-def _path(kind: str, identifier: str) -> str:
-    """Address of one thing; an id is never more than one part of a path."""
-    return f"/v1/{kind}/{quote(identifier, safe='')}"
+def address(kind: str, *parts: str) -> str:
+    """Of one thing, or of what belongs to it; an id is never more than one part of a path."""
+    return "/".join((f"/v1/{kind}", *(quote(part, safe="") for part in parts)))

@@ -112,6 +112,19 @@ claims = Table(
     *_texts("asset", null=True),
     *_texts("document", "jws", "pictures", "created_at"),  # document: canonical JSON; pictures: JSON, name -> sha256
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of the JWS
+    Column("verdict", Text, nullable=False, server_default=""),  # as the document has it: for lists
+    Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
+)
+
+# Addresses under which a claim is seen without an API key; the address itself is nowhere kept.
+shares = Table(
+    "shares",
+    metadata,
+    *_key("id"),
+    *_texts("tenant"),
+    *_texts("claim", index=True),
+    Column("digest", Text, nullable=False, unique=True),  # SHA-256 of the token in the address, hex
+    *_texts("created_at", "expires_at"),
 )
 
 # Payloads are canonical JSON: digests, never secrets. The hash is of the previous hash and this row, hex.
@@ -150,6 +163,21 @@ workers = Table(
     _number("pid"),
     Column("seen_at", Float, nullable=False),  # seconds since the epoch, by the worker's clock
 )
+
+webhooks = Table(
+    "webhooks",
+    metadata,
+    *_key("id"),
+    *_texts("tenant", index=True),
+    *_texts("url", "created_at"),
+    _number("version", 1),  # of the master key that sealed the secret
+    Column("sealed", LargeBinary, nullable=False),
+    *_texts("last_at", "last_outcome", null=True),  # of the last try
+    _number("last_status", None),  # HTTP, NULL where no answer came
+)
+
+# What webhooks are still to be told: written by the transaction that ends a job, gone once delivered or given up.
+deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
 
 # How much of a budget a subject has used in one window of time.
 usage = Table("usage", metadata, *_key("subject", "window"), _number("count"))
