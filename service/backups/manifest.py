@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from engine.errors import InputError
 from service.blobs import blob_name
-from service.settings import Settings
+from service.settings import DATABASE, Settings
 
 NAME = "backup.json"
 FORMAT = 1
@@ -68,6 +68,8 @@ class Manifest:
         for name in map(PurePosixPath, files):
             if name.is_absolute() or ".." in name.parts or not name.parts:
                 raise InputError(f"{folder / NAME} is damaged: {str(name)!r} is no file of a backup")
+        if DATABASE not in files:
+            raise InputError(f"{folder / NAME} is damaged: it lists no {DATABASE}")
         return cls(made_at, files)
 
 
@@ -87,7 +89,7 @@ def check_local(settings: Settings) -> None:
     """InputError, which says what to use instead, unless everything lies in the data folder."""
     elsewhere = {
         "MARK3DGS_DATABASE_URL": (settings.database_url, "tables are in PostgreSQL: pg_dump and pg_restore copy them"),
-        "MARK3DGS_BLOB_URL": (settings.blob_url, "files are in a store: its own tools copy them, after the tables"),
+        "MARK3DGS_BLOB_URL": (settings.blob_url, "files are in a store: copy them by its own tools"),
     }
     found = [f"{text} ({name})" for name, (url, text) in elsewhere.items() if url]
     if found:

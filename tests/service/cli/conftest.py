@@ -1,14 +1,18 @@
-"""The command, called in this process."""
+"""The command, called in this process; a service to back up, and its backup."""
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 import service.cli.app  # noqa: F401  adds the service's commands
 from engine.cli.app import run
+from service.settings import JOBS_DATABASE
+from tests.service.cli.folders import put
 
 Mark3dgs = Callable[..., tuple[int, str, str]]
 
@@ -26,3 +30,20 @@ def mark3dgs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Capt
         return code, said.out, said.err
 
     return call
+
+
+@pytest.fixture
+def data(mark3dgs: Mark3dgs, tmp_path: Path) -> Path:
+    """A service with one file; the engine of its jobs has tables, too."""
+    assert mark3dgs("init")[0] == 0
+    put(tmp_path / "data", "up_1", b"model")
+    with closing(sqlite3.connect(tmp_path / "data" / JOBS_DATABASE)) as connection:
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("CREATE TABLE work (id)")
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def backup(mark3dgs: Mark3dgs, data: Path, tmp_path: Path) -> Path:
+    assert mark3dgs("backup", str(tmp_path / "backup"))[0] == 0
+    return tmp_path / "backup"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import stat
 from collections.abc import Callable
@@ -19,21 +18,9 @@ from service.core import Service
 from service.db.schema import jobs, uploads
 from service.settings import DATABASE, JOBS_DATABASE, Settings
 from tests.service.cli.conftest import Mark3dgs
+from tests.service.cli.folders import UPLOAD, interrupting, put
 
-UPLOAD = {"tenant": "acme", "created_at": "now", "name": "", "parts": "[]", "received": 5, "size": 5}
 JOB = {"tenant": "acme", "created_at": "now", "api_key": "", "kind": "embed", "request": "{}", "stage": ""}
-
-
-def put(folder: Path, name: str, content: bytes) -> Path:
-    """A finished upload in a data folder; where its file lies."""
-    service = Service.open(Settings(data_dir=folder))
-    with service.blobs.new_file() as path:
-        path.write_bytes(content)
-        digest = service.blobs.put(path)
-    with service.db.write() as connection:
-        connection.execute(uploads.insert().values(UPLOAD | {"id": name, "state": "complete", "sha256": digest}))
-    service.close()
-    return folder / "blobs" / "blob" / digest[:2] / digest
 
 
 def change(folder: Path, *statements: sa.Executable) -> None:
@@ -47,17 +34,6 @@ def change(folder: Path, *statements: sa.Executable) -> None:
 def ask(database: Path, query: str) -> list[Any]:
     with closing(sqlite3.connect(database)) as connection:
         return connection.execute(query).fetchall()
-
-
-@pytest.fixture
-def data(mark3dgs: Mark3dgs, tmp_path: Path) -> Path:
-    """A service with one file; the engine of its jobs has tables, too."""
-    assert mark3dgs("init")[0] == 0
-    put(tmp_path / "data", "up_1", b"model")
-    with closing(sqlite3.connect(tmp_path / "data" / JOBS_DATABASE)) as connection:
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("CREATE TABLE work (id)")
-    return tmp_path / "data"
 
 
 @pytest.fixture
@@ -179,6 +155,12 @@ def test_where_no_backup_goes(mark3dgs: Mark3dgs, data: Path, tmp_path: Path) ->
     assert not (data / "backup").exists()
 
 
+def test_a_damaged_database(mark3dgs: Mark3dgs, data: Path, tmp_path: Path) -> None:
+    (data / JOBS_DATABASE).write_bytes(b"no database" * 1000)
+    code, _, err = mark3dgs("backup", str(tmp_path / "backup"))
+    assert (code, "cannot be copied" in err, (tmp_path / "backup").exists()) == (2, True, False)
+
+
 def test_a_service_of_another_version(mark3dgs: Mark3dgs, data: Path, tmp_path: Path) -> None:
     """It is not brought up to date under the feet of the one that runs."""
     change(data, sa.text("UPDATE alembic_version SET version_num = '0001'"))
@@ -197,71 +179,6 @@ def test_a_master_key_of_another_service(mark3dgs: Mark3dgs, data: Path, tmp_pat
     assert not (tmp_path / "backup").exists()
 
 
-@pytest.fixture
-def backup(mark3dgs: Mark3dgs, data: Path, tmp_path: Path) -> Path:
-    assert mark3dgs("backup", str(tmp_path / "backup"))[0] == 0
-    return tmp_path / "backup"
-
-
-def _blob(folder: Path) -> Path:
-    (found,) = (folder / "blobs" / "blob").glob("*/*")
-    return found
-
-
-def _listed(folder: Path, **changes: Any) -> None:
-    plain = json.loads((folder / manifest.NAME).read_text())
-    (folder / manifest.NAME).write_text(json.dumps(plain | changes))
-
-
-DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "broken off": (lambda folder: (folder / manifest.NAME).unlink(), "broken off"),
-    "list cut short": (lambda folder: os.truncate(folder / manifest.NAME, 100), "is damaged"),
-    "list of nothing": (lambda folder: (folder / manifest.NAME).write_text("[]"), "is damaged"),
-    "files of nothing": (lambda folder: _listed(folder, files=[1]), "is damaged"),
-    "later format": (lambda folder: _listed(folder, format=2), "a later version"),
-    "out of the folder": (lambda folder: _listed(folder, files={"../x": {"bytes": 1, "sha256": ""}}), "'../x'"),
-    "file gone": (lambda folder: _blob(folder).unlink(), "is missing"),
-    "file altered": (lambda folder: _blob(folder).write_bytes(b"medal"), "is not the file"),
-    "database altered": (lambda folder: os.truncate(folder / DATABASE, 4096), "is not the file"),
-    "key altered": (lambda folder: (folder / "master.key").write_text("00" * 32), "is not the file"),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_backup(mark3dgs: Mark3dgs, backup: Path, tmp_path: Path, damage: str) -> None:
-    hurt, text = DAMAGES[damage]
-    hurt(backup)
-    code, _, err = mark3dgs("restore", str(backup), DATA_DIR=str(tmp_path / "other"))
-    assert code == 2, err
-    assert text in err
-    assert len(err.strip().splitlines()) == 1
-    assert not (tmp_path / "other").exists()
-
-
-def test_a_folder_that_is_not_empty(mark3dgs: Mark3dgs, backup: Path, data: Path, tmp_path: Path) -> None:
-    before = {path: path.read_bytes() for path in data.rglob("*") if path.is_file()}
-    code, _, err = mark3dgs("restore", str(backup))
-    assert (code, "is not empty" in err) == (2, True)
-    assert {path: path.read_bytes() for path in data.rglob("*") if path.is_file()} == before
-    container = tmp_path / "other"
-    (container / "numba").mkdir(parents=True)
-    (container / "scratch").mkdir()
-    assert mark3dgs("restore", str(backup), DATA_DIR=str(container))[0] == 0
-
-
-def interrupting(real: Callable[..., Any], at: int) -> Callable[..., Any]:
-    """A function during whose call of this number somebody presses Ctrl-C."""
-    calls: list[None] = []
-
-    def call(*arguments: Any) -> Any:
-        calls.append(None)
-        if len(calls) == at:
-            raise KeyboardInterrupt
-        return real(*arguments)
-
-    return call
-
-
 @pytest.mark.parametrize("at", [1, 2])
 def test_an_interrupted_backup_leaves_nothing(
     mark3dgs: Mark3dgs, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
@@ -269,34 +186,3 @@ def test_an_interrupted_backup_leaves_nothing(
     monkeypatch.setattr(taking, "copy_file", interrupting(manifest.copy_file, at))
     assert mark3dgs("backup", str(tmp_path / "backup"))[0] == 130
     assert not (tmp_path / "backup").exists()
-
-
-@pytest.mark.parametrize("name", ["service.backups.restoring.copy_file", "os.replace"])
-def test_an_interrupted_restore_leaves_nothing(
-    mark3dgs: Mark3dgs, backup: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    """While files are copied, and while they are put in their places."""
-    (tmp_path / "other").mkdir()
-    with monkeypatch.context() as patch:
-        patch.setattr(name, interrupting(os.replace if name == "os.replace" else manifest.copy_file, 3))
-        assert mark3dgs("restore", str(backup), DATA_DIR=str(tmp_path / "other"))[0] == 130
-    assert list((tmp_path / "other").iterdir()) == []
-    assert mark3dgs("restore", str(backup), DATA_DIR=str(tmp_path / "other"))[0] == 0
-
-
-def test_a_killed_restore_is_no_service(
-    mark3dgs: Mark3dgs, backup: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nobody tidies up after a kill: what is half there must neither be served nor taken for an empty folder."""
-    other = tmp_path / "other"
-    with monkeypatch.context() as patch:
-        patch.setattr("os.replace", interrupting(os.replace, 3))
-        patch.setattr("shutil.rmtree", lambda path: None)
-        patch.setattr(Path, "unlink", lambda path: None)
-        patch.setattr(Path, "rmdir", lambda path: None)
-        assert mark3dgs("restore", str(backup), DATA_DIR=str(other))[0] == 130
-    assert (other / "restoring").exists()
-    for command, text in ((["init"], "broken off"), (["restore", str(backup)], "is not empty")):
-        code, _, err = mark3dgs(*command, DATA_DIR=str(other))
-        assert (code, text in err) == (2, True)
-    assert not (other / DATABASE).exists()
