@@ -21,6 +21,9 @@ from service.trust.commitments import registration_of
 from service.trust.master import MasterKey
 from service.trust.owner_keys import open_key
 
+RESTORING = "restoring"
+"""Folder in the data folder in which a backup is laid out before it takes its place."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -101,7 +104,12 @@ class Service:
 
 
 def _keep_apart(folder: Path) -> None:
-    """Make the data folder, or take the others' rights to it away: what is in it is nobody else's."""
+    """Make the data folder, or take the others' rights to it away: what is in it is nobody else's.
+
+    InputError where a restore was broken off in it.
+    """
+    if (folder / RESTORING).exists():
+        raise InputError(f"a backup is being restored into {folder}, or was broken off: empty it and restore again")
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     mode = stat.S_IMODE(folder.stat().st_mode)
     if mode & 0o077:

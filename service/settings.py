@@ -7,6 +7,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 GIB = 1 << 30
 MIB = 1 << 20
+DATABASE, JOBS_DATABASE = "mark3dgs.sqlite", "jobs.sqlite"
+"""Files in the data folder: our tables, and the job engine's."""
 
 
 class Settings(BaseSettings):
@@ -71,13 +73,13 @@ class Settings(BaseSettings):
     def database(self) -> str:
         """SQLAlchemy URL of our tables."""
         if not self.database_url:
-            return f"sqlite:///{(self.data_dir / 'mark3dgs.sqlite').absolute()}"
+            return f"sqlite:///{(self.data_dir / DATABASE).absolute()}"
         return self.database_url.replace("postgresql://", "postgresql+psycopg://", 1)
 
     def jobs_database(self) -> str:
         """SQLAlchemy URL of the job engine's tables: a file of its own on SQLite, the same server otherwise."""
         if not self.database_url:
-            return f"sqlite:///{(self.data_dir / 'jobs.sqlite').absolute()}"
+            return f"sqlite:///{(self.data_dir / JOBS_DATABASE).absolute()}"
         return self.database()
 
     @property

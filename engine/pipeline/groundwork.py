@@ -16,6 +16,7 @@ from engine.compress.hvq import Stage, group_means, quantize
 from engine.compress.impact import Impact, frequency_impact, measure_impact, sh_curvature, uncertain, uncertainty
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float64, GaussianModel
+from engine.pipeline.drawable import check_drawable
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import Extent, make_rig, measure_extent
@@ -119,7 +120,8 @@ def lay_groundwork(
 ) -> Groundwork:
     """Look at a model from the views that the owner's key draws.
 
-    InputError if no copy of the model could be registered: too few Gaussians, or centres in a point or on a line.
+    InputError if no copy of the model could be registered: too few Gaussians, or centres in a point or on a line; or
+    if it would take hours to draw (`drawable`).
 
     Parameters
     ----------
@@ -133,6 +135,7 @@ def lay_groundwork(
     extent = measure_extent(model)
     _check_placeable(model, extent)
     key_cameras = _key_cameras(model, key, bytes.fromhex(original_sha256), config, cameras, extent)
+    check_drawable(model, key_cameras)
     return _seen(model, key_cameras, extent, config, variant, clock or Clock())
 
 

@@ -15,6 +15,7 @@ from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_search import ViewEdges, describe_views, thinned
+from engine.pipeline.drawable import check_drawable
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
 from engine.pipeline.reference_views import ReferenceViews
@@ -81,8 +82,9 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     Where registration of the Gaussians found the one similarity that holds, the renders at the pose key need no
     alignment. A model that shares no Gaussian with the reference is placed by what it looks like; then each view's
     camera is refined on its picture, and the views by which the model was recognised are read, too. It is drawn as the
-    reference is, whatever its own tag says, which anybody may change.
+    reference is, whatever its own tag says, which anybody may change. InputError if that would take hours.
     """
+    check_drawable(suspect)
     suspect = replace(suspect, antialiased=opened.reference.antialiased)
     if registration.found and not registration.deformed:
         return Seen(_evidence(_read_placed(registration.place(suspect), opened, clock), opened), (), True)

@@ -8,6 +8,7 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 """
 
 from engine.raster.compiling import WARM_UPS, warm_up
+from engine.raster.geometry import count_overlaps
 from engine.raster.gradients import Gradients, Rendering, backward, draw
 from engine.raster.pictures import render, render_depth
 from engine.raster.settings import EarlyStop, RasterSettings
@@ -23,6 +24,7 @@ __all__ = [
     "Rendering",
     "View",
     "backward",
+    "count_overlaps",
     "draw",
     "prepare_view",
     "release_memory",

@@ -1,5 +1,6 @@
 """The passes that do not depend on colours, in order: project, sort, count, fill."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,16 +8,16 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
-from engine.numerics.jit import thread_count
+from engine.numerics.jit import parallel_section, thread_count
 from engine.raster.binning import list_pairs, list_starts, place_pairs
 from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
 from engine.raster.sorting import BUCKETS, sort_by_depth
-from engine.raster.workspace import Workspace
+from engine.raster.workspace import Workspace, borrow_workspace
 
-__all__ = ["Geometry", "build_geometry"]
+__all__ = ["Geometry", "build_geometry", "count_overlaps"]
 
 _CHUNKS = 32
 _LANES = 16
@@ -78,6 +79,69 @@ def padded(model: GaussianModel) -> GaussianModel:
     return model.with_(means=means, log_scales=log_scales, quats=quats, opacity_logits=logits, sh=sh)
 
 
+@dataclass(frozen=True, eq=False)
+class _Projected:
+    """What pass 1 writes, for at least 16 Gaussians; see `engine.raster.projection.project`."""
+
+    rows: int
+    records: Float32
+    discs: Float32 | None
+    extents: Float32
+    rects: np.ndarray[Any, Any]  # int16
+    depths: Float32
+    index: Int32
+    chunk: int
+    counts: Int64
+
+    @property
+    def seen(self) -> Int64:
+        """Indices of the visible Gaussians."""
+        stretches = (self.index[k * self.chunk :][:count] for k, count in enumerate(self.counts))
+        return np.concatenate(list(stretches)).astype(np.int64)
+
+
+def _project(
+    model: GaussianModel,
+    camera: Camera,
+    settings: RasterSettings,
+    work: Workspace,
+    lasting: Callable[[str, int, type[np.generic]], np.ndarray[Any, Any]],
+) -> tuple[RasterSettings, _Projected]:
+    """Pass 1; and the settings with what was left to the model."""
+    if settings.antialiased is None:
+        settings = replace(settings, antialiased=model.antialiased)
+    flat = settings.kernel == "disc" or (settings.kernel == "auto" and model.is_flat)
+    model = padded(model)
+    rows = len(model)
+    records = lasting("records", (rows + 2) * RECORD, np.float32)
+    extents, rects = work.array("extents", (2 * rows,)), work.array("rects", (4 * rows,), np.int16)
+    depths, index = work.array("depths", (rows,)), work.array("index", (rows,), np.int32)
+    chunk = -(-rows // (_CHUNKS * _LANES)) * _LANES
+    counts = np.zeros(-(-rows // chunk), dtype=np.int64)
+    raw = (model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits)
+    lens, found = pack_lens(camera, settings), (extents, rects, depths, index, counts)
+    discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else None
+    if discs is None:
+        project(*raw, lens, chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)), records, *found)
+    else:
+        project_discs(*raw, lens, chunk, records, discs, *found)
+    return settings, _Projected(rows, records, discs, extents, rects, depths, index, chunk, counts)
+
+
+def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> Int64:
+    """(N,) tiles of an image that each Gaussian may touch, those of the rectangle around it; 0 where it is not seen.
+
+    Costs one pass over the Gaussians, whatever they cover: what drawing them would cost is known before it is paid.
+    """
+    found_in = np.zeros(len(model), dtype=np.int64)
+    with parallel_section(), borrow_workspace() as work:
+        _, found = _project(model, camera, settings, work, lambda name, size, dtype: work.array(name, (size,), dtype))
+        seen = found.seen
+        left, right, top, bottom = found.rects.reshape(-1, 4)[seen].astype(np.int64).T
+    found_in[seen] = (right - left + 1) * (bottom - top + 1)
+    return found_in
+
+
 def build_geometry(
     model: GaussianModel,
     camera: Camera,
@@ -101,32 +165,19 @@ def build_geometry(
         raise InputError(f"tile_mask has shape {mask.shape}, expected {(tiles_y, tiles_x)}")
     mask = mask.ravel()
 
-    def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray:
+    def lasting(name: str, size: int, dtype: type[np.generic]) -> np.ndarray[Any, Any]:
         return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
 
-    if settings.antialiased is None:
-        settings = replace(settings, antialiased=model.antialiased)
-    flat = settings.kernel == "disc" or (settings.kernel == "auto" and model.is_flat)
-    model = padded(model)
-    rows = len(model)
-    workers = thread_count()
-    records = lasting("records", (rows + 2) * RECORD, np.float32)
-    extents, rects = work.array("extents", (2 * rows,)), work.array("rects", (4 * rows,), np.int16)
-    depths, index = work.array("depths", (rows,)), work.array("index", (rows,), np.int32)
-    chunk = -(-rows // (_CHUNKS * _LANES)) * _LANES
-    counts = np.zeros(-(-rows // chunk), dtype=np.int64)
-    raw = (model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits)
-    lens, found = pack_lens(camera, settings), (extents, rects, depths, index, counts)
-    discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else None
-    if discs is None:
-        project(*raw, lens, chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)), records, *found)
-    else:
-        project_discs(*raw, lens, chunk, records, discs, *found)
+    settings, found = _project(model, camera, settings, work, lasting)
+    rows, records, discs, extents, rects = found.rows, found.records, found.discs, found.extents, found.rects
 
+    workers = thread_count()
     keys = (work.array(f"keys {half}", (rows,), np.uint32) for half in "ab")
     other, order = (work.array(f"order {half}", (rows,), np.int32) for half in "ab")
     radix = work.array("radix", (workers, BUCKETS), np.int64)
-    seen = sort_by_depth(depths.view(np.uint32), index, counts, chunk, *keys, other, order, radix)
+    seen = sort_by_depth(
+        found.depths.view(np.uint32), found.index, found.counts, found.chunk, *keys, other, order, radix
+    )
 
     tiles = tiles_x * tiles_y
     sizes = work.array("sizes", (rows,), np.int32)

@@ -2,6 +2,7 @@
 
 from engine.cli.app import app, main, run
 from service.cli.admin import apikey, audit, rotate_master_key, rotate_signing_key, tenant
+from service.cli.backups import backup, restore
 from service.cli.openapi import openapi
 from service.cli.serve import init, serve, worker
 from service.cli.verify_report import verify_report
@@ -12,6 +13,8 @@ app.command("worker")(worker)
 app.command("verify-report")(verify_report)
 app.command("openapi")(openapi)
 app.command("tenant")(tenant)
+app.command("backup")(backup)
+app.command("restore")(restore)
 app.add_typer(apikey, name="apikey")
 app.add_typer(audit, name="audit")
 app.command("rotate-master-key")(rotate_master_key)

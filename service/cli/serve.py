@@ -114,22 +114,28 @@ def init(json: Json = False) -> int:
     return 0
 
 
-def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
-    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
+def settings_of() -> Settings:
+    """The settings of this process; from here on what it writes is nobody else's. InputError names a wrong variable."""
     from pydantic import ValidationError
 
-    from service.core import Service
-    from service.db import Database
     from service.settings import Settings
-    from service.trust.api_keys import issue_first
-    from service.trust.signing import ensure_key
 
+    os.umask(0o077)
     try:
-        settings = Settings()
+        return Settings()
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"MARK3DGS_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
-    os.umask(0o077)  # what is written is nobody else's
+
+
+def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
+    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
+    from service.core import Service
+    from service.db import Database
+    from service.trust.api_keys import issue_first
+    from service.trust.signing import ensure_key
+
+    settings = settings_of()
     if not may_make and not Database(settings.database()).exists:
         place = "MARK3DGS_DATABASE_URL" if settings.database_url else str(settings.data_dir)
         raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")

@@ -1,9 +1,11 @@
 """One database: short reads, writes that are durable when they return, and a tenant's rows by id or by page."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -12,6 +14,9 @@ from sqlalchemy.exc import DBAPIError
 from engine.errors import InputError
 from service.db.schema import metadata
 from service.problems import Problem
+
+if TYPE_CHECKING:
+    from alembic.config import Config
 
 _LOCK = 0x6D61726B  # "mark"
 BUSY_MILLISECONDS = 15_000
@@ -59,6 +64,15 @@ class Database:
         with self.read() as connection:
             return sa.inspect(connection).has_table("alembic_version")
 
+    @property
+    def is_current(self) -> bool:
+        """Whether the tables are those of this version of the program."""
+        from alembic.script import ScriptDirectory
+
+        with self.read() as connection:
+            found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
+        return found == ScriptDirectory.from_config(_migrations()).get_current_head()
+
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
         """A connection for reading; sees what was committed."""
@@ -75,11 +89,9 @@ class Database:
         """Bring the tables up to this version of the program: an empty database is made as the schema says, an older
         one is changed step by step."""
         from alembic import command
-        from alembic.config import Config
         from alembic.util.exc import CommandError
 
-        config = Config()
-        config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+        config = _migrations()
         with self.engine.begin() as connection:
             alone(connection)
             config.attributes["connection"] = connection
@@ -151,6 +163,14 @@ def page(
 def holding(text: str, *columns: sa.ColumnElement[str]) -> sa.ColumnElement[bool]:
     """Rows of which one of the columns contains a text, upper and lower case alike."""
     return sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
+
+
+def _migrations() -> Config:
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+    return config
 
 
 @contextmanager

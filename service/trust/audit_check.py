@@ -5,14 +5,13 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
 from engine.records import merkle
 from engine.records.signatures import SignatureFault, verify
-from service.blobs import Blobs
 from service.db import Database
 from service.db.schema import assets, audit_nodes, claims, manifests, uploads
 from service.db.schema import audit as log
@@ -23,6 +22,13 @@ from service.trust.signing import jwks
 
 MOST_FAULTS = 100
 _PAGE = 1000
+
+
+class Stored(Protocol):
+    """Stored files: `service.blobs.Blobs`, or those of a backup."""
+
+    def digest_found(self, sha256: str) -> str:
+        """SHA-256 of the bytes that lie under that digest; "" where there are none."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,7 @@ class LogReport:
         return "\n".join(lines)
 
 
-def verify_log(db: Database, blobs: Blobs | None = None) -> LogReport:
+def verify_log(db: Database, blobs: Stored | None = None) -> LogReport:
     """Recompute chain and tree, and compare every asset and claim with what the log says of it; with the store given,
     every file that a row names with its digest.
 
@@ -161,7 +167,7 @@ def _check_tree(connection: sa.Connection, size: int) -> list[Fault]:
     return faults
 
 
-def _check_files(db: Database, blobs: Blobs) -> tuple[int, list[Fault]]:
+def _check_files(db: Database, blobs: Stored) -> tuple[int, list[Fault]]:
     """Every stored file that a row needs, hashed; what is missing or damaged is named by what it is."""
     named: dict[str, list[str]] = {}
     with db.read() as connection:

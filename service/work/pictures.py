@@ -11,6 +11,7 @@ from engine.numerics.similarity import mirror_model
 from engine.pictures.alignment import Alignment, align_image
 from engine.pictures.background import find_background
 from engine.pictures.features import LUMA
+from engine.pipeline.drawable import is_drawable
 from engine.pipeline.marking import mark_again
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
@@ -105,6 +106,7 @@ def draw_preview(path: Path, original: GaussianModel, marked: GaussianModel) -> 
 
 def draw_evidence(folder: Path, opened: OpenedRecord, found: Verification, suspect: Suspect) -> dict[str, str]:
     """Draw `suspect`, `asset`, `heatmap` and, where both are seen from one camera, `difference`; names of their files.
+    A suspect that its Gaussians gave away, and that would take hours to draw, is not shown.
 
     The asset is drawn with its mark, as it was delivered: claims are handed out, and two pictures from one camera, with
     the mark and without, would tell its signs.
@@ -121,7 +123,7 @@ def draw_evidence(folder: Path, opened: OpenedRecord, found: Verification, suspe
     image = np.clip(image, 0.0, 1.0)
     pictures = {"asset": to_picture(image), "heatmap": _heatmap(opened, found, view, image, alpha)}
     laid: tuple[Float32, Bool] | None = None
-    if suspect.model is not None:
+    if suspect.model is not None and is_drawable(suspect.model):
         seen = np.clip(_suspect_view(suspect.model, found, camera), 0.0, 1.0)
         pictures["suspect"] = to_picture(seen)
         laid = (seen, np.ones(seen.shape[:2], dtype=bool)) if found.claim.transform is not None else None

@@ -5,36 +5,17 @@ from __future__ import annotations
 import json
 import sqlite3
 import stat
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
-import service.cli.app  # noqa: F401  adds the service's commands
-from engine.cli.app import run
 from service.core import Service
 from service.db import Database
 from service.settings import Settings
+from tests.service.cli.conftest import Mark3dgs
 from tests.service.db.test_database import FIRST_VERSION
-
-Mark3dgs = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def mark3dgs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Mark3dgs:
-    """Call the command with a data folder `data`; exit code and what it said."""
-
-    def call(*arguments: str, **settings: str) -> tuple[int, str, str]:
-        for name, value in ({"DATA_DIR": str(tmp_path / "data")} | settings).items():
-            monkeypatch.setenv(f"MARK3DGS_{name}", value)
-        capfd.readouterr()
-        code = run(list(arguments))
-        said = capfd.readouterr()
-        return code, said.out, said.err
-
-    return call
 
 
 @pytest.mark.parametrize(

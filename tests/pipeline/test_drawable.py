@@ -1,0 +1,58 @@
+"""Models that would take hours to draw are refused before anything is drawn, and read where nothing has to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.evaluate.marked_scene import MarkedScene
+from engine.model import GaussianModel
+from engine.pipeline import scenes
+from engine.pipeline.drawable import MOST_A_TILE, VIEWS, check_drawable
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import profile
+from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
+from engine.pipeline.verification import VerifyConfig, verify_model
+from engine.raster import count_overlaps, prepare_view
+from engine.watermark.claim import Verdict
+from engine.watermark.keys import OwnerKey
+from tests.raster.scenes import camera, random_discs, random_model
+from tests.scenes import screened
+
+
+@pytest.mark.parametrize("make", [random_model, random_discs])
+def test_overlaps_are_told_without_drawing(make: object) -> None:
+    """No fewer than there are, and not many more: the rectangle around an ellipse."""
+    model, eye = make(3000, seed=5), camera(320, 240, 300.0)  # type: ignore[operator]
+    counted, listed = count_overlaps(model, eye), np.diff(prepare_view(model, eye).geometry.firsts)[: len(model)]
+    assert counted.shape == listed.shape
+    assert (counted >= listed).all()
+    assert listed.sum() <= counted.sum() < 2.5 * listed.sum()
+
+
+def test_real_scenes_are_far_from_the_bound(plant: GaussianModel) -> None:
+    tiles = LANDMARK_SIZE[0] * LANDMARK_SIZE[1] / 256
+    most = max(count_overlaps(plant, eye).sum() / tiles for eye in make_rig(plant, VIEWS, *LANDMARK_SIZE))
+    assert 20 * most < MOST_A_TILE
+
+
+def test_an_embedding_is_refused_before_it_draws(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenes, "prepare_view", lambda *_: pytest.fail("it draws"))
+    with pytest.raises(InputError, match=r"in view 1 100,\d{3} Gaussians reach .*; 100,00\d of its 213,648 Gaussians"):
+        embed(screened(plant, 100_000), OwnerKey(bytes(range(32))), original_sha256="00" * 32, config=profile("fast"))
+
+
+def test_no_number_saves_what_covers_little(plant: GaussianModel) -> None:
+    """A hundred thousand Gaussians of a pixel are a scene like others."""
+    check_drawable(screened(plant, 100_000, size=1e-3))
+
+
+def test_a_suspect_is_read_by_its_gaussians_and_drawn_by_nobody(scene: MarkedScene, plant: GaussianModel) -> None:
+    """Whoever hangs veils before a stolen model is found out all the same."""
+    veiled = screened(scene.marked, 100_000)
+    assert verify_model(veiled, scene.opened).claim.verdict is Verdict.MARKED
+    for route in ("auto", "render"):
+        foreign = screened(random_model(2000, seed=6, coefficients=1), 100_000)
+        with pytest.raises(InputError, match="takes too long to draw"):
+            verify_model(foreign, scene.opened, VerifyConfig(route=route))
