@@ -20,6 +20,9 @@ export function fill(element, ...children) {
   element.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined));
 }
 
+/** Tell those who hear the page. */
+export const say = (text) => ($("#said").textContent = text);
+
 /** Show one of several elements, hide the others. */
 export function only(shown, ...all) {
   for (const element of all) element.hidden = element !== shown;
