@@ -7,13 +7,16 @@ const PASSED = 0.05; // of the whole, in that time
 export class Pace {
   #count = null; // what is being counted: the job, or a step of it
   #from = null;
+  #last = 0;
 
   /** {seconds, whole} left at the time `now`, seconds; whole: of the job, not of its step. Null where it cannot be said. */
   left(job, now = performance.now() / 1000) {
     const whole = typeof job.fraction_total === "number";
     const fraction = whole ? job.fraction_total : job.fraction;
     const count = job.state !== "running" ? null : whole ? "" : job.stage.replace(/^record .*/, "record");
-    if (count === null || count !== this.#count || fraction < this.#from.fraction) {
+    const anew = count === null || count !== this.#count || fraction < this.#last; // less: begun again
+    this.#last = fraction;
+    if (anew) {
       [this.#count, this.#from] = [count, { fraction, now }];
       return null;
     }

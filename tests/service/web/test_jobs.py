@@ -148,7 +148,7 @@ def test_time_left_is_said_where_it_follows_from_what_was_seen(page: Page) -> No
         said((0, step(0, stage="record 1 of 9")), (60, step(0.1, stage="record 2 of 9")))[1]
         == "about 9 min left of this step"
     )
-    assert said((0, step(0.9, fraction_total=0.1)), (30, step(0, fraction_total=0.4)))[1] == "about 30 s left"
+    assert said((0, step(0.9, fraction_total=0.1)), (30, step(0, fraction_total=0.4)))[1] == "about 60 s left"
     # Another attempt at it: what was seen of the first says nothing.
     assert said((0, step(0)), (9, step(0.5)), (12, step(0.1)), (14, step(0.2)))[1:] == [
         "less than 10 s left of this step",

@@ -108,7 +108,7 @@ def test_an_answer_that_comes_late_does_not_replace_a_later_one(page: Page) -> N
     library(page)
     held: list[Route] = []
     slow = re.compile(r"/v1/assets\?.*q=slow")
-    page.route(slow, held.append)
+    page.route(slow, lambda route: held.append(route))
     with page.expect_request(slow):
         page.get_by_label("Find", exact=True).fill("slow")
     page.get_by_label("Find", exact=True).fill("quick")
