@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,6 +15,7 @@ from tests.service.web.stubs import a_claim, lists
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
 
+IN_3D = re.compile(r"/model\?format=compressed")
 HAS = "[...document.querySelectorAll('.side-by-side img')].map((image) => image.naturalWidth)"
 
 
@@ -123,6 +125,7 @@ def test_ids_and_digests_are_copied_whole(page: Page, served: Served) -> None:
     asset, _ = stock(served)
     plain = ask(served, f"/v1/assets/{asset}")
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.route(IN_3D, lambda route: route.abort())  # drawing is no part of this, and takes long
     page.goto(f"{served.address}/#asset/{asset}")
     named = {
         "asset id": asset,
@@ -147,6 +150,7 @@ def test_copying_works_without_tls_and_by_keyboard(browser: Browser, served: Ser
     asset, _ = stock(served)
     page = browser.new_page()
     page.add_init_script("Object.defineProperty(navigator, 'clipboard', { value: undefined })")
+    page.route(IN_3D, lambda route: route.abort())
     page.goto(f"{served.address}/#asset/{asset}")
     sign_in(page, served.api_key)
     page.get_by_role("button", name="Copy asset id").focus()
@@ -162,6 +166,7 @@ def test_copying_works_without_tls_and_by_keyboard(browser: Browser, served: Ser
 
 def test_a_file_is_called_as_the_model_without_a_second_ending(page: Page, served: Served) -> None:
     asset, _ = stock(served)
+    page.route(IN_3D, lambda route: route.abort())
     page.goto(f"{served.address}/#asset/{asset}")
     with page.expect_download() as download:
         page.get_by_role("button", name="Download the marked model").click()

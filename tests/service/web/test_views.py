@@ -107,6 +107,7 @@ def test_api_pages_are_dark_where_that_is_wanted(browser: Browser, served: Serve
     assert max(ground, sheet) < 0.2
     assert min(text, title) > 0.6
     page.emulate_media(color_scheme="light")
+    page.locator("html:not(.dark-mode)").wait_for()
     ground, _, text, title = page.evaluate(painted)
     assert ground > 0.9 or ground == 0  # transparent: the browser's white
     assert max(text, title) < 0.4
