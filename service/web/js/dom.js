@@ -15,6 +15,11 @@ export function h(tag, properties = {}, ...children) {
   return element;
 }
 
+let made = 0;
+
+/** An id that nothing else has: a claim may be on the page twice, as what was just found and by itself. */
+export const fresh = (name) => `${name}-${(made += 1)}`;
+
 /** Put new children in place of the old ones. */
 export function fill(element, ...children) {
   element.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined));

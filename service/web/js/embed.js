@@ -71,6 +71,7 @@ export function startEmbed() {
       progress?.cancel();
       progress = null;
       again();
+      fill($("#mark-key"));
     },
   };
 }

@@ -71,9 +71,13 @@ export function startJobs() {
     try {
       await cancel(id);
     } catch (error) {
-      if (error.status !== 409) failed(error); // 409: it had ended already
+      if (error.status !== 409) { // it had ended already
+        failed(error);
+        return false;
+      }
     }
-    await look(watch.signal).catch(() => {});
+    await look(watch.signal).catch(() => {}); // the next one comes soon
+    return true;
   };
 
   const keepLooking = async (signal) => {
@@ -108,7 +112,9 @@ export function startJobs() {
     leave: () => {
       watch.abort();
       rows.clear();
+      done.clear();
       fill(waiting);
+      fill(ended);
     },
   };
 }
@@ -133,8 +139,8 @@ async function tellMore(made) {
     if (!wanting.length) continue;
     const { items } = await getJson(listPath(path, { limit: 100 }));
     for (const row of wanting) {
-      const item = items.find((one) => one.id === row.result[id]) ?? (await getJson(`${path}/${row.result[id]}`));
-      row.tell(item.summary ?? item);
+      const [item] = items.filter((one) => one.id === row.result[id]);
+      row.tell(item ?? (await getJson(`${path}/${row.result[id]}`).catch(() => null))); // deleted since, perhaps
     }
   }
 }

@@ -11,18 +11,18 @@ const DOTS = { succeeded: "good", disputed: "open", failed: "bad", cancelled: "p
 /** What a job is called. */
 export const jobTitle = (job, name) => [KINDS[job.kind] ?? job.kind, name].filter(Boolean).join(" · ");
 
-/** A job that waits or runs: {element, update(job)}; `stop(id)` when its button is pressed. */
+/** A job that waits or runs: {element, update(job)}; `stop(id)` when its button is pressed, false if it could not. */
 export function openRow(job, name, stop) {
   const pace = new Pace();
   const title = jobTitle(job, name);
   const [now, side] = [h("span", { class: "progress-now" }), h("span", { class: "progress-side" })];
   const bar = h("progress", { max: "1", "aria-label": `Progress: ${title}` });
   const button = h("button", { type: "button", class: "quiet" }, "Cancel", h("span", { class: "unseen" }, ` ${title}`));
-  button.addEventListener("click", () => {
+  button.addEventListener("click", async () => {
     if (button.getAttribute("aria-disabled")) return; // not disabled: that would take the focus away
     button.setAttribute("aria-disabled", "true");
     now.textContent = "Stopping";
-    stop(job.id);
+    if (!(await stop(job.id))) button.removeAttribute("aria-disabled");
   });
   const update = (at) => {
     const left = leftWords(pace.left(at));
@@ -52,8 +52,9 @@ export function endedRow(job, name) {
   const inside = [title, end, h("span", {}, times)];
   const element = h("li", { "data-job": job.id },
     way ? h("a", { href: way }, inside) : h("div", { class: "line" }, inside, h("span", {}, copyable(job.id, "job id"))));
-  const tell = (item) => {
-    if (!item) return;
+  const tell = (found) => {
+    if (!found) return;
+    const item = found.summary ?? found; // of a claim by itself
     if (kind === "embed") fill(title, dot, jobTitle(job, assetName(item)));
     else {
       fill(title, dot, jobTitle(job, name || claimNames(item)));

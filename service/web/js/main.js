@@ -84,6 +84,7 @@ function startGate() {
   onApiKey((key) => {
     if (key) return;
     for (const view of Object.values(views)) view.leave();
+    fill($("#view-item"));
     show(true);
   });
 }

@@ -107,6 +107,19 @@ def test_a_report_is_shared_and_no_longer(page: Page, served: Served) -> None:
     assert address.count() == 0, "a dead address is still shown"
 
 
+def test_a_claim_can_be_on_the_page_twice(page: Page) -> None:
+    ids = page.evaluate(
+        """async () => {
+          const { packForm } = await import("/static/js/pack.js");
+          const { shareForm } = await import("/static/js/share.js");
+          const claim = { claim_id: "cl_1", verdict: "marked" };
+          const all = [packForm(claim), packForm(claim), shareForm(claim).element, shareForm(claim).element];
+          return all.flatMap((form) => [...form.querySelectorAll("[id]")].map((element) => element.id));
+        }"""
+    )
+    assert len(ids) == len(set(ids)) == 10
+
+
 @pytest.mark.parametrize("status", [404, 403])
 def test_nothing_is_offered_to_share_where_that_cannot_be(page: Page, served: Served, status: int) -> None:
     _, claim = stock(served)

@@ -106,6 +106,19 @@ def test_a_list_out_of_reach_says_so_once_and_goes_on(page: Page) -> None:
     assert page.get_by_role("alert").count() == 0
 
 
+def test_a_job_that_could_not_be_cancelled_can_be_tried_again(page: Page) -> None:
+    jobs = [a_job(1)]
+    lists(page, jobs=jobs)
+    page.route(f"**/v1/jobs/{jobs[0]['id']}", lambda route: route.abort(), times=1)
+    page.get_by_role("link", name="Jobs").click()
+    button = page.locator("#jobs-open").get_by_role("button", name="Cancel")
+    button.click()
+    page.get_by_role("alert").wait_for()
+    assert page.locator("#jobs-open button[aria-disabled]").count() == 0
+    with page.expect_request(lambda request: request.method == "DELETE"):
+        button.click()
+
+
 def test_the_list_is_left_alone_while_it_is_not_shown(page: Page) -> None:
     asked = lists(page, jobs=[a_job(1)])
     page.get_by_role("link", name="Jobs").click()

@@ -119,6 +119,27 @@ def test_an_answer_that_comes_late_does_not_replace_a_later_one(page: Page) -> N
     assert page.locator("#assets strong").all_inner_texts() == ["quick"]
 
 
+def test_nothing_of_it_stays_once_the_key_is_forgotten(page: Page) -> None:
+    asset = an_asset(1, label="Secret garden")
+    jobs = [
+        a_job(2, state="succeeded", result={"asset_id": asset["id"]}),
+        a_job(1, state="running", stage="Secret garden"),
+    ]
+    keys = [{"id": "key_1", "label": "Secret garden", "fingerprint": "0123456789"}]
+    lists(page, assets=[asset], claims=[a_claim(1, headline="Secret garden")], jobs=jobs, keys=keys)
+    for view, held in (
+        ("Mark", "#mark-key"),
+        ("Check", "#check-asset"),
+        ("Library", "#claims"),
+        ("Jobs", "#jobs-ended"),
+    ):
+        page.get_by_role("link", name=view, exact=True).click()
+        page.locator(held, has_text="Secret garden").wait_for(state="attached")
+    page.get_by_role("button", name="Forget API key").click()
+    page.get_by_label("API key").wait_for()
+    assert "Secret" not in page.content()
+
+
 def test_names_are_text_and_long_ones_stay_in_their_place(browser: Browser, served: Served) -> None:
     for label in (HOSTILE, LONG_NAME):
         context = browser.new_context(viewport=PHONE)
