@@ -27,7 +27,7 @@ export function assetView(asset, { title, carries = [], again } = {}) {
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
       fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
       fact("Copy for", asset.copy_name || "nobody in particular"),
-      fact("Registered", `${when(asset.registered_at)} (attested by the log of this service)`)),
+      fact("Registered", when(asset.registered_at), h("small", {}, "attested by the log of this service"))),
     files(asset),
     h("h2", {}, "Original and marked"), viewer.element,
     h("h2", {}, "Preview"), preview,
