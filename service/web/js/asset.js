@@ -1,9 +1,10 @@
 // A marked model: numbers, files, the two models in 3D, the preview.
 import { download, getBlob } from "./api.js";
+import { copyable } from "./copy.js";
 import { fact, h } from "./dom.js";
 import { problemBox } from "./problem.js";
 import { Viewer } from "./viewer.js";
-import { count, when } from "./words.js";
+import { count, fileStem, when } from "./words.js";
 
 const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog", "glb"];
 const HEAVY = 1_500_000; // Gaussians; two of those are asked for, not sent
@@ -26,10 +27,17 @@ export function assetView(asset, { title, carries = [], again } = {}) {
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
       fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
       fact("Copy for", asset.copy_name || "nobody in particular"),
-      fact("Registered", `${when(asset.registered_at)} (attested by the log of this service)`)),
+      fact("Registered", when(asset.registered_at), h("small", {}, "attested by the log of this service"))),
     files(asset),
     h("h2", {}, "Original and marked"), viewer.element,
-    h("h2", {}, "Preview"), preview);
+    h("h2", {}, "Preview"), preview,
+    h("h2", {}, "Ids and digests"),
+    h("dl", { class: "facts texts" },
+      fact("asset", copyable(asset.id, "asset id")),
+      fact("record", copyable(asset.record_id, "record id")),
+      fact("owner key", copyable(asset.owner_key_id, "owner key id")),
+      fact("SHA-256 of the original", copyable(asset.original_sha256, "SHA-256 of the original")),
+      fact("SHA-256 of the marked model", copyable(asset.model_sha256, "SHA-256 of the marked model"))));
   return {
     element,
     heading,
@@ -71,7 +79,7 @@ function files(asset) {
   };
   const model = h("button", { type: "button", class: "primary" }, "Download the marked model");
   const record = h("button", { type: "button" }, "Download the record");
-  const stem = `${(asset.label || asset.id).replace(/[^\w.-]+/g, "-")}-marked`;
+  const stem = `${fileStem(asset)}-marked`;
   model.addEventListener("click", get(model, () => `/v1/assets/${asset.id}/model?format=${format.value}`, () => `${stem}.${format.value}`));
   record.addEventListener("click", get(record, () => `/v1/assets/${asset.id}/record`, () => `${stem}.record`));
   return h("div", { class: "files" }, h("div", { class: "row" }, format, model, record),

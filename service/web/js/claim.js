@@ -1,34 +1,52 @@
 // A claim: the verdict in words first, then how sure, then the evidence.
 import { download, getBlob } from "./api.js";
+import { copyable } from "./copy.js";
 import { fact, h } from "./dom.js";
 import { packForm } from "./pack.js";
+import { claimPictures } from "./pictures.js";
 import { problemBox } from "./problem.js";
+import { shareForm } from "./share.js";
 import { TONES, when } from "./words.js";
 import { bits, scale } from "./charts.js";
 
 const DRAWN = new Set(["false claim", "message read"]);
 
-/** View of a signed claim: {element, heading}. */
+/** View of a signed claim: {element, heading, opened()}. */
 export function claimView({ document: claim, summary }, { again } = {}) {
   const heading = h("h1", { tabindex: "-1" }, summary.headline);
-  const element = h("div", { class: "result" },
-    h("div", { class: `verdict ${TONES[claim.verdict]}` },
+  const link = h("a", { href: `#asset/${claim.asset}` }, "Open it");
+  const [pictures, share] = [claimPictures(claim, link), shareForm(claim)];
+  const verdict = h("div", { class: `verdict ${TONES[claim.verdict]}` },
       h("div", { class: "result-head" }, heading,
         again ? h("button", { type: "button", class: "quiet", onclick: again }, "Check another") : null),
       h("p", {}, summary.finding),
-      h("p", {}, claim.meaning.says)),
+      h("p", {}, claim.meaning.says));
+  const element = h("div", { class: "result" },
+    pictures.element ? h("div", { class: "evidence" }, verdict, pictures.element) : verdict,
     claim.threshold ? section("sure", "How sure", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
     h("p", { class: "help" }, claim.meaning.record_time),
     claim.message ? section("message", "Message", summary, "message read", (said) => bits(claim.message, said)) : null,
     h("dl", { class: "facts texts" },
-      claim.asset ? fact("marked model", h("a", { href: `#asset/${claim.asset}` }, "Open it")) : null,
+      claim.asset ? fact("marked model", link) : null,
       summary.facts.filter(({ label }) => !DRAWN.has(label)).map(({ label, text }) => fact(label, text)),
-      fact("checked", when(claim.created_at))),
+      fact("checked", when(claim.created_at)),
+      fact("claim", copyable(claim.claim_id, "claim id")), digests(claim.subject.sha256)),
     h("h2", {}, "What was checked"),
     h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
-    files(claim), packForm(claim));
-  return { element, heading };
+    files(claim), packForm(claim), share.element);
+  const opened = () => {
+    pictures.opened();
+    share.opened();
+  };
+  return { element, heading, opened };
+}
+
+/** Digests of what was examined; of many pictures those behind the first are folded away. */
+function digests([first, ...others]) {
+  const one = (sha256, k) => h("p", {}, copyable(sha256, others.length ? `SHA-256 of file ${k + 1}` : "SHA-256 of the suspect"));
+  return fact("SHA-256 of the suspect", one(first, 0),
+    others.length ? h("details", {}, h("summary", {}, `and ${others.length} more`), others.map((sha256, k) => one(sha256, k + 1))) : null);
 }
 
 /** A fact with its drawing. */
@@ -62,7 +80,7 @@ function files(claim) {
       button("Download the report", () => download(`${path}/report`, `${claim.claim_id}.html`)),
       button("Download the signed claim", () => download(`${path}.jws`, `${claim.claim_id}.jws`))),
     h("p", { class: "help" }, "The signed claim can be checked offline: ",
-      h("code", {}, `mark3dgs verify-report ${claim.claim_id}.jws --jwks jwks.json`)),
+      copyable(`mark3dgs verify-report ${claim.claim_id}.jws --jwks jwks.json`, "the command", true)),
     problem);
 }
 

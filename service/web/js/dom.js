@@ -15,10 +15,18 @@ export function h(tag, properties = {}, ...children) {
   return element;
 }
 
+let made = 0;
+
+/** An id that nothing else has: a claim may be on the page twice, as what was just found and by itself. */
+export const fresh = (name) => `${name}-${(made += 1)}`;
+
 /** Put new children in place of the old ones. */
 export function fill(element, ...children) {
   element.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined));
 }
+
+/** Tell those who hear the page. */
+export const say = (text) => ($("#said").textContent = text);
 
 /** Show one of several elements, hide the others. */
 export function only(shown, ...all) {

@@ -6,6 +6,7 @@ import { dropZone } from "./drop.js";
 import { listKeys, startKeys } from "./keys.js";
 import { showProblem } from "./problem.js";
 import { Cancelled, Progress } from "./progress.js";
+import { assetName } from "./words.js";
 
 /** Wire the view; `enter` is called when it is shown, `leave` when the API key is gone. */
 export function startEmbed() {
@@ -32,7 +33,8 @@ export function startEmbed() {
     progress = running;
     try {
       const [uploaded] = await running.upload([$("#mark-file").files[0]]);
-      const job = await running.run((signal) => postOnce("/v1/embed", { ...asked, upload_id: uploaded.id }, signal));
+      const begin = (signal) => postOnce("/v1/embed", { ...asked, upload_id: uploaded.id }, signal);
+      const job = await running.run(begin, assetName(asked));
       if (running !== progress) return;
       if (job.state !== "succeeded") throw refusal(job);
       view = assetView(await getJson(`/v1/assets/${job.result.asset_id}`), {
@@ -69,6 +71,7 @@ export function startEmbed() {
       progress?.cancel();
       progress = null;
       again();
+      fill($("#mark-key"));
     },
   };
 }

@@ -2,7 +2,7 @@
 import { LOST, getJson, pause, request } from "./api.js";
 
 const PATIENCE = 120; // seconds without an answer; the job goes on meanwhile
-const ENDED = new Set(["succeeded", "disputed", "failed", "cancelled"]);
+export const ENDED = new Set(["succeeded", "disputed", "failed", "cancelled"]);
 
 /** The job once it has ended; `tell` sees it at every change. */
 export async function follow(id, tell, signal) {

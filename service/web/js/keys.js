@@ -1,11 +1,12 @@
 // Owner keys: choose one, or make one and keep a copy.
-import { getJson, postJson, save } from "./api.js";
+import { postJson, save } from "./api.js";
 import { $, fill, h, only } from "./dom.js";
+import { getAll } from "./pages.js";
 import { showProblem } from "./problem.js";
 
 /** List the keys; with none, the form to make one is open at once. */
 export async function listKeys() {
-  const { items } = await getJson("/v1/keys?limit=100");
+  const items = await getAll("/v1/keys");
   const select = $("#mark-key");
   const chosen = select.value;
   fill(select, items.map((key) =>

@@ -1,41 +1,68 @@
-// What was marked, and what was claimed.
-import { getJson } from "./api.js";
+// What was marked, and what was claimed: searched, paged, with small pictures.
 import { $, fill, h } from "./dom.js";
+import { pager, whenTyped } from "./pages.js";
 import { showProblem } from "./problem.js";
-import { TONES, count, when } from "./words.js";
+import { thumbnail } from "./thumbs.js";
+import { TONES, claimNames, count, when } from "./words.js";
 
-/** Fill both lists anew. */
-export function showLibrary() {
-  fill($("#library-problem"));
-  fillList("assets", assetLine, "Nothing is marked yet.");
-  fillList("claims", claimLine, "Nothing was checked yet.");
+/** Wire the view; `enter` fills both lists anew. */
+export function startLibrary() {
+  const search = $("#library-search");
+  const verdict = $("#claims-verdict");
+  const text = () => search.value.trim();
+  const assets = entries("assets", assetLine, () => ({ q: text() }));
+  const claims = entries("claims", claimLine, () => ({ q: text(), verdict: verdict.value }));
+  const enter = () => {
+    fill($("#library-problem"));
+    assets();
+    claims();
+  };
+  whenTyped(search, enter);
+  verdict.addEventListener("change", claims);
+  return {
+    enter,
+    leave: () => {
+      search.value = verdict.value = "";
+      for (const name of ["assets", "claims"]) fill($(`#${name}`));
+    },
+  };
 }
 
-async function fillList(name, line, none) {
+const NONE = { assets: ["Nothing is marked yet.", "#mark", "Mark a model"], claims: ["Nothing was checked yet.", "#check", "Check a suspect"] };
+
+/** One of the two lists; returns what fills it. */
+function entries(name, line, asked) {
   const list = $(`#${name}`);
-  const more = $(`#${name}-more`);
-  const load = async (after) => {
-    try {
-      const { items, next } = await getJson(`/v1/${name}?limit=20${after ? `&after=${encodeURIComponent(after)}` : ""}`);
-      if (!after) fill(list);
-      list.append(...items.map(line));
-      if (!list.children.length) list.append(h("li", { class: "none" }, none));
-      more.hidden = !next;
-      more.onclick = () => load(next);
-    } catch (error) {
-      showProblem($("#library-problem"), error);
-    }
+  const none = () => {
+    if (Object.values(asked()).some(Boolean)) return h("li", { class: "none" }, "Nothing like that.");
+    const [said, way, words] = NONE[name];
+    return h("li", { class: "none" }, h("p", {}, said, " ", h("a", { href: way }, words)));
   };
-  await load("");
+  return pager({
+    path: `/v1/${name}`,
+    asked,
+    clear: () => fill(list),
+    add: (items) => {
+      const made = items.map(line);
+      list.append(...made);
+      if (!list.children.length) list.append(none());
+      return made;
+    },
+    more: $(`#${name}-more`),
+    failed: (error) => showProblem($("#library-problem"), error),
+  });
 }
 
 const assetLine = (asset) =>
-  h("li", {}, h("a", { href: `#asset/${asset.id}` },
-    h("strong", {}, asset.label || asset.id),
-    h("span", {}, [asset.copy_name && `copy for ${asset.copy_name}`, `${count(asset.gaussians)} Gaussians`, when(asset.registered_at)]
-      .filter(Boolean).join(" · "))));
+  h("li", {}, h("a", { class: "pictured", href: `#asset/${asset.id}` }, thumbnail(asset.id),
+    h("strong", { title: asset.label }, asset.label || asset.id),
+    asset.copy_name ? h("span", { class: "clip", title: asset.copy_name }, `copy for ${asset.copy_name}`) : null,
+    h("span", {}, `${count(asset.gaussians)} Gaussians · ${when(asset.registered_at)}`)));
 
-const claimLine = (claim) =>
-  h("li", {}, h("a", { href: `#claim/${claim.id}` },
+function claimLine(claim) {
+  const names = claimNames(claim);
+  return h("li", {}, h("a", { class: "pictured", href: `#claim/${claim.id}` }, thumbnail(claim.asset_id),
     h("strong", {}, h("span", { class: `dot ${TONES[claim.verdict] ?? "plain"}`, "aria-hidden": "true" }), claim.headline),
-    h("span", {}, `${claim.finding} · ${when(claim.created_at)}`)));
+    h("span", { class: "clip", title: names || claim.finding }, names || claim.finding),
+    h("span", {}, when(claim.created_at))));
+}

@@ -4,23 +4,24 @@ import { assetView } from "./asset.js";
 import { claimView } from "./claim.js";
 import { $, fill, focusOn, h } from "./dom.js";
 import { startEmbed } from "./embed.js";
-import { showLibrary } from "./library.js";
+import { startJobs } from "./joblist.js";
+import { startLibrary } from "./library.js";
 import { showProblem } from "./problem.js";
 import { apiKey, onApiKey, setApiKey } from "./session.js";
 import { startVerify } from "./verify.js";
 
-const VIEWS = ["mark", "check", "library"];
-const TITLES = { mark: "Mark a model", check: "Check a suspect", library: "Library" };
+const VIEWS = ["mark", "check", "jobs", "library"];
+const TITLES = { mark: "Mark a model", check: "Check a suspect", jobs: "Jobs", library: "Library" };
 let item = null; // the asset shown on a page of its own, with its 3D view
 
-const embed = startEmbed();
-const verify = startVerify();
+const views = { mark: startEmbed(), check: startVerify(), jobs: startJobs(), library: startLibrary() };
 
 async function show(moveFocus) {
   const [view, id] = location.hash.slice(1).split("/");
   const name = VIEWS.includes(view) || id ? view : "mark";
   item?.destroy?.();
   item = null;
+  views.jobs.leave(); // it keeps asking while it is shown
   const shown = apiKey() ? (id ? "view-item" : `view-${name}`) : "gate";
   for (const section of document.querySelectorAll("main > section")) section.hidden = section.id !== shown;
   for (const link of document.querySelectorAll(".top nav a")) {
@@ -37,9 +38,7 @@ async function show(moveFocus) {
     return;
   }
   if (id) await showItem(name, id);
-  else if (name === "mark") embed.enter();
-  else if (name === "check") verify.enter();
-  else showLibrary();
+  else views[name].enter();
   if (moveFocus) focusOn($(`#${shown} h1`) ?? $(`#${shown} h2`) ?? $("#main"));
 }
 
@@ -56,13 +55,23 @@ async function showItem(kind, id) {
   }
 }
 
+/** Refused where the API key is none. */
+async function whoAmI() {
+  try {
+    await getJson("/v1/me");
+  } catch (error) {
+    if (error.status !== 404) throw error;
+    await getJson("/v1/keys?limit=1"); // an earlier service
+  }
+}
+
 function startGate() {
   $("#gate-form").addEventListener("submit", async (event) => {
     event.preventDefault();
     const field = $("#api-key");
     setApiKey(field.value.trim());
     try {
-      await getJson("/v1/keys?limit=1");
+      await whoAmI();
       field.value = "";
       fill($("#gate-problem"));
       show(true);
@@ -74,8 +83,8 @@ function startGate() {
   $("#key-state").addEventListener("click", () => setApiKey(""));
   onApiKey((key) => {
     if (key) return;
-    embed.leave();
-    verify.leave();
+    for (const view of Object.values(views)) view.leave();
+    fill($("#view-item"));
     show(true);
   });
 }

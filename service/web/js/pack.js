@@ -1,14 +1,15 @@
 // The takedown pack of a claim: what to send to the platform that shows the copy.
 import { download } from "./api.js";
-import { h } from "./dom.js";
+import { fresh, h } from "./dom.js";
 import { problemBox } from "./problem.js";
 
 /** A form that asks for what only the owner knows; nothing of it is kept. Null where nothing was recognised. */
 export function packForm(claim) {
   if (claim.verdict === "inconclusive" && !claim.derivation?.derived) return null;
-  const copies = h("textarea", { id: "pack-copies", rows: 2, "aria-describedby": "pack-help", placeholder: "https://…" });
-  const original = h("input", { id: "pack-original", type: "url", placeholder: "https://…" });
-  const note = h("textarea", { id: "pack-note", rows: 3, maxlength: 1000 });
+  const [copiesId, helpId, originalId, noteId] = ["copies", "help", "original", "note"].map((name) => fresh(`pack-${name}`));
+  const copies = h("textarea", { id: copiesId, rows: 2, "aria-describedby": helpId, placeholder: "https://…" });
+  const original = h("input", { id: originalId, type: "url", placeholder: "https://…" });
+  const note = h("textarea", { id: noteId, rows: 3, maxlength: 1000 });
   const button = h("button", {}, "Download the takedown pack");
   const problem = h("div");
   const send = async (event) => {
@@ -26,9 +27,9 @@ export function packForm(claim) {
   return h("details", { class: "card more" },
     h("summary", {}, "Ask a platform to take it down"),
     h("form", { onsubmit: send },
-      h("label", { for: "pack-copies" }, "Where the copy is ", optional()), copies,
-      h("p", { class: "help", id: "pack-help" }, "One address a line. What you write here goes into the pack and is kept nowhere."),
-      h("label", { for: "pack-original" }, "Where you published it ", optional()), original,
-      h("label", { for: "pack-note" }, "In your own words ", optional()), note,
+      h("label", { for: copiesId }, "Where the copy is ", optional()), copies,
+      h("p", { class: "help", id: helpId }, "One address a line. What you write here goes into the pack and is kept nowhere."),
+      h("label", { for: originalId }, "Where you published it ", optional()), original,
+      h("label", { for: noteId }, "In your own words ", optional()), note,
       problem, button));
 }

@@ -1,6 +1,8 @@
 // One job from the first uploaded byte to its end: a bar, the steps done so far, and a way out.
 import { $, focusOn, h } from "./dom.js";
 import { cancel, follow } from "./jobs.js";
+import { Pace, leftWords, turnWords } from "./pace.js";
+import { nameJob } from "./session.js";
 import { upload } from "./upload.js";
 import { bytes, stageWords } from "./words.js";
 
@@ -17,6 +19,7 @@ export class Progress {
   #begins = false;
   #began = 0;
   #stage = null;
+  #pace = new Pace();
 
   constructor(place, title) {
     this.bar = h("progress", { max: "1", "aria-label": title });
@@ -24,9 +27,10 @@ export class Progress {
     this.side = h("span", { class: "progress-side", "aria-hidden": "true" });
     this.done = h("ol", { class: "progress-done" });
     this.button = h("button", { type: "button", class: "quiet", onclick: () => this.cancel() }, "Cancel");
+    this.away = h("p", { class: "help", hidden: true }, "It goes on without this page; ", h("a", { href: "#jobs" }, "Jobs"), " has it.");
     const heading = h("h2", { tabindex: "-1" }, title);
     place.replaceChildren(h("div", { class: "card progress" }, heading, this.done,
-      h("div", { class: "progress-line" }, this.now, this.side), this.bar, this.button));
+      h("div", { class: "progress-line" }, this.now, this.side), this.bar, this.away, this.button));
     focusOn(heading);
   }
 
@@ -48,12 +52,14 @@ export class Progress {
     return uploads;
   }
 
-  /** Start a job with `begin(signal)` and follow it to its end. */
-  async run(begin) {
+  /** Start a job with `begin(signal)`, called `name` in the list of jobs, and follow it to its end. */
+  async run(begin, name) {
     this.#show("Waiting for its turn", null);
     this.#begins = true;
     const job = await this.#stoppable(begin(this.#stop.signal));
     this.#job = job.id;
+    nameJob(job.id, name);
+    this.away.hidden = false;
     if (this.#cancelled) await this.#end();
     const ended = await this.#stoppable(follow(job.id, (now) => this.#tell(now), this.#stop.signal));
     if (ended.state === "cancelled") throw new Cancelled();
@@ -90,8 +96,9 @@ export class Progress {
       return;
     }
     const [words, part] = stageWords(job.state === "queued" ? "" : job.stage);
-    this.#show(words, job.fraction || null);
-    this.side.textContent = part;
+    this.#show(words, (job.fraction_total ?? job.fraction) || null);
+    const turn = job.state === "queued" && job.position ? turnWords(job) : "";
+    this.side.textContent = [turn, part, leftWords(this.#pace.left(job))].filter(Boolean).join(" · ");
   }
 
   // The words change only with the stage, so that a screen reader hears each once; the bar moves in between.

@@ -1,13 +1,15 @@
-// The API key: kept in this tab only, gone when the tab closes.
+// The API key, and what jobs were called when they were asked for: kept in this tab only, gone when the tab closes.
 
 const NAME = "mark3dgs.api-key";
+const JOBS = "mark3dgs.jobs";
+const MOST_JOBS = 200;
 const listeners = new Set();
 
 export const apiKey = () => sessionStorage.getItem(NAME) ?? "";
 
 export function setApiKey(key) {
   if (key) sessionStorage.setItem(NAME, key);
-  else sessionStorage.removeItem(NAME);
+  else for (const name of [NAME, JOBS]) sessionStorage.removeItem(name);
   for (const tell of listeners) tell(key);
 }
 
@@ -15,3 +17,13 @@ export function setApiKey(key) {
 export function onApiKey(tell) {
   listeners.add(tell);
 }
+
+const jobs = () => JSON.parse(sessionStorage.getItem(JOBS) ?? "[]");
+
+/** Remember what a job is about: the service does not say. */
+export function nameJob(id, name) {
+  sessionStorage.setItem(JOBS, JSON.stringify([...jobs(), [id, name]].slice(-MOST_JOBS)));
+}
+
+/** What a job is about; empty where another tab or program asked for it. */
+export const jobName = (id) => new Map(jobs()).get(id) ?? "";

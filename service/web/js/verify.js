@@ -4,8 +4,10 @@ import { claimView } from "./claim.js";
 import { $, fill, focusOn, h, only } from "./dom.js";
 import { dropZone } from "./drop.js";
 import { refusal } from "./embed.js";
+import { pager, whenTyped } from "./pages.js";
 import { showProblem } from "./problem.js";
 import { Cancelled, Progress } from "./progress.js";
+import { assetName } from "./words.js";
 
 const PICTURE = /\.(png|jpe?g|webp)$/i;
 
@@ -14,6 +16,7 @@ export function startVerify() {
   const [form, intro, place, result, problem] =
     ["form", "intro", "progress", "result", "problem"].map((name) => $(`#check-${name}`));
   const clear = dropZone($("#check-drop"), () => fill(problem));
+  const listAssets = assetChoice((error) => showProblem(problem, error));
   let progress = null;
 
   const again = () => {
@@ -31,7 +34,8 @@ export function startVerify() {
     try {
       const ids = (await running.upload(files)).map((uploaded) => uploaded.id);
       const body = { ...asked, ...(pictures ? { image_upload_ids: ids } : { upload_id: ids[0] }) };
-      const job = await running.run((signal) => postOnce("/v1/verify", body, signal));
+      const names = files.length > 1 ? `${files[0].name} and ${files.length - 1} more` : files[0].name;
+      const job = await running.run((signal) => postOnce("/v1/verify", body, signal), names);
       if (running !== progress) return;
       if (job.state !== "succeeded") throw refusal(job);
       const view = claimView(await getJson(`/v1/claims/${job.result.claim_id}`), {
@@ -41,6 +45,7 @@ export function startVerify() {
       fill(result, view.element);
       only(result, form, place, result);
       focusOn(view.heading);
+      view.opened();
     } catch (error) {
       if (running !== progress) return;
       again();
@@ -62,23 +67,41 @@ export function startVerify() {
   });
   return {
     enter: () => {
-      if (form.hidden) return;
-      listAssets().catch((error) => showProblem(problem, error));
+      if (!form.hidden) listAssets();
     },
     leave: () => {
       progress?.cancel();
       progress = null;
       again();
+      fill($("#check-asset"), ALL());
+      $("#check-search").value = "";
     },
   };
 }
 
-async function listAssets() {
-  const { items } = await getJson("/v1/assets?limit=100");
-  const select = $("#check-asset");
-  const chosen = select.value;
-  const name = (asset) => [asset.label || asset.id, asset.copy_name && `copy for ${asset.copy_name}`].filter(Boolean).join(", ");
-  fill(select, h("option", { value: "" }, "All of mine"),
-    items.map((asset) => h("option", { value: asset.id }, name(asset))));
-  if (items.some((asset) => asset.id === chosen)) select.value = chosen;
+const ALL = () => h("option", { value: "" }, "All of mine");
+
+/** The models to choose from, the newest hundred and more as asked; returns what lists them. What was chosen stays. */
+function assetChoice(failed) {
+  const [select, search] = [$("#check-asset"), $("#check-search")];
+  const list = pager({
+    path: "/v1/assets",
+    asked: () => ({ q: search.value.trim() }),
+    clear: () => {
+      const [chosen] = [...select.selectedOptions].filter((option) => option.value);
+      fill(select, ALL(), chosen);
+      select.value = chosen?.value ?? "";
+    },
+    add: (items, next) => {
+      const listed = new Set([...select.options].map((option) => option.value));
+      const fresh = items.filter((asset) => !listed.has(asset.id));
+      select.append(...fresh.map((asset) => h("option", { value: asset.id }, assetName(asset))));
+      if (next) $("#check-find").hidden = false;
+    },
+    more: $("#check-more"),
+    failed,
+    limit: 100,
+  });
+  whenTyped(search, list);
+  return list;
 }

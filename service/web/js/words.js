@@ -39,6 +39,14 @@ export function stageWords(stage) {
 /** Colour of a verdict. */
 export const TONES = { marked: "good", not_marked: "plain", inconclusive: "open" };
 
+const ENDING = /\.(?:compressed\.ply|ply|splat|ksplat|spz|sog|zip|glb|gltf)$/i;
+
+/** What a marked model's file is called, without an ending: its name, as far as a file may be called so. */
+export function fileStem({ label, id }) {
+  const plain = label.replace(ENDING, "").replace(/[^\p{L}\p{M}\p{N}_.-]+/gu, "-").replace(/^[.-]+|[.-]+$/g, "");
+  return [...plain].slice(0, 80).join("") || id;
+}
+
 export const count = (number) => number.toLocaleString("en");
 
 export function bytes(number) {
@@ -48,3 +56,26 @@ export function bytes(number) {
 
 export const when = (iso) =>
   iso ? new Date(iso).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" }) : "unknown";
+
+/** How long something took. */
+export function took(seconds) {
+  const whole = Math.round(seconds);
+  if (whole < 60) return `${whole} s`;
+  const minutes = Math.floor(whole / 60);
+  return minutes < 60 ? `${minutes} min ${whole % 60} s` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+/** A marked model's name, and whose copy it is. */
+export const assetName = ({ label, id, copy_name: copy }) => (copy ? `${label || id}, copy for ${copy}` : label || id);
+
+/** What the files of a claim in a list were called; empty where nobody knows. */
+export function suspectName({ suspect_names: [first, ...others] = [] }) {
+  return others.length ? `${first} and ${others.length} more` : first ?? "";
+}
+
+/** Whom a claim of a list is about: the suspect, and the model that it was held to be. */
+export function claimNames(claim) {
+  const label = claim.asset_label === null ? "a model deleted since" : claim.asset_label;
+  const asset = claim.asset_id && label !== undefined && assetName({ id: claim.asset_id, label, copy_name: claim.copy_name });
+  return [suspectName(claim), asset].filter(Boolean).join(" against ");
+}

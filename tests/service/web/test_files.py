@@ -41,6 +41,16 @@ def test_elements_that_scripts_name_are_on_the_page() -> None:
         assert {f"{view}-{part}" for part in ("form", "intro", "progress", "result", "problem")} <= ids
 
 
+def test_profiles_say_the_seconds_that_were_measured() -> None:
+    page, results = (WEB / "index.html").read_text(), (WEB.parents[1] / "docs" / "RESULTS.md").read_text()
+    offered = re.findall(r'name="profile" value="(\w+)".*?<small>(\d+) to (\d+) s\.', page)
+    assert [name for name, *_ in offered] == re.findall(r'name="profile" value="(\w+)"', page)
+    for name, *said in offered:
+        (times,) = re.findall(rf"^\| {name}\b[^|]*\| ([\d. /]+) \| [\d /]+ \| 100 % \|", results, re.MULTILINE)
+        measured = [float(seconds) for seconds in times.split(" / ")]
+        assert [int(seconds) for seconds in said] == [round(min(measured)), round(max(measured))], name
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.parent.name)
 def test_pages_hold_no_script_of_their_own(path: Path) -> None:
     text = path.read_text()

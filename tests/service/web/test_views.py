@@ -2,60 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import time
-import urllib.request
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.service.web.conftest import DESKTOP, PHONE, Served, shoot, sign_in
-from tests.service.web.journey import LONG, PLANT
+from tests.service.web.journey import LONG
+from tests.service.web.stock import stock
+from tests.service.web.stubs import a_job, lists
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 AXE = (Path(__file__).parent / "axe" / "axe.min.js").read_text()
-VIEWS = ("gate", "mark", "check", "library", "asset", "claim")
-
-
-def ask(served: Served, path: str, method: str = "GET", body: Any = None, **headers: str) -> Any:
-    """JSON of the API."""
-    data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
-    kind = {"Content-Type": "application/json"} if not isinstance(body, bytes) else {}
-    request = urllib.request.Request(
-        served.address + path,
-        data,
-        method=method,
-        headers={"Authorization": f"Bearer {served.api_key}", **kind, **headers},
-    )
-    with urllib.request.urlopen(request, timeout=120) as response:
-        return json.load(response)
-
-
-def done(served: Served, path: str, body: dict[str, Any]) -> dict[str, Any]:
-    """Result of a job."""
-    job = ask(served, path, "POST", body)
-    while job["state"] in ("queued", "running"):
-        time.sleep(0.2)
-        job = ask(served, f"/v1/jobs/{job['id']}")
-    assert job["state"] == "succeeded", job
-    return dict(job["result"])
+VIEWS = ("gate", "mark", "check", "jobs", "library", "asset", "claim")
 
 
 @pytest.fixture(scope="session")
 def stocked(served: Served) -> dict[str, str]:
     """Address of each view, with an asset and a claim in the service."""
-    if not ask(served, "/v1/claims")["items"]:
-        data = PLANT.read_bytes()
-        upload = ask(served, "/v1/uploads", "POST", {"name": PLANT.name, "size": len(data)})["id"]
-        ask(served, f"/v1/uploads/{upload}", "PUT", data)
-        key = ask(served, "/v1/keys", "POST", {"label": "Views"})["id"]
-        body = {"upload_id": upload, "key_id": key, "profile": "fast", "label": "Plant"}
-        done(served, "/v1/embed", body)
-        done(served, "/v1/verify", {"upload_id": upload})
-    asset, claim = (ask(served, f"/v1/{name}")["items"][0]["id"] for name in ("assets", "claims"))
+    asset, claim = stock(served)
     return {name: f"#{name}" for name in VIEWS} | {"asset": f"#asset/{asset}", "claim": f"#claim/{claim}"}
 
 
@@ -64,6 +31,11 @@ def opened(browser: Browser, served: Served, address: str, view: str, **how: Any
     context = browser.new_context(**how)
     context.set_default_timeout(20_000)
     page = context.new_page()
+    if view == "jobs":  # of every kind, at any time
+        running = a_job(3, state="running", stage="embed", fraction=0.4)
+        failed = {"type": "about:blank", "title": "The model cannot be read", "status": 422, "detail": "cut off"}
+        ended = [a_job(2, state="failed", problem=failed), a_job(1, state="cancelled")]
+        lists(page, jobs=[a_job(4, position=1), running, *ended])
     page.goto(f"{served.address}/{address}")
     if view != "gate":
         sign_in(page, served.api_key)
@@ -75,6 +47,11 @@ def opened(browser: Browser, served: Served, address: str, view: str, **how: Any
         page.locator(".preview img").wait_for()
     if view == "library":
         page.locator("#claims a").first.wait_for()
+        page.locator("#assets .thumb img").first.wait_for()
+    if view == "claim":
+        page.locator(".side-by-side img").nth(1).wait_for()
+    if view == "jobs":
+        page.locator("#jobs-ended [data-job]").nth(1).wait_for()
     return page
 
 
@@ -114,6 +91,27 @@ def test_nothing_moves_where_less_motion_is_wanted(browser: Browser, served: Ser
         name = "getComputedStyle(document.body.appendChild(document.createElement('progress'))).animationName"
         assert page.evaluate(name) == animation
         page.close()
+
+
+def test_api_pages_are_dark_where_that_is_wanted(browser: Browser, served: Served) -> None:
+    painted = """() => ["html", ".swagger-ui", ".opblock-summary-description", ".info .title"].map((name) => {
+      const style = getComputedStyle(document.querySelector(name));
+      return (name === "html" || name === ".swagger-ui" ? style.backgroundColor : style.color).match(/[\\d.]+/g)
+        .slice(0, 3).reduce((sum, one) => sum + Number(one), 0) / 765;
+    })"""
+    page = browser.new_page(color_scheme="dark")
+    page.goto(f"{served.address}/docs")
+    page.locator(".opblock-summary-description").first.wait_for()
+    shoot(page, "api-dark")
+    ground, sheet, text, title = page.evaluate(painted)
+    assert max(ground, sheet) < 0.2
+    assert min(text, title) > 0.6
+    page.emulate_media(color_scheme="light")
+    page.locator("html:not(.dark-mode)").wait_for()
+    ground, _, text, title = page.evaluate(painted)
+    assert ground > 0.9 or ground == 0  # transparent: the browser's white
+    assert max(text, title) < 0.4
+    page.close()
 
 
 def test_api_pages_draw_themselves(browser: Browser, served: Served) -> None:
