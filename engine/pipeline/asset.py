@@ -69,5 +69,9 @@ def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Land
     """The bank of an earlier copy's record, where a copy of this reference and these settings would get the same: made
     of the same reference, from as many views, by this version."""
     header, views = earlier.header, dict(earlier.extra.get("settings", {})).get("landmark_views")
-    same = (header.reference_digest, header.tool_version, views) == (digest.hex(), this_version(), config.landmark_views)
+    same = (header.reference_digest, header.tool_version, views) == (
+        digest.hex(),
+        this_version(),
+        config.landmark_views,
+    )
     return landmarks_in(earlier.plan_arrays) if same else None
