@@ -11,7 +11,7 @@ from PIL import Image
 
 from service.work.pictures import CAPTION_HEIGHT, PREVIEW_GAP, PREVIEW_SIZE
 from tests.service.web.conftest import PHONE, Served, shoot, sign_in
-from tests.service.web.journey import LONG, pixels
+from tests.service.web.journey import pixels
 from tests.service.web.stock import stock
 from tests.service.web.stubs import a_claim, a_job, an_asset, lists
 
@@ -65,14 +65,16 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
     choice = page.get_by_label("Marked model", exact=True)
     older = page.get_by_role("button", name="List older models, too")
     for shown in (101, 201):
-        page.wait_for_function("n => document.querySelectorAll('#check-asset option').length === n", arg=shown)
+        page.locator("#check-asset option").nth(shown - 1).wait_for(state="attached")
+        assert choice.locator("option").count() == shown
         older.click()
-    page.wait_for_function("document.querySelectorAll('#check-asset option').length === 236")
+    page.locator("#check-asset option").nth(235).wait_for(state="attached")
+    assert choice.locator("option").count() == 236
     assert older.is_hidden()
     choice.select_option("Model 7")
     page.get_by_label("Find a marked model").fill("Model 12")
     page.get_by_label("Find a marked model").press("Tab")
-    page.wait_for_function("document.querySelectorAll('#check-asset option').length < 20")
+    page.locator("#check-asset:not(:has(option:nth-child(20)))").wait_for()
     texts = choice.locator("option").all_inner_texts()
     assert texts[:2] == ["All of mine", "Model 7"], "what was chosen stays"
     assert {"Model 12", "Model 120"} <= set(texts)
@@ -159,9 +161,7 @@ def test_names_are_text_and_long_ones_stay_in_their_place(browser: Browser, serv
         sign_in(page, served.api_key)
         for view, list_name in (("Library", "#claims"), ("Jobs", "#jobs-ended"), ("Check", "#check-asset")):
             page.get_by_role("link", name=view, exact=True).click()
-            page.locator(f"{list_name} > :nth-child(1)").wait_for(state="attached")
-            page.wait_for_function("([at, text]) => document.querySelector(at).textContent.includes(text)",
-                arg=[list_name, label[:60]], timeout=LONG)  # fmt: skip
+            page.locator(list_name, has_text=label[:60]).wait_for(state="attached")
             assert page.evaluate("[window.hit, document.querySelectorAll('main [onerror]').length]") == [None, 0]
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{view} scrolls sideways"
             shoot(page, f"names-{view}-{label[:4].strip('<')}")
