@@ -47,8 +47,10 @@ def serve(tasks: Mapping[str, Task], warm_up: Callable[[], None]) -> None:
         os.nice(NICENESS)
     requests: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    # None stands ready for somebody who waits: on a busy machine its request may come late, and is all it is to do.
+    patience = None if PROMPT in sys.argv else PATIENCE_SECONDS
     try:
-        line = requests.get(timeout=PATIENCE_SECONDS)
+        line = requests.get(timeout=patience)
     except queue.Empty:
         out.write(json.dumps({"stage": "compile", "fraction": 0.0}) + "\n")  # read by who comes before it is done
         out.flush()

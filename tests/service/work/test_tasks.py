@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -167,3 +168,23 @@ def test_a_model_with_anothers_mark_is_not_marked_again(marked: Marked, tmp_path
     assert [each["asset"] for each in reply["screening"]["carries"]] == ["theirs"]
     assert set(reply) == {"screening"}
     assert list(tmp_path.iterdir()) == []
+
+
+def test_who_waits_for_an_answer_waits_for_nothing_else(tmp_path: Path) -> None:
+    """A process that was started for one request does not warm up for another, however late that one comes."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.work", "--prompt"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    limits = {"memory_bytes": 4 << 30, "cpu_seconds": 60, "file_bytes": 1 << 20}
+    request = {"model": str(FOREIGN), "spz_frame": "auto"}
+    envelope = {"task": "inspect", "request": request, "folder": str(tmp_path), "limits": limits}
+    time.sleep(3.0)  # it has long been there, also on a busy machine
+    process.stdin.write(json.dumps(envelope).encode() + b"\n")
+    process.stdin.flush()
+    lines = [json.loads(line) for line in process.stdout]
+    process.stdin.close()
+    assert process.wait(10) == 0
+    assert [line.get("stage") for line in lines[:-1]] == ["read"]
+    assert lines[-1]["reply"]["gaussians"] == 1000
