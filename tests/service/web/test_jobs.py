@@ -72,8 +72,9 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     running = a_job(140, kind="verify", state="running", stage="record 3 of 20", fraction=0.12)
     queued = [a_job(150 + place, position=place) for place in range(1, 121)]
     past = [a_job(number, state="cancelled") for number in range(45, 0, -1)]
-    jobs: list[dict[str, Any]] = [*reversed(queued), running, *past]
+    jobs: list[dict[str, Any]] = [*reversed(queued), *past, running]  # the oldest
     lists(page, jobs=jobs)
+    page.route(f"**/v1/jobs/{running['id']}", lambda route: route.fulfill(json=running))
     page.get_by_role("link", name="Jobs").click()
     rows = page.locator("#jobs-open .job")
     rows.nth(120).wait_for()

@@ -137,9 +137,17 @@ def test_nothing_of_it_stays_once_the_key_is_forgotten(page: Page) -> None:
     ):
         page.get_by_role("link", name=view, exact=True).click()
         page.locator(held, has_text="Secret garden").wait_for(state="attached")
+    page.route(
+        "**/v1/claims/cl_1", lambda route: route.fulfill(status=404, json={"title": "Secret garden", "status": 404})
+    )
+    page.evaluate("location.hash = '#claim/cl_1'")
+    page.get_by_role("alert").wait_for()
+    page.evaluate("import('/static/js/session.js').then(({ nameJob }) => nameJob('job_1', 'Secret garden'))")
+    assert page.evaluate("sessionStorage.length") == 2
     page.get_by_role("button", name="Forget API key").click()
     page.get_by_label("API key").wait_for()
     assert "Secret" not in page.content()
+    assert page.evaluate("sessionStorage.length") == 0
 
 
 def test_names_are_text_and_long_ones_stay_in_their_place(browser: Browser, served: Served) -> None:
