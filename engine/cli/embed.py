@@ -47,7 +47,11 @@ def embed(
     ] = None,
     budget: Annotated[
         str,
-        typer.Option("--budget", metavar="DB|none", help="Prune to this PSNR against the original; none: keep all."),
+        typer.Option(
+            "--budget",
+            metavar="DB|none",
+            help="Prune to this PSNR against the original; auto: spend that loss as it pays; none: keep all.",
+        ),
     ] = "none",
     output: Annotated[
         str | None,
@@ -115,7 +119,7 @@ def embed(
     from engine.formats import read_cameras
     from engine.model import GaussianModel
     from engine.pipeline.embedding import embed_copies
-    from engine.pipeline.profiles import compose
+    from engine.pipeline.profiles import compose, delivered_as
     from engine.records.record import Record
     from engine.sim.variants.scenes import embed_variant, notes_of, read_scene, write_scene, written_as
     from engine.watermark.keys import OwnerKey
@@ -140,7 +144,7 @@ def embed(
             "original_sha256": loaded.sha256,
             "message": signs,
             "bits": bits or 32,
-            "config": config,
+            "config": delivered_as(config, kind),
             "cameras": views,
             "registered_at": when,
             "progress": progress,
@@ -231,6 +235,8 @@ def _say(console: Console, report: dict[str, Any], model: Path) -> None:
             f"{choice['views']} views of {choice['view_size']}, {choice['psnr_db']:g} dB: z of one bad picture"
             f" {choice['predicted_z']:.0f} predicted, {choice['wanted_z']:.0f} wanted"
         )
+        if (spent := choice["spent"]) is not None:
+            lines["allowed"] = _spending(spent)
     if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
         del lines["in total"]
     console.say(f"Marked {model} -> {report['out']}")
@@ -241,6 +247,16 @@ def _say(console: Console, report: dict[str, Any], model: Path) -> None:
     console.say(
         f"Keep {report['record']} and your key: together they prove the mark. Keep the unmarked original private."
     )
+
+
+def _spending(spent: dict[str, Any]) -> str:
+    """On what an allowance went, for people."""
+    allowed = f"{spent['allowed_db']:g} dB"
+    way = next((way for way in spent["ways"] if way["sh_degree"] == spent["sh_degree"]), None)
+    if way is None:
+        return f"{allowed}: kept whole, since no smaller file shows the mark well enough"
+    file = f"about {size(way['bytes'])} of {size(spent['bytes_whole'])}"
+    return f"{allowed}: pruned, harmonics to degree {way['sh_degree']}: {file}"
 
 
 def size(count: int) -> str:

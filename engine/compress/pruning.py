@@ -30,6 +30,7 @@ class PruneConfig:
     # What Gaussians are ranked by: "error" (sum of w^2, the squared error of leaving one out) or "paper" (Eq 4). Eq 4
     # calls smooth, isolated Gaussians worthless; on a captured pot it costs 15 dB at 20 % pruned.
     rank: str = "error"
+    sh_degree: int = 3  # with a budget: harmonics beyond this degree go first
     steps: int = 12  # most candidates rendered
     tolerance_db: float = 0.15  # how close to the budget is close enough (never below it)
 

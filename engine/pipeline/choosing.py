@@ -1,46 +1,29 @@
 """Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark one bad picture still shows.
 
-A scene is rehearsed: its mark is planned and its strength solved on a few small views, with random chips and no
-landmarks. Then views that no key view was are rendered large, kept as bad JPEG files and read as suspects would be.
-Under noise follows without rendering, from the mark's PSNR and the number of chips that matter,
-
-    z = 1 / sqrt(1 / (NOISE_EFFICIENCY^2 S) + 1 / E),   S = 3 P 10^(-PSNR / 10) / NOISE^2,   P pixels, E chips.
-
-The lower z is what the scene promises. The same functions serve `mark3dgs evaluate --suite pareto`, which holds every
-promise against what was measured.
+A scene is rehearsed (`rehearsing`). Where the owner allows a loss (a pruning budget), every way of spending it
+(`spending`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite pareto`, which
+holds every promise against what was measured.
 """
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
-import numpy as np
-
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import Camera, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.numerics.image_metrics import psnr
+from engine.pipeline.delivery import Delivery, deliver
 from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import Auto, EmbedConfig
-from engine.pipeline.rigs import make_rig
-from engine.pipeline.scenes import look
-from engine.pipeline.strength import add_dc, first_guess, solve_strength
-from engine.watermark.image_evidence import gather_displacements
+from engine.pipeline.progress import Clock
+from engine.pipeline.rehearsing import Rehearsal, Rehearsing
+from engine.pipeline.spending import file_bytes, ways
 from engine.watermark.keys import OwnerKey
-from engine.watermark.layout import Layout
-from engine.watermark.masses import spare_masses
-from engine.watermark.planning import BIT_Z, make_plan
-from engine.watermark.statistics import CHANCE_RATE, claim_z, z_threshold
+from engine.watermark.planning import BIT_Z
+from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
 __all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
 
-PICTURE = 800
-"""Side of the bad picture, pixels."""
-QUALITY = 10
-"""Of the JPEG it goes through."""
-NOISE, NOISE_EFFICIENCY = 0.1, 0.46
-"""Std of the noise in the other bad picture, range 1, and measured over ideal z under it: the lowest of four scenes at
-44 to 53 dB (docs/RESULTS.md). Noise does not care what the picture shows, so it is not played."""
 MARGIN = 1.15
 """Promised over needed z: with other chips z is one more or less, in other views a little, too."""
 SLACK_DB = 2.0
@@ -52,21 +35,28 @@ LOWER_DB = (1.0, 2.0)
 """What may be taken off the fidelity where evidence is short; the last gives the fidelity of `strong`."""
 SSIM_PER_DB = 0.0005
 """And off SSIM with it, as in `strong`."""
-REHEARSAL_SEED = 0x5EED
-HELD_OUT, WORST = 6, 2
-"""Views that no key view was; the one that shows least of the mark decides. At another fidelity only those are read
-that showed least before."""
+KEPT_SHARE = 0.9
+"""Of what the whole model promises, where that is less than wanted: what a smaller file must keep."""
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What a scene promises under some settings."""
+class Way:
+    """One way of spending an allowance, and what it leaves."""
 
-    # Of the claim from one bad picture of an unseen view: at JPEG quality 10, the worst of several, or under noise of
-    # std 0.1, whichever is lower
-    predicted_z: float
-    psnr_db: float  # of the mark, worst key view; above the one asked for where SSIM limits
-    held_out_db: float  # of the mark, worst of some views that are not key views
+    sh_degree: int
+    gaussians: int
+    bytes: int  # of the delivered file, about
+    predicted_z: float | None  # None where a smaller file did, and this one was not rehearsed
+
+
+@dataclass(frozen=True)
+class Spent:
+    """On what an owner's allowance went."""
+
+    allowed_db: float
+    sh_degree: int | None  # of the way taken; None where none leaves enough of the mark: the model is kept whole
+    bytes_whole: int  # of the delivered file if nothing were spent, about
+    ways: tuple[Way, ...]  # smallest file first
 
 
 @dataclass(frozen=True)
@@ -80,9 +70,11 @@ class Choice:
     # strongest; better pictures, several, or the model itself may still show everything.
     met: bool
     tried: int  # settings rehearsed
-    ground: Groundwork  # what was rehearsed on; `embed` goes on from it
+    ground: Groundwork  # of the model as it came
+    delivery: Delivery  # what was rehearsed on; `embed` goes on from it
+    spent: Spent | None  # on what the owner's allowance went, where there was one
 
-    def report(self) -> dict[str, float | int | bool]:
+    def report(self) -> dict[str, Any]:
         """Plain values for `embed --json`."""
         return {
             "views": self.config.views,
@@ -94,6 +86,7 @@ class Choice:
             "wanted_z": self.wanted_z,
             "met": self.met,
             "tried": self.tried,
+            "spent": None if self.spent is None else asdict(self.spent),
         }
 
 
@@ -129,11 +122,14 @@ def choose(
     cameras : sequence of Camera, optional
         The owner's own.
     """
-    wanted, tried = wanted_z(bits), 0
+    wanted, tried, allowed = wanted_z(bits), 0, asked.start.prune.budget_db
+    whole = replace(asked.start, prune=replace(asked.start.prune, budget_db=None))
     for views in VIEWS:
         tried += 1
-        config = replace(asked.start, views=views, view_size=VIEW_SIZE)
-        scene = _Rehearsing(lay_groundwork(model, key, original_sha256, config, cameras), cameras)
+        # A loss is measured where it is seen: on large views.
+        config = replace(whole, views=views, view_size=VIEW_SIZE if allowed is None else whole.view_size)
+        ground = lay_groundwork(model, key, original_sha256, config, cameras)
+        scene = Rehearsing(deliver(ground, config, Clock()), cameras)
         found = scene.at(config)
         if found.held_out_db >= config.psnr_db - SLACK_DB:
             break
@@ -144,78 +140,49 @@ def choose(
             found, tried = scene.at(config), tried + 1
             if found.predicted_z >= wanted:
                 break
-    return Choice(config, found, wanted, found.predicted_z >= wanted, tried, scene.ground)
+    delivery, spent = replace(scene.delivery, settings=config), None
+    if allowed is not None:
+        delivery, found, spent = _spend(ground, delivery, found, asked, allowed, wanted, cameras)
+        tried += sum(way.predicted_z is not None for way in spent.ways)
+    met = found.predicted_z >= wanted
+    return Choice(delivery.settings, found, wanted, met, tried, ground, delivery, spent)
+
+
+def _spend(
+    ground: Groundwork,
+    kept: Delivery,
+    found: Rehearsal,
+    asked: Auto,
+    allowed_db: float,
+    wanted: float,
+    cameras: Sequence[Camera] | None,
+) -> tuple[Delivery, Rehearsal, Spent]:
+    """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
+    config, least = kept.settings, min(wanted, KEPT_SHARE * found.predicted_z)
+    made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
+    within = [one for one in made if one.pruned["psnr_pruned_worst_view"] >= allowed_db]
+    weighed = sorted(((file_bytes(one.model, asked.format), one) for one in within), key=lambda each: each[0])
+    whole, chosen = file_bytes(kept.model, asked.format), None
+    tried: list[Way] = []
+    for size, one in weighed:
+        z, degree = None, one.model.sh_degree
+        if chosen is None and size < whole:
+            promise = Rehearsing(one, cameras).at(one.settings)
+            z = promise.predicted_z
+            if z >= least:
+                chosen, kept, found = degree, one, promise
+        tried.append(Way(degree, len(one.model), size, z))
+    return kept, found, Spent(allowed_db, chosen, whole, tuple(tried))
 
 
 def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
     """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
     small = replace(config, view_size=VIEW_SIZE)
-    return _Rehearsing(lay_groundwork(model, key, original_sha256, small), None).at(small)
+    whole = replace(small, prune=replace(small.prune, budget_db=None))
+    ground = lay_groundwork(model, key, original_sha256, whole)
+    return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)
 
 
 def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:
     """Less fidelity, more evidence."""
     return replace(config, psnr_db=max(config.psnr_db - by, 20.0), ssim=config.ssim - SSIM_PER_DB * by)
-
-
-class _Rehearsing:
-    """A scene with a mark planned on its key views, whose strength is still open."""
-
-    def __init__(self, ground: Groundwork, cameras: Sequence[Camera] | None) -> None:
-        self.ground = ground
-        model, config = ground.model, ground.config
-        rng = np.random.default_rng(REHEARSAL_SEED)
-        self._unseen = look(model, self._unseen_cameras(cameras, rng), lambda fraction: None)
-        self._telling = list(range(len(self._unseen.views)))  # which of them are read
-        stages, emphasis = spare_masses(model.sh[:, 0], ground.stages, config.plan.mass_share)
-        self._plan = make_plan(stages, ground.impact, config.plan, emphasis)
-        layout = self._plan.layout
-        self._signs = rng.choice((-1.0, 1.0), layout.chips).astype(np.int8)
-        self._displacement = layout.displace(layout.amplitudes * self._signs)
-
-    def _unseen_cameras(self, cameras: Sequence[Camera] | None, rng: np.random.Generator) -> list[Camera]:
-        """Views that are no key views, at the size of the bad picture: of the owner's cameras where some are left."""
-        taken = {camera.viewmat.tobytes() for camera in self.ground.cameras}
-        left = [camera for camera in cameras or () if camera.viewmat.tobytes() not in taken]
-        if left:
-            spread = np.linspace(0, len(left) - 1, min(HELD_OUT, len(left))).round().astype(int)
-            return [left[i].with_side(PICTURE) for i in spread]
-        jitter = rng.random((HELD_OUT, 4))
-        extent = self.ground.extent
-        return make_rig(self.ground.model, HELD_OUT, PICTURE, PICTURE, jitter=jitter, extent=extent)
-
-    def at(self, config: EmbedConfig) -> Rehearsal:
-        """What these settings' fidelity promises."""
-        ground, energies = self.ground, self._plan.energies  # (V, C)
-        totals = energies.sum(axis=1)
-        start = first_guess(energies, ground.cameras, config.psnr_db)
-        strength = solve_strength(ground.views, self._displacement, config.psnr_db, config.ssim, start)
-        layout = self._plan.times(strength.factor).layout
-        marked = add_dc(ground.model.sh, np.float32(strength.factor) * self._displacement)
-        pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
-        held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
-        with ThreadPoolExecutor() as pool:  # most of it is NumPy on one thread
-            read = list(pool.map(lambda k: self._read(pictures[k], k, layout), self._telling))
-        found = sorted(zip(read, self._telling, strict=True))
-        self._telling = [k for _, k in found[:WORST]]
-        chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
-        signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
-        noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
-        return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db)
-
-    def _read(self, picture: Float32, number: int, layout: Layout) -> float:
-        """z of the claim from an unseen view of the marked model, kept badly."""
-        plain, marked = (np.clip(image, 0.0, 1.0) for image in (self._unseen.images[number], picture))
-        y = gather_displacements(layout, self._unseen.views[number], plain, _spoil(marked), QUALITY)
-        one_bit = np.zeros(layout.chips, dtype=np.int32)
-        return claim_z(y, layout.amplitudes, one_bit, self._signs, np.ones(1, dtype=np.int8))
-
-
-def _spoil(picture: Float32) -> Float32:
-    """The picture after JPEG."""
-    import cv2
-
-    stored = np.round(picture[..., ::-1] * 255.0).astype(np.uint8)
-    coded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
-    decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=np.float32)
-    return decoded[..., ::-1] / np.float32(255.0)

@@ -1,15 +1,18 @@
 """What is delivered before it is marked: as many Gaussians, SH bands and codes as the scene needs, no more."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from engine.compress.densifying import densify
 from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
-from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature, uncertainty
+from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
 from engine.compress.pruning import drop_unseen_bands, prune, prune_at
 from engine.model import Float64, GaussianModel
+from engine.pipeline.groundwork import Groundwork, color_weights
 from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.progress import Clock
 from engine.pipeline.rigs import Extent
 from engine.pipeline.scenes import ViewSet, worst_psnr_against
 
@@ -17,6 +20,28 @@ BAND_SHARE = 0.05
 """Share of the pruning budget's squared error that dropping SH bands may use."""
 
 MOST_STAGES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Delivery:
+    """A model as it would be delivered, unmarked, and what it is marked with."""
+
+    settings: EmbedConfig
+    ground: Groundwork  # of the pruned model
+    model: GaussianModel
+    stages: tuple[Stage, ...]  # public cells, and what refines them
+    views: ViewSet  # of `model`
+    pruned: dict[str, Any]  # for the report
+
+
+def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delivery:
+    """Prune and quantise as the settings say."""
+    with clock.stage("prune"):
+        slim, pruned = slim_down(original.model, original.views, original.impact, original.extent, settings)
+    with clock.stage("quantize"):
+        ground = original.of(slim, clock)
+        model, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
+        return Delivery(settings, ground, model, tuple(stages), ground.views_of(model, clock), pruned)
 
 
 def slim_down(
@@ -32,6 +57,8 @@ def slim_down(
     if budget is None:
         return model, {}
     measure = worst_psnr_against(original.images, original.cameras)
+    if config.prune.sh_degree < model.sh_degree:
+        model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
     pixels = sum(c.width * c.height for c in original.cameras)
     curvature = sh_curvature(model, original.views, original.cameras)
     thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
@@ -67,16 +94,6 @@ def _as_the_paper(
         "merged": merged,
         "densified": len(dense) - len(slim),
     }
-
-
-def color_weights(model: GaussianModel, impact: Impact, *, by_frequency: bool = False) -> Float64:
-    """(N,) how much an error in each Gaussian's colour is seen: the inverse of its Laplace uncertainty.
-
-    That is the curvature of the render error itself. The paper's profiles weigh `by_frequency`, with W^freq, instead.
-    """
-    if by_frequency:
-        return frequency_impact(model, impact)
-    return np.asarray(1.0 / uncertainty(impact.squared))
 
 
 def unmarked_delivery(

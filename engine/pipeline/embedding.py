@@ -22,7 +22,7 @@ from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.pipeline.asset import Asset, bank_of, known_landmarks
 from engine.pipeline.choosing import Choice, choose
-from engine.pipeline.delivery import slim_down, unmarked_delivery
+from engine.pipeline.delivery import deliver
 from engine.pipeline.groundwork import lay_groundwork
 from engine.pipeline.marking import Committed, Copy, make_mark
 from engine.pipeline.profiles import Auto, EmbedConfig, Settings
@@ -177,14 +177,12 @@ def _prepare(
         original = (
             choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
         )
-    with clock.stage("prune"):  # 2
-        slim, pruned = slim_down(model, original.views, original.impact, original.extent, settings)
-    with clock.stage("quantize"):  # 3, 4
-        ground = original.of(slim, clock)
-        delivered, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
+    # 2, 3, 4
+    delivery = choice.delivery if choice else deliver(original, settings, clock)
+    delivered = delivery.model
+    with clock.stage("quantize"):
         reference = encode_reference(delivered)
         digest = reference_digest(reference)
-        views = ground.views_of(delivered, clock)
     with clock.stage("landmarks"):
         known = None if earlier is None else known_landmarks(earlier, digest, settings)
         landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
@@ -194,15 +192,15 @@ def _prepare(
         settings=settings,
         choice=choice,
         variant=variant,
-        ground=ground,
+        ground=delivery.ground,
         delivered=delivered,
-        stages=tuple(stages),
+        stages=delivery.stages,
         reference=reference,
         digest=digest,
-        views=views,
+        views=delivery.views,
         landmarks=landmarks,
         seen=seen,
-        pruned=pruned,
+        pruned=delivery.pruned,
     )
 
 

@@ -13,10 +13,9 @@ import numpy as np
 
 from engine.compress.cells import cell_features
 from engine.compress.hvq import Stage, group_means, quantize
-from engine.compress.impact import Impact, measure_impact, sh_curvature, uncertain
+from engine.compress.impact import Impact, frequency_impact, measure_impact, sh_curvature, uncertain, uncertainty
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float64, GaussianModel
-from engine.pipeline.delivery import color_weights
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
@@ -98,6 +97,16 @@ class Groundwork:
         if model is self.model:
             return self.views
         return look(model, self.cameras, clock.advance, self.variant.at_view)
+
+
+def color_weights(model: GaussianModel, impact: Impact, *, by_frequency: bool = False) -> Float64:
+    """(N,) how much an error in each Gaussian's colour is seen: the inverse of its Laplace uncertainty.
+
+    That is the curvature of the render error itself. The paper's profiles weigh `by_frequency`, with W^freq, instead.
+    """
+    if by_frequency:
+        return frequency_impact(model, impact)
+    return np.asarray(1.0 / uncertainty(impact.squared))
 
 
 def lay_groundwork(

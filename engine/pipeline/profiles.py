@@ -138,9 +138,11 @@ AUTO = "auto"
 class Auto:
     """Settings that a rehearsal on the scene chooses (`engine.pipeline.choosing`)."""
 
-    # Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew
+    # Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew, and so is on what its
+    # pruning budget is spent: no file need be larger than that allows
     start: EmbedConfig = PROFILES["fast"]
     keep_psnr: bool = False  # the owner named this fidelity: evidence may not be bought with it
+    format: str = "ply"  # of the delivered file, whose bytes count
 
 
 Settings = EmbedConfig | Auto
@@ -173,8 +175,15 @@ def compose(
         config = replace(config, prune=replace(config.prune, budget_db=budget_db))
     for knob in knobs:
         config = _turned(config, *knob.partition("=")[::2])
+    if name != AUTO:
+        return config
     keep_psnr = psnr_db is not None or any(knob.startswith("psnr_db=") for knob in knobs)
-    return Auto(config, keep_psnr) if name == AUTO else config
+    return Auto(config, keep_psnr)
+
+
+def delivered_as(settings: Settings, format: str) -> Settings:
+    """The settings, knowing the format of the delivered file."""
+    return replace(settings, format=format) if isinstance(settings, Auto) else settings
 
 
 def _turned(config: Any, knob: str, text: str, depth: int = 0) -> Any:

@@ -10,7 +10,7 @@ from engine.catalogue.entry import Entry
 from engine.errors import Mark3DGSError
 from engine.model import GaussianModel
 from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import compose
+from engine.pipeline.profiles import compose, delivered_as
 from engine.records.record import Record
 from engine.registration.sketch import make_sketch
 from engine.sim.variants.scenes import embed_variant, encode_scene, notes_of, output_of, written_as
@@ -50,7 +50,7 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "original_sha256": loaded.sha256,
         "message": message,
         "bits": bits,
-        "config": config,
+        "config": delivered_as(config, kind),
         "cameras": cameras,
         "registered_at": request.get("registered_at") or "",
         "drawn": request.get("drawn") or "",

@@ -12,7 +12,8 @@ from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
 from engine.model import GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline import delivery
-from engine.pipeline.delivery import BAND_SHARE, MOST_STAGES, color_weights, slim_down, unmarked_delivery
+from engine.pipeline.delivery import BAND_SHARE, MOST_STAGES, slim_down, unmarked_delivery
+from engine.pipeline.groundwork import color_weights
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import measure_extent
 from engine.pipeline.scenes import worst_psnr_against

@@ -1,6 +1,6 @@
 """Figures of speed against accuracy: ours beside what peers published, and what each knob of ours buys."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from engine.evaluate.drawing import INK, MARKERS, Axes, Figure, figure, label_line, styles
@@ -157,6 +157,41 @@ def draw_rendering(found: Sequence[Result]) -> Figure:
     )
     axes.legend()
     return drawn
+
+
+SPENDING = {
+    "profile": "profiles",
+    "auto": "auto",
+    "SH degree": "fewer harmonics",
+    "pruning": "pruned",
+    "allowance": "auto, loss allowed",
+}
+
+
+def draw_bytes_and_seconds(found: Sequence[Result]) -> Figure:
+    """Bytes of the delivered file, and seconds to embed, against its fidelity to the owner's original."""
+    drawn, panels = figure(1, 2, width=10.4, height=4.0)
+    costs: list[Callable[[Result], float]] = [lambda r: float(r.row["sog_bytes"]) / 1e6, lambda r: r.embed_seconds]
+    for axes, cost in zip(panels, costs, strict=True):
+        for (axis, label), style in zip(SPENDING.items(), styles(), strict=False):
+            own = sorted(_of(found, axis), key=lambda r: float(r.row["psnr_total_held_out"]))
+            look = style if axis not in ("profile", "auto") else {**style, "linestyle": "none"}
+            axes.plot([cost(r) for r in own], [float(r.row["psnr_total_held_out"]) for r in own], label=label, **look)
+            for result in own if axis in ("auto", "allowance") else []:
+                at = (cost(result), float(result.row["psnr_total_held_out"]))
+                _annotate(axes, result.point.name.replace("allowed-", "") + f", z {result.worst_z:.0f}", at, (5, -9))
+        axes.set(ylabel="PSNR against the original, worst unseen view, dB")
+    panels[0].set(xlabel="bytes as .sog, MB", title=_spared(found))
+    panels[1].set(xlabel="seconds to embed", title="What choosing costs")
+    panels[0].legend()
+    return drawn
+
+
+def _spared(found: Sequence[Result]) -> str:
+    allowed = [float(result.row["sog_bytes"]) for result in _of(found, "allowance")]
+    if not allowed:
+        return "What the delivered file takes"
+    return f"Down to {100 * min(allowed) / float(found[0].row['sog_bytes']):.0f} % of the bytes by what loss is allowed"
 
 
 def _of(found: Sequence[Result], axis: str) -> list[Result]:

@@ -123,7 +123,7 @@ def _timed(model: GaussianModel, digest: str, point: Point, seed: int, quick: bo
     cpu: list[float] = []
     for _ in range(1 if quick else REPEATS):
         config = config_of(point, **more)
-        asked = Auto(config) if point.profile == AUTO else config
+        asked = Auto(config, format="sog") if point.profile == AUTO else config
         began = time.process_time()
         made.append(embed(model, bench_key(seed), original_sha256=digest, bits=point.bits, config=asked))
         cpu.append(time.process_time() - began)

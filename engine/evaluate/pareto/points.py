@@ -68,6 +68,7 @@ def points(quick: bool) -> list[Point]:
         Point("hardest", "corner", "strong", {"cells": 16384}),
         Point("finest", "corner", changes={"cells": 16384, "psnr_db": 53.0}, bits=256),
         Point("auto", "auto", AUTO),
+        *(Point(f"allowed-{db:g}", "allowance", AUTO, {"budget": db}) for db in (45.0, 40.0, 35.0, 30.0)),
     ]
 
 

@@ -12,7 +12,14 @@ from statistics import fmean
 from typing import Any
 
 from engine.evaluate.intervals import bootstrap, share_interval
-from engine.evaluate.pareto.charts import draw_foretold, draw_main, draw_rendering, draw_time_and_fidelity, peers
+from engine.evaluate.pareto.charts import (
+    draw_bytes_and_seconds,
+    draw_foretold,
+    draw_main,
+    draw_rendering,
+    draw_time_and_fidelity,
+    peers,
+)
 from engine.evaluate.pareto.points import BASE, points
 from engine.evaluate.pareto.summing import Result, cheapest, results
 from engine.evaluate.published import read_published
@@ -209,6 +216,14 @@ def _scene_section(scene: str, found: Sequence[Result], rows: Sequence[Row]) -> 
             *refused,
         ],
         [cost, by_stage, by_attack, *([screenshots] if shot else [])],
+        [
+            Drawing(
+                f"bytes-{Path(scene).stem}",
+                partial(draw_bytes_and_seconds, found),
+                "Bytes and seconds against fidelity to the original, mark and losses together; beside what auto "
+                "chose, the dB that were allowed and the z left after the worst attack.",
+            )
+        ],
     )
 
 

@@ -29,7 +29,7 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
     """
     from engine.compress.hvq import HvqConfig, quantize
     from engine.compress.impact import measure_impact
-    from engine.pipeline.delivery import color_weights
+    from engine.pipeline.groundwork import color_weights
     from engine.pipeline.scenes import look
     from engine.pipeline.strength import add_dc, solve_strength
     from engine.watermark.planning import make_plan

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from engine.evaluate.pareto.charts import peers
+from engine.evaluate.pareto.charts import draw_bytes_and_seconds, peers
 from engine.evaluate.pareto.measuring import ATTACKS
 from engine.evaluate.pareto.points import BASE, Point, config_of, points
 from engine.evaluate.pareto.summing import cheapest, pareto_front, results
 from engine.evaluate.published import Published, read_published
-from engine.pipeline.profiles import profile
+from engine.pipeline.profiles import AUTO, profile
 
 
 def test_the_front_is_what_nothing_beats() -> None:
@@ -88,6 +88,22 @@ def test_sums_and_the_cheapest_that_will_do() -> None:
     assert spoilt[0].matching == spoilt[0].read - 1
     assert spoilt[0].picture_bits == pytest.approx(100 * 31 / 32)
     assert cheapest(spoilt, margin=1.0, least_db=45.0) is None
+
+
+def test_bytes_and_seconds_against_fidelity_name_what_auto_chose() -> None:
+    allowed = [Point(f"allowed-{db:g}", "allowance", AUTO, {"budget": db}) for db in (40.0, 30.0)]
+    rows = [row(point, 2.0, 20.0 + n) for n, point in enumerate([BASE, *allowed])]
+    for told, size, quality in zip(rows, (4e6, 3e6, 1e6), (47.0, 39.0, 29.5), strict=True):
+        told |= {"sog_bytes": size, "psnr_total_held_out": quality}
+    drawn = draw_bytes_and_seconds(results(rows))
+    left, right = drawn.axes
+    assert [text.get_text() for text in left.texts] == ["30, z 22", "40, z 21"]
+    assert left.get_title() == "Down to 25 % of the bytes by what loss is allowed"
+    (line,) = (line for line in left.lines if line.get_label() == "auto, loss allowed")
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([1.0, 3.0], [29.5, 39.0])
+    (line,) = (line for line in right.lines if line.get_label() == "auto, loss allowed")
+    assert list(line.get_xdata()) == [2.0, 2.0]
+    assert draw_bytes_and_seconds(results(rows[:1])).axes[0].get_title() == "What the delivered file takes"
 
 
 def test_peers_are_at_their_worst_picture() -> None:
