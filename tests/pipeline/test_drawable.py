@@ -45,7 +45,7 @@ def test_an_embedding_is_refused_before_it_draws(plant: GaussianModel, monkeypat
 
 
 def test_no_number_saves_what_covers_little(plant: GaussianModel) -> None:
-    """A hundred thousand Gaussians of a pixel are a scene like others, in a tiny picture, too, where all share a tile."""
+    """A hundred thousand Gaussians of a pixel are a scene like others, in a tiny picture, too, of one tile."""
     many = screened(plant, 100_000, size=1e-3)
     check_drawable(many)
     check_drawable(many, make_rig(many, 2, 16, 16))
