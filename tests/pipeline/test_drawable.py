@@ -9,10 +9,10 @@ from engine.errors import InputError
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import GaussianModel
 from engine.pipeline import scenes
-from engine.pipeline.drawable import MOST_A_TILE, VIEWS, check_drawable
+from engine.pipeline.drawable import MOST_PAIRS, SIDE, check_drawable
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
-from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
+from engine.pipeline.rigs import make_rig
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import count_overlaps, prepare_view
 from engine.watermark.claim import Verdict
@@ -32,20 +32,23 @@ def test_overlaps_are_told_without_drawing(make: object) -> None:
 
 
 def test_real_scenes_are_far_from_the_bound(plant: GaussianModel) -> None:
-    tiles = LANDMARK_SIZE[0] * LANDMARK_SIZE[1] / 256
-    most = max(count_overlaps(plant, eye).sum() / tiles for eye in make_rig(plant, VIEWS, *LANDMARK_SIZE))
-    assert 20 * most < MOST_A_TILE
+    most = max(count_overlaps(plant, eye).sum() for eye in make_rig(plant, 8, SIDE, SIDE))
+    assert 20 * most < MOST_PAIRS
 
 
 def test_an_embedding_is_refused_before_it_draws(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "prepare_view", lambda *_: pytest.fail("it draws"))
-    with pytest.raises(InputError, match=r"in view 1 100,\d{3} Gaussians reach .*; 100,00\d of its 213,648 Gaussians"):
-        embed(screened(plant, 100_000), OwnerKey(bytes(range(32))), original_sha256="00" * 32, config=profile("fast"))
+    text = r"cover 25\d million tiles of view 1,.* 30 million are allowed; 100,00\d of its 213,648 Gaussians"
+    for config in (profile("fast", view_size=256), profile("fast", view_size=800)):
+        with pytest.raises(InputError, match=text):
+            embed(screened(plant, 100_000), OwnerKey(bytes(range(32))), original_sha256="00" * 32, config=config)
 
 
 def test_no_number_saves_what_covers_little(plant: GaussianModel) -> None:
-    """A hundred thousand Gaussians of a pixel are a scene like others."""
-    check_drawable(screened(plant, 100_000, size=1e-3))
+    """A hundred thousand Gaussians of a pixel are a scene like others, in a tiny picture, too, of one tile."""
+    many = screened(plant, 100_000, size=1e-3)
+    check_drawable(many)
+    check_drawable(many, make_rig(many, 2, 16, 16))
 
 
 def test_a_suspect_is_read_by_its_gaussians_and_drawn_by_nobody(scene: MarkedScene, plant: GaussianModel) -> None:
