@@ -23,6 +23,7 @@ from service.health.endpoints import router as health
 from service.http.failures import install
 from service.http.middleware import BodyLimit, SafeHeaders
 from service.keys.endpoints import router as keys
+from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
@@ -85,7 +86,7 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    for router in (keys, uploads, embeds, verifications, disputes, jobs, assets, claims, health):
+    for router in (me, keys, uploads, embeds, verifications, disputes, jobs, assets, claims, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)

@@ -8,9 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
 from service.assets.conversions import converted, drop
-from service.db import own, page
+from service.db import holding, own, page
 from service.db.schema import assets
-from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, visible
+from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, Words, visible
 from service.http.downloads import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.failures import OF_LIST, OF_OWN
 from service.http.forms import FROM_JSON
@@ -51,10 +51,19 @@ class AssetList(BaseModel):
 
 
 @router.get("", operation_id="listAssets", responses=OF_LIST)
-def list_assets(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> AssetList:
+def list_assets(
+    core: Core,
+    caller: Reader,
+    limit: Limit = 20,
+    after: After = "",
+    q: Annotated[Words, Query(description="Whose label, copy name, id or record id holds this text.")] = "",
+    original: Annotated[str | None, Query(pattern="^[0-9a-f]{64}$", description="Copies of this original.")] = None,
+) -> AssetList:
     """Assets of this tenant, newest first."""
+    where = holding(q, *(assets.c[name] for name in ("label", "copy", "id", "record_id")))
+    where = where if original is None else where & (assets.c.original_sha256 == original)
     with core.db.read() as connection:
-        rows, following = page(connection, assets, caller.tenant, limit, after, "registered_at")
+        rows, following = page(connection, assets, caller.tenant, limit, after, "registered_at", where)
     return AssetList(items=[Asset.model_validate(row) for row in rows], next=following)
 
 

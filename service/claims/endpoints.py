@@ -2,22 +2,25 @@
 
 import base64
 import json
-from typing import Annotated, Any
+import re
+from typing import Annotated, Any, Literal
 
+import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words, summary_of
 from service.claims.told import Told
-from service.db import page
-from service.db.schema import claims
-from service.http.access import Admin, After, Core, Follower, Limit, Reader, visible
+from service.db import holding, page
+from service.db.schema import assets, claims
+from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Reader, Words, visible
 from service.http.failures import OF_LIST, OF_OWN, responses
 from service.http.results import Time
 from service.trust.commitments import forget
 from service.trust.signing import jwks
 
 router = APIRouter(tags=["claims"])
+SOUGHT = "Part of a suspect's file name, of the claim's or asset's id, label or copy name; or a suspect's SHA-256."
 JWS_TYPE = "application/jose"
 PACK_TYPE = "application/zip"
 
@@ -69,7 +72,10 @@ class ClaimSummary(BaseModel):
     """A claim in a list."""
 
     id: str
+    suspects: list[str] = Field(description="Names of the files handed in; empty for claims of earlier versions.")
     asset_id: str | None
+    asset_label: str | None = Field(description="null where no asset was recognised, or it was deleted.")
+    copy_name: str | None = Field(description="Recipient of the copy that was recognised; null where none was.")
     verdict: str
     headline: str
     finding: str
@@ -91,11 +97,22 @@ class KeySet(BaseModel):
 
 
 @router.get("/v1/claims", operation_id="listClaims", responses=OF_LIST)
-def list_claims(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> ClaimList:
+def list_claims(
+    core: Core,
+    caller: Reader,
+    limit: Limit = 20,
+    after: After = "",
+    verdict: Annotated[Literal["marked", "not_marked", "inconclusive"] | None, Query(description="With it.")] = None,
+    asset: Annotated[str, Query(max_length=64, pattern=NO_ZERO, description="About the asset of this id.")] = "",
+    q: Annotated[Words, Query(description=SOUGHT)] = "",
+) -> ClaimList:
     """Claims of this tenant, newest first."""
+    given = ((claims.c.verdict, verdict), (claims.c.asset, asset))
+    where = sa.and_(_about(caller.tenant, q), *(column == value for column, value in given if value))
     with core.db.read() as connection:
-        rows, following = page(connection, claims, caller.tenant, limit, after)
-    return ClaimList(items=[_summary(row) for row in rows], next=following)
+        rows, following = page(connection, claims, caller.tenant, limit, after, where=where)
+        labels = _labels(connection, rows)
+    return ClaimList(items=[_summary(row, labels.get(row.asset)) for row in rows], next=following)
 
 
 @router.get(
@@ -171,9 +188,29 @@ def key_set(core: Core, response: Response) -> KeySet:
     return KeySet(keys=jwks(core.db)["keys"])
 
 
-def _summary(row: Any) -> ClaimSummary:
+def _about(tenant: str, text: str) -> sa.ColumnElement[bool]:
+    """Claims whose names, ids, asset's label or copy name hold a text; of a digest: whose document names it, too."""
+    if not text:
+        return sa.true()
+    named = sa.select(assets.c.id).where((assets.c.tenant == tenant) & holding(text, assets.c.label, assets.c.copy))
+    found = holding(text, claims.c.id, claims.c.names, sa.func.coalesce(claims.c.asset, "")) | claims.c.asset.in_(named)
+    return found | claims.c.document.contains(text.lower()) if re.fullmatch("[0-9a-fA-F]{64}", text) else found
+
+
+def _labels(connection: sa.Connection, rows: list[Any]) -> dict[str, str]:
+    """Labels of the assets of claims that are there, by id."""
+    known = sa.select(assets.c.id, assets.c.label).where(assets.c.id.in_({row.asset for row in rows if row.asset}))
+    return {row.id: row.label for row in connection.execute(known)}
+
+
+def _summary(row: Any, label: str | None) -> ClaimSummary:
     document = json.loads(row.document)
     words = document_words(document)
-    said = {"headline": words.headline, "finding": words.finding}
+    said = {
+        "headline": words.headline,
+        "finding": words.finding,
+        "suspects": row.names.split("\n") if row.names else [],
+    }
     told = {name: document[name] for name in ("verdict", "log10_false_claim")}
-    return ClaimSummary(id=row.id, asset_id=row.asset, created_at=row.created_at, **said, **told)
+    about = {"asset_id": row.asset, "asset_label": label, "copy_name": document["copy"]}
+    return ClaimSummary(id=row.id, created_at=row.created_at, **about, **said, **told)

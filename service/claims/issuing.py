@@ -48,6 +48,7 @@ def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any
             reply=reply,
             pictures=reply["kept"],
             sha256=files,
+            names=job.request.get("names", ()),  # jobs of earlier versions have none
             issuer={"name": service.settings.issuer_name, "address": service.settings.public_url},
         )
     result = {"claim_id": claim.id, "asset_id": claim.document["asset"]} | {
@@ -68,12 +69,14 @@ def issue_claim(
     reply: Mapping[str, Any],
     sha256: Sequence[str],
     pictures: Mapping[str, str],
+    names: Sequence[str] = (),
     issuer: Mapping[str, str] | None = None,
 ) -> IssuedClaim:
     """Log, sign and store the claim of a verification, in a transaction; a job that has a claim keeps it.
 
     `reply` is that of `service.claims.document.of_what_was_found`; `issuer` says who we are.
-    `sha256` is of each file handed in, in order; `pictures` names those of the report, stored already, by SHA-256.
+    `sha256` is of each file handed in, in order, and `names` what they were called, which is not signed; `pictures`
+    names those of the report, stored already, by SHA-256.
     "internal" where the reply names an asset that the tenant or the log does not have.
     """
     alone(connection)
@@ -99,6 +102,7 @@ def issue_claim(
     jws = sign(connection, master, payload)
     values = {"id": claim_id, "tenant": tenant, "job": job, "asset": document["asset"], "created_at": created_at}
     values |= {"document": payload.decode(), "jws": jws, "pictures": canonical(dict(pictures)).decode()}
+    values |= {"verdict": document["verdict"], "names": "\n".join(" ".join(name.split()) for name in names)}
     connection.execute(claims.insert().values(values))
     return IssuedClaim(claim_id, json.loads(payload), jws)
 

@@ -1,7 +1,7 @@
 """What the service answers, as values. Members that a later service adds are passed over."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypeVar, cast
 
 from service.client.errors import ServiceError, of_problem
@@ -11,11 +11,14 @@ FINAL = frozenset({"succeeded", "disputed", "failed", "cancelled"})
 
 
 def read(kind: type[A], plain: Any) -> A:
-    """A value of a dataclass of this file from a JSON object; ServiceError where a member is missing."""
+    """A value of a dataclass of this file from a JSON object; ServiceError where a member without a default is missing.
+
+    Defaults stand for members that services of an earlier version do not send.
+    """
     names = [each.name for each in fields(cast(Any, kind))]
     try:
-        return kind(**{name: plain[name] for name in names})
-    except (KeyError, TypeError) as error:
+        return kind(**{name: plain[name] for name in names if name in plain})
+    except TypeError as error:
         text = f"no {kind.__name__}: {type(error).__name__} {error} in {str(plain)[:200]}"
         raise ServiceError("unexpected-answer", text) from None
 
@@ -48,6 +51,7 @@ class Job:
     created_at: str
     started_at: str | None
     finished_at: str | None
+    position: int | None = None  # in the queue, 1 is next; None unless queued
 
     @property
     def ended(self) -> bool:
@@ -144,6 +148,19 @@ class ClaimSummary:
     finding: str
     log10_false_claim: float
     created_at: str
+    suspects: list[str] = field(default_factory=list)  # of the files handed in
+    asset_label: str | None = None
+    copy_name: str | None = None
+
+
+@dataclass(frozen=True)
+class Me:
+    """Whose API key it is that the client has."""
+
+    tenant: str
+    name: str  # what people call the tenant
+    key: Mapping[str, Any]  # id, label, scopes, prefix
+    limits: Mapping[str, Mapping[str, int]]  # name: used, most
 
 
 def embedded(job: Job) -> Embedded:

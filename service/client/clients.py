@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Concatenate, ParamSpec, Self, TypeVar
 
 import httpx
 
-from service.client import downloads, flows
+from service.client import downloads, flows, lists
 from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
 
 P = ParamSpec("P")
@@ -115,15 +115,17 @@ class Client:
         self.close()
 
     asset = _now(flows.asset)
-    assets = _now(flows.assets)
+    assets = _now(lists.assets)
     call = _now(flows.call)
     cancel = _now(flows.cancel)
     claim = _now(flows.claim)
-    claims = _now(flows.claims)
+    claims = _now(lists.claims)
     download = _now(downloads.download)
     embed = _now(flows.embed)
     job = _now(flows.job)
+    jobs = _now(lists.jobs)
     jws = _now(downloads.jws)
+    me = _now(lists.me)
     record = _now(downloads.record)
     report = _now(downloads.report)
     submit_embed = _now(flows.submit_embed)
@@ -201,15 +203,17 @@ class AsyncClient:
         await self.close()
 
     asset = _soon(flows.asset)
-    assets = _soon(flows.assets)
+    assets = _soon(lists.assets)
     call = _soon(flows.call)
     cancel = _soon(flows.cancel)
     claim = _soon(flows.claim)
-    claims = _soon(flows.claims)
+    claims = _soon(lists.claims)
     download = _soon(downloads.download)
     embed = _soon(flows.embed)
     job = _soon(flows.job)
+    jobs = _soon(lists.jobs)
     jws = _soon(downloads.jws)
+    me = _soon(lists.me)
     record = _soon(downloads.record)
     report = _soon(downloads.report)
     submit_embed = _soon(flows.submit_embed)

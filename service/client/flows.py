@@ -5,15 +5,14 @@ import secrets
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal, TypedDict, TypeVar, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote
 
-from service.client.answers import Asset, Claim, ClaimSummary, Embedded, Job, Upload, Verified, embedded, read, verified
+from service.client.answers import Asset, Claim, Embedded, Job, Upload, Verified, embedded, read, verified
 from service.client.errors import ServiceError
 from service.client.sources import Measured, Source, measure, piece
-from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Pause, Progress, Reply, Request, Work, ask
+from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Params, Pause, Progress, Reply, Request, Work, ask
 
-A = TypeVar("A")
 FIRST_LOOK, LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks at a job: doubled while nothing changes."""
 LOOKS = 10
@@ -50,7 +49,7 @@ def silent(stage: str, fraction: float) -> None:
     """Progress that nobody watches."""
 
 
-def call(method: str, path: str, *, json: Any = None, params: dict[str, str] | None = None) -> Flow[Any]:
+def call(method: str, path: str, *, json: Any = None, params: Params | None = None) -> Flow[Any]:
     """Any request of the API: the JSON of its answer, None where it has no body. ServiceError for a bad answer."""
     reply = yield from ask(Request(method, path, params or {}, json=json))
     return reply.json() if reply.body else None
@@ -209,29 +208,9 @@ def asset(asset_id: str) -> Flow[Asset]:
     return read(Asset, (yield from _get(_path("assets", asset_id))))
 
 
-def assets() -> Flow[list[Asset]]:
-    """All assets of the tenant, newest first."""
-    return (yield from _all(Asset, "/v1/assets"))
-
-
 def claim(claim_id: str) -> Flow[Claim]:
     """A claim, with its signature."""
     return read(Claim, (yield from _get(_path("claims", claim_id))))
-
-
-def claims() -> Flow[list[ClaimSummary]]:
-    """All claims of the tenant, newest first."""
-    return (yield from _all(ClaimSummary, "/v1/claims"))
-
-
-def _all(kind: type[A], path: str) -> Flow[list[A]]:
-    found: list[A] = []
-    after: str | None = ""
-    while after is not None:
-        page = yield from _get(path, {"limit": "100", "after": after})
-        found += [read(kind, each) for each in page["items"]]
-        after = page["next"]
-    return found
 
 
 def _look(path: str) -> Flow[Any]:
@@ -239,7 +218,7 @@ def _look(path: str) -> Flow[Any]:
     return (yield from ask(Request("GET", path, again=True))).json()
 
 
-def _get(path: str, params: dict[str, str] | None = None) -> Flow[Any]:
+def _get(path: str, params: Params | None = None) -> Flow[Any]:
     return (yield from call("GET", path, params=params))
 
 

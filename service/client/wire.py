@@ -5,7 +5,7 @@ A *flow* is a generator: it yields actions, is handed what came of each, and ret
 """
 
 import random
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,6 +18,9 @@ from service.client.errors import ServiceError, of_problem
 T = TypeVar("T")
 Progress = Callable[[str, float], object]
 """Called with a stage ("upload", those of a job, "download") and how far that is, 0 to 1."""
+
+Params = Mapping[str, str | Sequence[str]]
+"""Of an address; one of several values is there several times."""
 
 REFUSED_FOR_NOW = (429, 503)
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
@@ -32,7 +35,7 @@ class Request:
 
     method: str
     path: str
-    params: Mapping[str, str] = field(default_factory=dict)
+    params: Params = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     json: Any = None
     content: bytes | None = None

@@ -148,6 +148,11 @@ def page(
     return rows[:limit], rows[limit - 1].id if len(rows) > limit else None
 
 
+def holding(text: str, *columns: sa.ColumnElement[str]) -> sa.ColumnElement[bool]:
+    """Rows of which one of the columns contains a text, upper and lower case alike."""
+    return sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
+
+
 @contextmanager
 def _as_problems() -> Iterator[None]:
     """A database that does not answer is a 503, a full disk a 507; a broken statement stays a bug of ours."""
@@ -175,6 +180,8 @@ def _set_up_sqlite(connection: Any, _: Any) -> None:
     ):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
+    # SQLite's own knows no letters but those of ASCII, and a search is to find "Möbel" under "MÖBEL".
+    connection.create_function("lower", 1, lambda text: text and str(text).lower(), deterministic=True)
 
 
 def _begin_immediate(connection: sa.Connection) -> None:

@@ -102,6 +102,8 @@ claims = Table(
     *_texts("asset", null=True),
     *_texts("document", "jws", "pictures", "created_at"),  # document: canonical JSON; pictures: JSON, name -> sha256
     Column("timestamp", LargeBinary, nullable=True),  # RFC 3161 token of the JWS
+    Column("verdict", Text, nullable=False, server_default=""),  # as the document has it: for lists
+    Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
 )
 
 # Payloads are canonical JSON: digests, never secrets. The hash is of the previous hash and this row, hex.

@@ -42,6 +42,7 @@ def may(*scopes: str) -> Callable[..., Caller]:
     return allowed
 
 
+Anyone = Annotated[Caller, Depends(_caller)]
 Reader = Annotated[Caller, Depends(may("read"))]
 Embedder = Annotated[Caller, Depends(may("embed"))]
 Verifier = Annotated[Caller, Depends(may("verify"))]
@@ -64,4 +65,8 @@ def visible(core: Service, caller: Caller, table: sa.Table, row_id: str) -> Any:
 
 
 Limit = Annotated[int, Query(ge=1, le=100, description="Entries a page.")]
+NO_ZERO = r"^[^\x00]*$"
+"""No text of a database holds one."""
+Words = Annotated[str, Query(max_length=200, pattern=NO_ZERO)]
+"""What is looked for in a list."""
 After = Annotated[str, Query(max_length=64, description="`next` of the page before.")]

@@ -3,12 +3,12 @@
 import asyncio
 import re
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import Header, Response
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
 from service.core import Service
 from service.http import idempotency
@@ -26,13 +26,17 @@ _WITHIN = BeforeValidator(lambda fraction: min(max(fraction, 0.0), 1.0))
 class JobView(BaseModel):
     """A job as it stands."""
 
-    model_config = ConfigDict(from_attributes=True)
     id: str
     kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
     cancelling: bool
+    position: int | None = Field(
+        ge=1,
+        description="Place in the queue, 1 is next as things stand; null unless queued. Tenants take turns: jobs of who"
+        " has fewer may yet come before.",
+    )
     result: Result = Field(description="asset_id or claim_id and what to know at once; null until it succeeded.")
     problem: Failure | None = Field(description="Why it failed (RFC 9457).")
     created_at: Time
@@ -59,9 +63,15 @@ JOB_RESPONSES: dict[int | str, dict[str, Any]] = {
 """Of a request that becomes a job."""
 
 
-def view(job: Job) -> JobView:
+def view(job: Job, position: int | None = None) -> JobView:
     """The job for the client."""
-    return JobView.model_validate(job)
+    return JobView.model_validate({**vars(job), "position": position})
+
+
+def views(service: Service, jobs: Sequence[Job]) -> list[JobView]:
+    """Jobs for the client, those that wait with their places in the queue."""
+    places = service.jobs.positions(jobs)
+    return [view(job, places.get(job.id)) for job in jobs]
 
 
 def submit(
@@ -116,7 +126,8 @@ async def respond(service: Service, job: Job, prefer: str | None) -> Response:
     if seconds:
         headers["Preference-Applied"] = f"wait={seconds}"
     if job.state not in FINAL:
-        return JSONResponse(view(job).model_dump(), 202, {**headers, "Retry-After": "1"})
+        (seen,) = await asyncio.to_thread(views, service, [job])
+        return JSONResponse(seen.model_dump(), 202, {**headers, "Retry-After": "1"})
     if job.problem is not None and 400 <= int(job.problem["status"]) < 500:
         problem = from_json(job.problem)
         problem.extra["job"] = job.id

@@ -1,7 +1,7 @@
 """The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -51,10 +51,33 @@ class Rows:
             row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
         return None if row is None else job_of(row)
 
-    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
-        """Jobs of a tenant, newest first, after the job with this id."""
+    def list(
+        self, tenant: str, limit: int = 20, after: str = "", states: Collection[str] = (), kind: str = ""
+    ) -> Sequence[Job]:
+        """Jobs of a tenant, newest first, after the job with this id; those in these states, and of this kind."""
+        where = sa.and_(jobs.c.state.in_(states or list(State)), jobs.c.kind == kind if kind else sa.true())
         with self._db.read() as connection:
-            return [job_of(row) for row in page(connection, jobs, tenant, limit, after)[0]]
+            return [job_of(row) for row in page(connection, jobs, tenant, limit, after, where=where)[0]]
+
+    def positions(self, asked: Sequence[Job]) -> dict[str, int]:
+        """Places in the queue of those jobs that wait, by id: 1 is begun next, as things stand.
+
+        Of all tenants' jobs, as they take turns: the first job of each tenant before the second of any, a tenant with
+        jobs at work so many turns later, equals in their order of coming. Who comes later and has fewer goes first.
+        """
+        waiting = [job.id for job in asked if job.state is State.QUEUED]
+        if not waiting:
+            return {}
+        # Those at work come first in this numbering of a tenant's jobs: its first job that waits has so many before it.
+        first = (jobs.c.state != State.RUNNING.value, *_ORDER)
+        turn = sa.func.row_number().over(partition_by=jobs.c.tenant, order_by=first).label("turn")
+        known = sa.select(*_ORDER, jobs.c.state, turn).where(_OPEN).subquery()
+        queue = sa.select(known).where(known.c.state == State.QUEUED.value).subquery()
+        place = sa.func.row_number().over(order_by=(queue.c.turn, queue.c.created_at, queue.c.id)).label("place")
+        places = sa.select(queue.c.id, place).subquery()
+        with self._db.read() as connection:
+            found = connection.execute(sa.select(places).where(places.c.id.in_(waiting)))
+            return {row.id: row.place for row in found}
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """A queued job is cancelled at once; a running one is asked to stop."""

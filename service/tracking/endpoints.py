@@ -2,16 +2,16 @@
 
 import asyncio
 from collections.abc import AsyncIterable
-from typing import Annotated
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Header, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel
 
 from service.db import missing
 from service.db.schema import jobs
 from service.http.access import After, Core, Follower, Limit, Reader, Uploader, visible
-from service.http.answers import JobView, view
+from service.http.answers import JobView, view, views
 from service.http.downloads import tags
 from service.http.failures import OF_LIST, OF_OWN, responses
 from service.jobs.port import FINAL, Job, State
@@ -31,11 +31,18 @@ class JobList(BaseModel):
 
 
 @router.get("", operation_id="listJobs", responses=OF_LIST)
-def list_jobs(core: Core, caller: Reader, limit: Limit = 20, after: After = "") -> JobList:
+def list_jobs(
+    core: Core,
+    caller: Reader,
+    state: Annotated[list[State], Query(default_factory=list, description="In this state; give it once for each.")],
+    limit: Limit = 20,
+    after: After = "",
+    kind: Annotated[Literal["embed", "verify", "dispute"] | None, Query(description="Of this kind.")] = None,
+) -> JobList:
     """Jobs of this tenant, newest first."""
-    found = core.jobs.list(caller.tenant, limit + 1, after)
+    found = core.jobs.list(caller.tenant, limit + 1, after, state, kind or "")
     following = found[limit - 1].id if len(found) > limit else None
-    return JobList(items=[view(job) for job in found[:limit]], next=following)
+    return JobList(items=views(core, found[:limit]), next=following)
 
 
 @router.get(
@@ -51,12 +58,12 @@ def get_job(
     if_none_match: Annotated[str | None, Header(description="ETag of the answer at hand.")] = None,
 ) -> Response:
     """Where a job stands."""
-    job = _found(job_id, core, caller)
-    etag = f'"{job.revision}"'
+    (job,) = views(core, [found := _found(job_id, core, caller)])
+    etag = f'"{found.revision}"' if job.position is None else f'"{found.revision}.{job.position}"'
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     if etag in tags(if_none_match):
         return Response(status_code=304, headers=headers)
-    return Response(view(job).model_dump_json(), headers=headers, media_type="application/json")
+    return Response(job.model_dump_json(), headers=headers, media_type="application/json")
 
 
 def _found(job_id: str, core: Core, caller: Follower) -> Job:
@@ -67,15 +74,16 @@ def _found(job_id: str, core: Core, caller: Follower) -> Job:
 async def job_events(
     job_id: str, core: Core, caller: Follower, _: Annotated[Job, Depends(_found)]
 ) -> AsyncIterable[ServerSentEvent]:
-    """Server-sent events: the job at every change, until it has ended."""
-    told, waited = -1, 0.0
+    """Server-sent events: the job at every change, of its place in the queue, too, until it has ended."""
+    told, waited = None, 0.0
     while True:
         job = await asyncio.to_thread(core.jobs.get, caller.tenant, job_id)
         if job is None:
             return
-        if job.revision != told:
-            told, waited = job.revision, 0.0
-            yield ServerSentEvent(data=view(job).model_dump(), event="progress", id=str(job.revision))
+        (seen,) = await asyncio.to_thread(views, core, [job])
+        if seen != told:
+            told, waited = seen, 0.0
+            yield ServerSentEvent(data=seen.model_dump(), event="progress", id=str(job.revision))
             if job.state in FINAL:
                 return
         await asyncio.sleep(POLL_SECONDS)

@@ -27,15 +27,20 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
     if size is not None and size > service.blobs.free_bytes():
         raise Problem("storage-full", f"there is no room for an upload of {size} bytes")
     check_quota(service, tenant, size or 0)
-    with service.db.read() as connection:
-        under_way = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
-        if connection.execute(under_way).scalar_one() >= most:
-            raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
+    if under_way(service, tenant) >= most:
+        raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
     with service.db.write() as connection:
         connection.execute(uploads.insert().values(**values, received=0, state="open", created_at=now()))
     return get(service, tenant, upload_id)
+
+
+def under_way(service: Service, tenant: str) -> int:
+    """How many slots of a tenant wait for bytes."""
+    opened = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
+    with service.db.read() as connection:
+        return int(connection.execute(opened).scalar_one())
 
 
 def get(service: Service, tenant: str, upload_id: str) -> Any:

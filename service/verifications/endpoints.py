@@ -116,6 +116,6 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
         if body.asset_id is not None:
             own(core.db, assets, tenant, body.asset_id)
             spend_subject(core, body.asset_id)
-        return asked
+        return {**asked, "names": [row.name for row in (*model, *images)]}  # not part of what a retry is known by
 
     return submit(core, caller, "verify", retry_key, {"verify": asked}, make)

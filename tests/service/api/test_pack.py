@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Sequence
 from itertools import count
 from typing import Any
 
@@ -20,7 +21,7 @@ from tests.service.claims.cases import DRAWN, PICTURES, asset_row, nothing, repl
 NUMBERS = count()
 
 
-def claim_of(service: Service, api: Api, number: int, found: dict[str, Any]) -> str:
+def claim_of(service: Service, api: Api, number: int, found: dict[str, Any], names: Sequence[str] = ()) -> str:
     """A claim of this tenant, with its pictures."""
     tenant = check(service.db, service.master, api.client.headers["Authorization"].removeprefix("Bearer ")).tenant
     kept = {}
@@ -30,6 +31,7 @@ def claim_of(service: Service, api: Api, number: int, found: dict[str, Any]) -> 
             kept[name] = service.blobs.put(file)
     with service.db.write() as connection:
         row = asset_row(id=f"as_pack{number}", tenant=tenant, job=f"job_of_as_pack{number}")
+        row |= {"label": f"label of {number}", "report": "{}"}
         connection.execute(assets.insert().values(row))
         commit_asset(connection, row, DRAWN)
         claim = issue_claim(
@@ -39,6 +41,7 @@ def claim_of(service: Service, api: Api, number: int, found: dict[str, Any]) -> 
             job=f"job_pack{number}",
             reply=found,
             sha256=["12" * 32],
+            names=names,
             pictures=kept,
             issuer={"name": "Marks Ltd", "address": "https://marks.example"},
         )

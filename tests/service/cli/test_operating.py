@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from engine.cli.app import run
 from service.core import Service
 from service.db import Database
 from service.settings import Settings
+from tests.service.db.test_database import FIRST_VERSION
 
 Mark3dgs = Callable[..., tuple[int, str, str]]
 
@@ -155,12 +157,12 @@ def test_a_newer_database(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_the_first_version_is_brought_up_to_date(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
-    """As `0001` left it: without names of tenants."""
-    mark3dgs("init")
+    (tmp_path / "data").mkdir(mode=0o700)
     database = Database(Settings(data_dir=tmp_path / "data").database())
-    with database.write() as connection:
-        connection.exec_driver_sql("DROP TABLE tenants")
-        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0001'")
+    connection = sqlite3.connect(tmp_path / "data" / "mark3dgs.sqlite")
+    connection.executescript(FIRST_VERSION.read_text())
+    connection.close()
+    assert mark3dgs("init")[0] == 0
     assert mark3dgs("tenant", "default", "Studio Nord")[0] == 0
     with database.read() as connection:
         assert connection.execute(sa.text("SELECT name FROM tenants")).scalar_one() == "Studio Nord"

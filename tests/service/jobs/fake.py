@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,8 +27,11 @@ class FakeJobs:
         job = self._jobs.get(job_id)
         return job if job and job.tenant == tenant else None
 
-    def list(self, tenant: str, limit: int = 20, after: str = "") -> Sequence[Job]:
+    def list(
+        self, tenant: str, limit: int = 20, after: str = "", states: Collection[str] = (), kind: str = ""
+    ) -> Sequence[Job]:
         mine = [job for job in self._jobs.values() if job.tenant == tenant]
+        mine = [job for job in mine if job.state in (states or [job.state]) and job.kind == (kind or job.kind)]
         mine.sort(key=lambda job: (job.created_at, job.id), reverse=True)
         if after:
             places = [number for number, job in enumerate(mine) if job.id == after]

@@ -85,6 +85,23 @@ def test_lists_go_from_new_to_old_in_pages(engine: Engine) -> None:
             engine.jobs.list("t", after=after)
 
 
+def test_lists_are_narrowed(engine: Engine) -> None:
+    for number, kind in enumerate(("embed", "verify", "verify", "dispute")):
+        job = Job(f"j{number}", "t", "key", kind, State.QUEUED, {}, created_at=f"2026-01-0{number + 1}")
+        engine.jobs.submit(job)
+    engine.begin("j1", "w")
+    engine.jobs.cancel("t", "j3")
+    for states, kind, expected in (
+        ((), "", ["j3", "j2", "j1", "j0"]),
+        (("queued",), "", ["j2", "j0"]),
+        (("queued", "running"), "verify", ["j2", "j1"]),
+        ((), "dispute", ["j3"]),
+        (("failed",), "", []),
+    ):
+        assert [job.id for job in engine.jobs.list("t", states=states, kind=kind)] == expected
+    assert [job.id for job in engine.jobs.list("t", 1, "j2", ["queued"])] == ["j0"]
+
+
 def test_progress_is_seen_and_counted(engine: Engine) -> None:
     engine.jobs.submit(new("a"))
     assert not engine.jobs.progress("a", "embed", 0.1), "nobody is at work on a queued job"

@@ -41,12 +41,15 @@ def test_a_long_queue_of_one_keeps_nobody_waiting(shop: Workshop) -> None:
     shop.wait(lambda: begun(shop) == ["many0"])
     submit(shop, "few", *few)
     submit(shop, "third", "third0")
+    asked = [job for tenant in ("many", "few", "third") for job in shop.jobs.list(tenant)]
+    places = shop.jobs.positions(asked)
     shop.gate.touch()
     shop.wait(lambda: len(begun(shop)) == 11)
     order = begun(shop)
     assert order[1:3] == ["few0", "third0"], "who has none at work comes before who has"
     assert order.index("few1") <= 4, "then they take turns"
     assert [job for job in order if job in many] == many, "a tenant's own jobs keep their order"
+    assert places == {job: place for place, job in enumerate(order[1:], 1)}, "what was told beforehand comes true"
 
 
 def test_the_tenant_with_the_fewest_at_work_comes_first(jobs: DurableJobs) -> None:
@@ -58,6 +61,21 @@ def test_the_tenant_with_the_fewest_at_work_comes_first(jobs: DurableJobs) -> No
     jobs.submit(Job("b0", "b", "key", "three", State.QUEUED, {}))
     priority = {each.workflow_id: each.priority for each in jobs._client().list_workflows(status="ENQUEUED")}
     assert priority["b0"] < priority["a1"] < priority["a2"]
+
+
+def test_places_in_the_queue(jobs: DurableJobs) -> None:
+    made = {}
+    for second, job_id in enumerate(("a0", "a1", "a2", "b0", "b1", "c0")):
+        made[job_id] = jobs.submit(
+            Job(job_id, job_id[0], "key", "three", State.QUEUED, {}, created_at=f"2026-01-01T00:00:0{second}")
+        )
+    everything = list(made.values())
+    assert jobs.positions(everything) == {"a0": 1, "b0": 2, "c0": 3, "a1": 4, "b1": 5, "a2": 6}
+    jobs.begin("a0", "w")
+    jobs.cancel("b", "b0")
+    everything = [job for tenant in "abc" for job in jobs.list(tenant)]
+    assert jobs.positions(everything) == {"b1": 1, "c0": 2, "a1": 3, "a2": 4}, "who has one at work comes later"
+    assert jobs.positions([job for job in everything if job.id == "a2"]) == {"a2": 4}, "others' jobs count"
 
 
 def test_what_was_cancelled_costs_no_turn(jobs: DurableJobs) -> None:

@@ -1,0 +1,65 @@
+"""GET /v1/me: whose key this is, what it may do, and what the tenant has left of its limits."""
+
+import sqlalchemy as sa
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+
+from service.db.schema import api_keys
+from service.http.access import Anyone, Core
+from service.http.failures import responses
+from service.trust.api_keys import SCOPES
+from service.trust.tenants import display_name
+from service.uploads.quota import stored_bytes
+from service.uploads.store import under_way
+
+router = APIRouter(prefix="/v1/me", tags=["keys"])
+
+
+class Self(BaseModel):
+    """The API key of this request."""
+
+    id: str
+    label: str
+    scopes: list[str]
+    prefix: str = Field(description="How the key begins; the rest is a secret.")
+
+
+class Used(BaseModel):
+    """A limit of the tenant, and how much of it is used."""
+
+    used: int
+    most: int
+
+
+class Limits(BaseModel):
+    """Limits of the tenant; those of an hour are counted by key and told when they are met (429)."""
+
+    queued_jobs: Used = Field(description="Jobs that wait or run.")
+    open_uploads: Used = Field(description="Uploads under way.")
+    stored_bytes: Used = Field(description="Uploads and assets, together.")
+
+
+class Me(BaseModel):
+    """Who asks."""
+
+    tenant: str
+    name: str = Field(description="What people call the tenant; its id where nobody said.")
+    key: Self
+    limits: Limits
+
+
+@router.get("", operation_id="me", responses=responses("unauthorized", "forbidden"))
+def me(core: Core, caller: Anyone) -> Me:
+    """Whose API key this is. Every key may ask, whatever its scopes."""
+    settings, tenant = core.settings, caller.tenant
+    with core.db.read() as connection:
+        name = display_name(connection, tenant)
+        label = connection.execute(sa.select(api_keys.c.label).where(api_keys.c.id == caller.key_id)).scalar_one()
+    scopes = [scope for scope in SCOPES if scope in caller.scopes]
+    limits = Limits(
+        queued_jobs=Used(used=core.jobs.waiting(tenant), most=settings.queued_jobs),
+        open_uploads=Used(used=under_way(core, tenant), most=settings.open_uploads),
+        stored_bytes=Used(used=stored_bytes(core.db, tenant), most=settings.tenant_bytes),
+    )
+    key = Self(id=caller.key_id, label=label, scopes=scopes, prefix=f"mk_{caller.key_id}")
+    return Me(tenant=tenant, name=name, key=key, limits=limits)
