@@ -16,6 +16,7 @@ from fastapi.staticfiles import StaticFiles
 
 from service.assets.endpoints import router as assets
 from service.claims.endpoints import router as claims
+from service.claims.share_endpoints import router as shares
 from service.core import Service
 from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
@@ -86,7 +87,7 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    for router in (me, keys, uploads, embeds, verifications, disputes, jobs, assets, claims, health):
+    for router in (me, keys, uploads, embeds, verifications, disputes, jobs, assets, claims, shares, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)

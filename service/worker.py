@@ -5,6 +5,7 @@ import threading
 import time
 from typing import NoReturn
 
+from service.claims import shares
 from service.core import Service
 from service.disputes.flow import dispute_flow
 from service.embeds.flow import embed_flow
@@ -29,6 +30,7 @@ def _tidy(service: Service) -> None:
         time.sleep(TIDY_SECONDS)
         try:
             sweep(service)
+            shares.sweep(service.db)
             forget(service.db)
             service.jobs.prune(24 * service.settings.job_days)
         except Exception as error:  # the jobs matter more; the next hour tries again

@@ -1,6 +1,5 @@
 """/v1/claims, and the public keys that they are checked with."""
 
-import base64
 import json
 import re
 from typing import Annotated, Any, Literal
@@ -9,7 +8,8 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from service.claims.document import document_words, summary_of
+from service.claims.document import document_words
+from service.claims.handing import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
 from service.claims.told import Told
 from service.db import holding, page
 from service.db.schema import assets, claims
@@ -22,50 +22,6 @@ from service.trust.signing import jwks
 router = APIRouter(tags=["claims"])
 SOUGHT = "Part of a suspect's file name, of the claim's or asset's id, label or copy name; or a suspect's SHA-256."
 JWS_TYPE = "application/jose"
-PACK_TYPE = "application/zip"
-
-
-class Fact(BaseModel):
-    """Something that was found."""
-
-    label: str
-    text: str
-
-
-class Bar(BaseModel):
-    """What a bound is held against."""
-
-    log10: float
-    text: str
-
-
-class NamedCheck(BaseModel):
-    """A check of the document, with its name and outcome for people."""
-
-    code: str
-    ok: bool | None
-    text: str
-    name: str
-    outcome: str
-
-
-class Summary(BaseModel):
-    """The claim in words; they follow from the document, and are not signed themselves."""
-
-    headline: str
-    finding: str = Field(description="The verdict in one sentence.")
-    facts: list[Fact]
-    limits: list[Bar]
-    checks: list[NamedCheck]
-
-
-class SignedClaim(BaseModel):
-    """A claim: the document, and the signature over it."""
-
-    document: dict[str, Any] = Field(description="What is signed (see docs/CLAIM.md).")
-    jws: str = Field(description="Compact JWS over the document, Ed25519.")
-    timestamp: str | None = Field(description="RFC 3161 token of the JWS, base64; null where none was made.")
-    summary: Summary
 
 
 class ClaimSummary(BaseModel):
@@ -131,10 +87,7 @@ def get_jws(claim_id: str, core: Core, caller: Follower) -> Response:
 @router.get("/v1/claims/{claim_id}", operation_id="getClaim", responses=OF_OWN)
 def get_claim(claim_id: str, core: Core, caller: Follower) -> SignedClaim:
     """A claim."""
-    row = visible(core, caller, claims, claim_id)
-    stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
-    document = json.loads(row.document)
-    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
+    return signed(visible(core, caller, claims, claim_id))
 
 
 @router.delete("/v1/claims/{claim_id}", status_code=204, operation_id="deleteClaim", responses=OF_OWN)
@@ -144,41 +97,22 @@ def delete_claim(claim_id: str, core: Core, caller: Admin) -> None:
 
 
 @router.get(
-    "/v1/claims/{claim_id}/report",
-    operation_id="getReport",
-    response_class=Response,
-    responses={
-        200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"},
-        **OF_OWN,
-    },
+    "/v1/claims/{claim_id}/report", operation_id="getReport", response_class=Response, responses={**PAGE, **OF_OWN}
 )
 def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     """The claim as one page to read, print and send: pictures, bits, bound, and how to check the signature."""
-    from service.claims.report import report_html
-
-    row = visible(core, caller, claims, claim_id)
-    pictures = {name: core.blobs.read(digest) for name, digest in json.loads(row.pictures).items()}
-    return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
+    return report_page(core, visible(core, caller, claims, claim_id))
 
 
 @router.get(
     "/v1/claims/{claim_id}/pack",
     operation_id="getPack",
     response_class=Response,
-    responses={
-        200: {"content": {PACK_TYPE: {"schema": {"type": "string", "format": "binary"}}}, "description": "A ZIP"},
-        **responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request"),
-    },
+    responses={**ZIP, **responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request")},
 )
 def get_pack(claim_id: str, core: Core, caller: Follower, told: Annotated[Told, Query()]) -> Response:
     """What to send a platform: comparison, finding in words, notice with blanks, and the signed claim."""
-    from service.claims.pack import make_pack, shown_in_pack
-
-    row = visible(core, caller, claims, claim_id)
-    document, digests = json.loads(row.document), json.loads(row.pictures)
-    pictures = {name: core.blobs.read(digests[name]) for name in shown_in_pack(digests)}
-    headers = {"Content-Disposition": f'attachment; filename="{row.id}-pack.zip"', "Cache-Control": "no-store"}
-    return Response(make_pack(document, row.jws, pictures, row.timestamp, told), headers=headers, media_type=PACK_TYPE)
+    return pack_file(core, visible(core, caller, claims, claim_id), told)
 
 
 @router.get("/.well-known/jwks.json", operation_id="jwks", responses=responses())

@@ -3,7 +3,7 @@
 Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` says what a flow is, `clients` does it.
 """
 
-from service.client.answers import Asset, Check, Claim, ClaimSummary, Embedded, Job, Me, Upload, Verified
+from service.client.answers import Asset, Check, Claim, ClaimSummary, Embedded, Job, Me, Share, Upload, Verified
 from service.client.clients import AsyncClient, Client
 from service.client.errors import ServiceError
 
@@ -18,6 +18,7 @@ __all__ = [
     "Job",
     "Me",
     "ServiceError",
+    "Share",
     "Upload",
     "Verified",
 ]

@@ -154,6 +154,17 @@ class ClaimSummary:
 
 
 @dataclass(frozen=True)
+class Share:
+    """An address under which a claim's report is seen without an API key."""
+
+    id: str
+    claim_id: str
+    created_at: str
+    expires_at: str
+    url: str | None = None  # told once, to who made it
+
+
+@dataclass(frozen=True)
 class Me:
     """Whose API key it is that the client has."""
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Concatenate, ParamSpec, Self, TypeVar
 
 import httpx
 
-from service.client import downloads, flows, lists
+from service.client import downloads, flows, lists, sharing
 from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
 
 P = ParamSpec("P")
@@ -128,6 +128,9 @@ class Client:
     me = _now(lists.me)
     record = _now(downloads.record)
     report = _now(downloads.report)
+    revoke_share = _now(sharing.revoke_share)
+    share = _now(sharing.share)
+    shares = _now(sharing.shares)
     submit_embed = _now(flows.submit_embed)
     submit_verify = _now(flows.submit_verify)
     upload = _now(flows.upload)
@@ -216,6 +219,9 @@ class AsyncClient:
     me = _soon(lists.me)
     record = _soon(downloads.record)
     report = _soon(downloads.report)
+    revoke_share = _soon(sharing.revoke_share)
+    share = _soon(sharing.share)
+    shares = _soon(sharing.shares)
     submit_embed = _soon(flows.submit_embed)
     submit_verify = _soon(flows.submit_verify)
     upload = _soon(flows.upload)

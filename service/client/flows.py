@@ -71,7 +71,7 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
     """
     announced: Measured = yield Work(partial(measure, source))
     slot = yield from _slot(announced)
-    path, breaks = _path("uploads", slot.id), 0
+    path, breaks = address("uploads", slot.id), 0
     while slot.state == "open":
         data: bytes = yield Work(partial(piece, source, slot.offset))
         if not data:
@@ -145,7 +145,7 @@ def _submit(path: str, body: dict[str, Any]) -> Flow[Job]:
 
 def job(job_id: str) -> Flow[Job]:
     """A job as it stands."""
-    return read(Job, (yield from _get(_path("jobs", job_id))))
+    return read(Job, (yield from _get(address("jobs", job_id))))
 
 
 def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = None) -> Flow[Job]:
@@ -157,7 +157,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
     etag, pause = "", FIRST_LOOK
     while True:
         headers = {"If-None-Match": etag} if etag else {}
-        reply: Reply = yield Request("GET", _path("jobs", job_id), headers=headers, again=True)
+        reply: Reply = yield Request("GET", address("jobs", job_id), headers=headers, again=True)
         if reply.status != 304:
             if not reply.good:
                 raise reply.error()
@@ -174,7 +174,7 @@ def wait(job_id: str, *, progress: Progress = silent, timeout: float | None = No
 
 def cancel(job_id: str) -> Flow[Job]:
     """Stop a job; ServiceError "conflict" where it has ended."""
-    return read(Job, (yield from call("DELETE", _path("jobs", job_id))))
+    return read(Job, (yield from call("DELETE", address("jobs", job_id))))
 
 
 def embed(
@@ -205,12 +205,12 @@ def verify(
 
 def asset(asset_id: str) -> Flow[Asset]:
     """One asset."""
-    return read(Asset, (yield from _get(_path("assets", asset_id))))
+    return read(Asset, (yield from _get(address("assets", asset_id))))
 
 
 def claim(claim_id: str) -> Flow[Claim]:
     """A claim, with its signature."""
-    return read(Claim, (yield from _get(_path("claims", claim_id))))
+    return read(Claim, (yield from _get(address("claims", claim_id))))
 
 
 def _look(path: str) -> Flow[Any]:
@@ -222,6 +222,6 @@ def _get(path: str, params: Params | None = None) -> Flow[Any]:
     return (yield from call("GET", path, params=params))
 
 
-def _path(kind: str, identifier: str) -> str:
-    """Address of one thing; an id is never more than one part of a path."""
-    return f"/v1/{kind}/{quote(identifier, safe='')}"
+def address(kind: str, *parts: str) -> str:
+    """Of one thing, or of what belongs to it; an id is never more than one part of a path."""
+    return "/".join((f"/v1/{kind}", *(quote(part, safe="") for part in parts)))

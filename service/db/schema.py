@@ -106,6 +106,17 @@ claims = Table(
     Column("names", Text, nullable=False, server_default=""),  # of the files handed in, one a line; not signed
 )
 
+# Addresses under which a claim is seen without an API key; the address itself is nowhere kept.
+shares = Table(
+    "shares",
+    metadata,
+    *_key("id"),
+    *_texts("tenant"),
+    *_texts("claim", index=True),
+    Column("digest", Text, nullable=False, unique=True),  # SHA-256 of the token in the address, hex
+    *_texts("created_at", "expires_at"),
+)
+
 # Payloads are canonical JSON: digests, never secrets. The hash is of the previous hash and this row, hex.
 audit = Table(
     "audit",

@@ -16,6 +16,9 @@ POLICY = (
 )
 REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
 UPLOADS = "/v1/uploads/"
+SHARED = "/shared/"
+"""Addresses that are secrets: kept by no cache, told to no other site, found by no search."""
+UNSEEN = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Robots-Tag": "noindex"}
 
 
 class SafeHeaders:
@@ -38,10 +41,12 @@ class SafeHeaders:
         async def tell(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                report = scope["path"].endswith("/report")
+                shared = scope["path"].startswith(SHARED)
+                report = shared or scope["path"].endswith("/report")
                 headers.setdefault("Content-Security-Policy", REPORT_POLICY if report else POLICY)
                 headers.setdefault("X-Content-Type-Options", "nosniff")
                 headers.setdefault("Referrer-Policy", "no-referrer")
+                headers.update(UNSEEN if shared else {})
                 headers[REQUEST_ID] = scope["request_id"]
             elif scope["head"]:
                 message = {**message, "body": b""}

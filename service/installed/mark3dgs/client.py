@@ -11,6 +11,7 @@ from service.client import (
     Job,
     Me,
     ServiceError,
+    Share,
     Upload,
     Verified,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "Job",
     "Me",
     "ServiceError",
+    "Share",
     "Upload",
     "Verified",
 ]

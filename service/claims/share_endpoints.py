@@ -1,0 +1,114 @@
+"""Sharing a claim's report for a time, and what whoever has the address sees, without an API key."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.claims import shares
+from service.claims.handing import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.told import Told
+from service.db import own, schema
+from service.http.access import Core, Follower, Verifier, visible
+from service.http.failures import OF_OWN, responses
+from service.http.forms import WHOLE
+from service.http.results import Time
+
+router = APIRouter(tags=["shares"])
+
+
+class NewShare(BaseModel):
+    """For how long."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"days": 14}]})
+    days: Annotated[int, Field(ge=1, le=90), WHOLE] = Field(14, description="Until the address says nothing any more.")
+
+
+FOR_A_WHILE = NewShare()
+
+
+class Share(BaseModel):
+    """An address under which a claim is seen."""
+
+    model_config = ConfigDict(from_attributes=True)
+    id: str
+    claim_id: str = Field(validation_alias="claim")
+    created_at: Time
+    expires_at: Time
+
+
+class MadeShare(Share):
+    """One just made."""
+
+    url: str = Field(description="To send. It is never shown again: whoever has it sees the report.")
+
+
+class ShareList(BaseModel):
+    """All that stand, newest first."""
+
+    items: list[Share]
+
+
+@router.post(
+    "/v1/claims/{claim_id}/share",
+    status_code=201,
+    operation_id="shareClaim",
+    responses=responses(
+        "malformed-request", "unauthorized", "forbidden", "not-found", "conflict", "invalid-request", "budget-exceeded"
+    ),
+)
+def share_claim(
+    claim_id: str, core: Core, caller: Verifier, request: Request, response: Response, body: NewShare = FOR_A_WHILE
+) -> MadeShare:
+    """Make an address under which the report is seen without an API key, for some days or until it is revoked.
+
+    For keys that may make claims (`verify`), of claims that they see: who has the report can send the file anyway, but
+    a key that only reads shall leave nothing behind that goes on when it is revoked.
+    """
+    token, row = shares.share(core, caller, visible(core, caller, schema.claims, claim_id), body.days)
+    address = (core.settings.public_url or str(request.base_url)).rstrip("/")
+    response.headers["Cache-Control"] = "no-store"
+    return MadeShare.model_validate(row._asdict() | {"url": f"{address}/shared/{token}"})
+
+
+@router.get("/v1/claims/{claim_id}/shares", operation_id="listShares", responses=OF_OWN)
+def list_shares(claim_id: str, core: Core, caller: Follower) -> ShareList:
+    """Addresses of a claim that stand; what they are is known to whoever was told."""
+    visible(core, caller, schema.claims, claim_id)
+    return ShareList(items=[Share.model_validate(row) for row in shares.shares_of(core.db, claim_id)])
+
+
+@router.delete("/v1/shares/{share_id}", status_code=204, operation_id="revokeShare", responses=OF_OWN)
+def revoke_share(share_id: str, core: Core, caller: Verifier) -> None:
+    """End an address: from now on there is nothing under it."""
+    row = own(core.db, schema.shares, caller.tenant, share_id)
+    visible(core, caller, schema.claims, row.claim)
+    shares.revoke(core.db, caller, row)
+
+
+@router.get(
+    "/shared/{token}",
+    operation_id="sharedReport",
+    response_class=Response,
+    responses={**PAGE, **responses("not-found")},
+)
+def shared_report(token: str, core: Core) -> Response:
+    """The report, for whoever has its address."""
+    return report_page(core, shares.shared(core.db, token))
+
+
+@router.get("/shared/{token}/claim.json", operation_id="sharedClaim", responses=responses("not-found"))
+def shared_claim(token: str, core: Core) -> SignedClaim:
+    """The claim, for whoever has the address of its report."""
+    return signed(shares.shared(core.db, token))
+
+
+@router.get(
+    "/shared/{token}/pack",
+    operation_id="sharedPack",
+    response_class=Response,
+    responses={**ZIP, **responses("not-found", "conflict")},
+)
+def shared_pack(token: str, core: Core) -> Response:
+    """The pack, for whoever has the address of the report. No words are taken for it: they would be no owner's."""
+    return pack_file(core, shares.shared(core.db, token), Told())
