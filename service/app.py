@@ -28,6 +28,7 @@ from service.keys.me import router as me
 from service.tracking.endpoints import router as jobs
 from service.uploads.endpoints import router as uploads
 from service.verifications.endpoints import router as verifications
+from service.webhooks.endpoints import router as webhooks
 
 WEB = Path(__file__).parent / "web"
 THREADS = 128
@@ -87,7 +88,7 @@ def make_app(service: Service) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
-    for router in (me, keys, uploads, embeds, verifications, disputes, jobs, assets, claims, shares, health):
+    for router in (me, keys, uploads, embeds, verifications, disputes, jobs, assets, claims, shares, webhooks, health):
         app.include_router(router)
     install(app)
     app.add_middleware(BodyLimit, settings=service.settings)

@@ -54,6 +54,10 @@ class Settings(BaseSettings):
     tenant_bytes: int = Field(
         100 * GIB, gt=0, description="Uploads and assets of a tenant, together; conversions do not count."
     )
+    webhooks: int = Field(5, ge=0, description="Webhooks of a tenant.")
+    webhooks_private: bool = Field(
+        False, description="Webhooks may go to private, loopback and link-local addresses, and over plain HTTP."
+    )
     issuer_name: str = Field("Mark3DGS", min_length=1, max_length=200, description="Who issues claims, as they say.")
     public_url: str = Field(
         "", pattern=r"^(https?://[^\s]+)?$", description="Address of this service, as claims and reports name it."

@@ -1,4 +1,4 @@
-"""The process that does the jobs: flows of all kinds, one job at a time, and tidying up now and then."""
+"""The process that does the jobs: flows of all kinds, one job at a time; webhooks, and tidying up now and then."""
 
 import logging
 import threading
@@ -13,6 +13,7 @@ from service.http.budgets import forget
 from service.jobs.worker import Worker
 from service.uploads.sweeping import sweep
 from service.verifications.flow import verify_flow
+from service.webhooks.delivery import deliver_for_ever
 
 TIDY_SECONDS = 3600.0
 log = logging.getLogger("mark3dgs.worker")
@@ -20,7 +21,8 @@ log = logging.getLogger("mark3dgs.worker")
 
 def run_worker(service: Service, name: str, die_with_parent: bool) -> NoReturn:
     """Do jobs until told to stop; ends the process."""
-    threading.Thread(target=_tidy, args=(service,), daemon=True).start()
+    for beside in (_tidy, deliver_for_ever):
+        threading.Thread(target=beside, args=(service,), daemon=True).start()
     flows = {"embed": embed_flow(service), "verify": verify_flow(service), "dispute": dispute_flow(service)}
     Worker(service.settings, flows, service.jobs, name=name, die_with_parent=die_with_parent).run()
 

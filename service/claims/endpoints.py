@@ -127,7 +127,7 @@ def _about(tenant: str, text: str) -> sa.ColumnElement[bool]:
     if not text:
         return sa.true()
     named = sa.select(assets.c.id).where((assets.c.tenant == tenant) & holding(text, assets.c.label, assets.c.copy))
-    found = holding(text, claims.c.id, claims.c.names, sa.func.coalesce(claims.c.asset, "")) | claims.c.asset.in_(named)
+    found = holding(text, claims.c.id, claims.c.names, claims.c.asset) | claims.c.asset.in_(named)
     return found | claims.c.document.contains(text.lower()) if re.fullmatch("[0-9a-fA-F]{64}", text) else found
 
 

@@ -66,9 +66,8 @@ def revoke(db: Database, caller: Caller, row: Any) -> None:
 def shared(db: Database, token: str) -> Any:
     """The row of the claim that a token is for; not-found alike for unknown, expired and revoked ones."""
     this = (shares.c.digest == _digest(token)) & (shares.c.expires_at > now())
-    query = sa.select(claims).join(shares, (shares.c.claim == claims.c.id) & (shares.c.tenant == claims.c.tenant))
     with db.read() as connection:
-        row = connection.execute(query.where(this)).first()
+        row = connection.execute(sa.select(claims).join(shares, shares.c.claim == claims.c.id).where(this)).first()
     if row is None:
         raise Problem("not-found", "there is nothing at this address, or not any more")
     return row

@@ -3,9 +3,23 @@
 Installed, it is `mark3dgs.client`. Start at `flows` (what it can do); `wire` says what a flow is, `clients` does it.
 """
 
-from service.client.answers import Asset, Check, Claim, ClaimSummary, Embedded, Job, Me, Share, Upload, Verified
+from service.client.answers import (
+    Asset,
+    Check,
+    Claim,
+    ClaimSummary,
+    Embedded,
+    Event,
+    Job,
+    Me,
+    Share,
+    Upload,
+    Verified,
+    Webhook,
+)
 from service.client.clients import AsyncClient, Client
 from service.client.errors import ServiceError
+from service.client.webhooks import check_webhook
 
 __all__ = [
     "Asset",
@@ -15,10 +29,13 @@ __all__ = [
     "ClaimSummary",
     "Client",
     "Embedded",
+    "Event",
     "Job",
     "Me",
     "ServiceError",
     "Share",
     "Upload",
     "Verified",
+    "Webhook",
+    "check_webhook",
 ]

@@ -165,6 +165,30 @@ class Share:
 
 
 @dataclass(frozen=True)
+class Webhook:
+    """An address that is told when jobs end."""
+
+    id: str
+    url: str
+    events: list[str]
+    created_at: str
+    waiting: int = 0  # messages that are still to be delivered
+    last_at: str | None = None  # of the last try
+    last_status: int | None = None  # HTTP; None where no answer came
+    last_outcome: str | None = None  # in words
+    secret: str | None = None  # told once, to who made it
+
+
+@dataclass(frozen=True)
+class Event:
+    """A message to a webhook."""
+
+    event: str  # job.ended
+    at: str  # when it ended
+    job: Job
+
+
+@dataclass(frozen=True)
 class Me:
     """Whose API key it is that the client has."""
 

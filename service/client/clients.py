@@ -11,6 +11,7 @@ from typing import Any, BinaryIO, Concatenate, ParamSpec, Self, TypeVar
 import httpx
 
 from service.client import downloads, flows, lists, sharing
+from service.client import webhooks as hooks
 from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
 
 P = ParamSpec("P")
@@ -114,12 +115,14 @@ class Client:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
+    add_webhook = _now(hooks.add_webhook)
     asset = _now(flows.asset)
     assets = _now(lists.assets)
     call = _now(flows.call)
     cancel = _now(flows.cancel)
     claim = _now(flows.claim)
     claims = _now(lists.claims)
+    delete_webhook = _now(hooks.delete_webhook)
     download = _now(downloads.download)
     embed = _now(flows.embed)
     job = _now(flows.job)
@@ -136,6 +139,7 @@ class Client:
     upload = _now(flows.upload)
     verify = _now(flows.verify)
     wait = _now(flows.wait)
+    webhooks = _now(hooks.webhooks)
 
 
 class AsyncClient:
@@ -205,12 +209,14 @@ class AsyncClient:
     ) -> None:
         await self.close()
 
+    add_webhook = _soon(hooks.add_webhook)
     asset = _soon(flows.asset)
     assets = _soon(lists.assets)
     call = _soon(flows.call)
     cancel = _soon(flows.cancel)
     claim = _soon(flows.claim)
     claims = _soon(lists.claims)
+    delete_webhook = _soon(hooks.delete_webhook)
     download = _soon(downloads.download)
     embed = _soon(flows.embed)
     job = _soon(flows.job)
@@ -227,6 +233,7 @@ class AsyncClient:
     upload = _soon(flows.upload)
     verify = _soon(flows.verify)
     wait = _soon(flows.wait)
+    webhooks = _soon(hooks.webhooks)
 
 
 def _settings(address: str, api_key: str) -> dict[str, Any]:

@@ -15,7 +15,8 @@ class ServiceError(Exception):
     code : str
         Last part of the problem's `type`, which never changes its meaning. From here: "unreachable" (no answer came),
         "unexpected-answer" (none of this API's), "timed-out" (a job has not ended yet), "disputed" (a model carries
-        another's mark and was not marked again), "cancelled" (the job was), "changed" (a file did, while it was sent).
+        another's mark and was not marked again), "cancelled" (the job was), "changed" (a file did, while it was sent),
+        "untrusted" (a webhook's message).
     detail : str
         What is wrong, with the offending value.
     status : int

@@ -154,5 +154,20 @@ workers = Table(
     Column("seen_at", Float, nullable=False),  # seconds since the epoch, by the worker's clock
 )
 
+webhooks = Table(
+    "webhooks",
+    metadata,
+    *_key("id"),
+    *_texts("tenant", index=True),
+    *_texts("url", "created_at"),
+    _number("version", 1),  # of the master key that sealed the secret
+    Column("sealed", LargeBinary, nullable=False),
+    *_texts("last_at", "last_outcome", null=True),  # of the last try
+    _number("last_status", None),  # HTTP, NULL where no answer came
+)
+
+# What webhooks are still to be told: written by the transaction that ends a job, gone once delivered or given up.
+deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
+
 # How much of a budget a subject has used in one window of time.
 usage = Table("usage", metadata, *_key("subject", "window"), _number("count"))

@@ -10,7 +10,7 @@ from sqlalchemy.exc import IntegrityError
 
 from service.clock import now
 from service.db import Database, page
-from service.db.schema import jobs
+from service.db.schema import deliveries, jobs, webhooks
 from service.jobs.port import FINAL, Job, State
 
 _OPEN = jobs.c.state.not_in([state.value for state in FINAL])
@@ -86,7 +86,8 @@ class Rows:
         running = mine & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED))
+            if connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED)).rowcount:
+                _announce(connection, job_id)
             connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
         return self.get(tenant, job_id)
 
@@ -131,7 +132,9 @@ class Rows:
         elif state == State.FAILED:
             ended |= {"problem": dumps(value)}
         with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(_held(job_id, attempt) & _OPEN).values(ended | _CHANGED))
+            this = _held(job_id, attempt) & _OPEN
+            if connection.execute(sa.update(jobs).where(this).values(ended | _CHANGED)).rowcount:
+                _announce(connection, job_id)
 
     def settled(self, job_id: str, attempt: int) -> None:
         """A step is done: what is tried next is another."""
@@ -186,6 +189,13 @@ class Rows:
 def dumps(value: Mapping[str, Any]) -> str:
     """JSON in canonical form."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+def _announce(connection: sa.Connection, job_id: str) -> None:
+    """What the end of a job, in its own transaction, leaves to be told to its tenant's webhooks."""
+    told = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
+    told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
+    connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))
 
 
 def _mine(tenant: str, job_id: str) -> sa.ColumnElement[bool]:

@@ -13,13 +13,14 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.db import Database, alone
-from service.db.schema import facts, owner_keys, signing_keys, workers
+from service.db.schema import facts, owner_keys, signing_keys, webhooks, workers
 from service.problems import Problem
 from service.settings import Settings
 from service.trust import api_keys, audit
 from service.trust.master import CHECK, FILE, KEY_BYTES, RETIRED, MasterKey, bind, from_hex, new_file, write_key
 from service.trust.owner_keys import seal_of
 from service.trust.signing import TENANT, private_seal
+from service.trust.webhooks import secret_seal
 
 
 def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file: Path | None = None) -> int:
@@ -40,6 +41,7 @@ def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file
         # 2
         count = _reseal(connection, owner_keys, owner_keys.c.id, seal_of, old, new)
         count += _reseal(connection, signing_keys, signing_keys.c.kid, private_seal, old, new)
+        count += _reseal(connection, webhooks, webhooks.c.id, secret_seal, old, new)
         retired = new.seal(old.retiring(api_keys.PURPOSE), bind(RETIRED)).hex()
         connection.execute(sa.delete(facts).where(facts.c.name.in_([CHECK, RETIRED])))
         told = [{"name": CHECK, "value": new.check_value}, {"name": RETIRED, "value": retired}]

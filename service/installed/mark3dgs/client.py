@@ -8,12 +8,15 @@ from service.client import (
     ClaimSummary,
     Client,
     Embedded,
+    Event,
     Job,
     Me,
     ServiceError,
     Share,
     Upload,
     Verified,
+    Webhook,
+    check_webhook,
 )
 
 __all__ = [
@@ -24,10 +27,13 @@ __all__ = [
     "ClaimSummary",
     "Client",
     "Embedded",
+    "Event",
     "Job",
     "Me",
     "ServiceError",
     "Share",
     "Upload",
     "Verified",
+    "Webhook",
+    "check_webhook",
 ]

@@ -47,7 +47,15 @@ def ids(api: Api) -> dict[str, str]:
     asset, claim = _rows(api.service, tenant, job)
     dispute = _dispute(api.service, tenant, asset)
     share = api.client.post(f"/v1/claims/{claim}/share", json={}).json()
-    named = {"upload_id": upload, "key_id": key, "job_id": job, "asset_id": asset, "claim_id": claim}
+    hook = api.client.post("/v1/webhooks", json={"url": "https://hooks.example/"}).json()["id"]
+    named = {
+        "upload_id": upload,
+        "webhook_id": hook,
+        "key_id": key,
+        "job_id": job,
+        "asset_id": asset,
+        "claim_id": claim,
+    }
     return {**named, "dispute_id": dispute, "share_id": share["id"], "token": share["url"].rpartition("/")[2]}
 
 
@@ -105,9 +113,11 @@ def test_every_body_with_anothers_ids(stranger: Api, ids: dict[str, str]) -> Non
 
 
 def test_lists_hold_ones_own(api: Api, stranger: Api, ids: dict[str, str]) -> None:
-    for path in ("/v1/keys", "/v1/jobs", "/v1/assets", "/v1/claims", "/v1/uploads"):
+    for path in ("/v1/keys", "/v1/jobs", "/v1/assets", "/v1/claims", "/v1/uploads", "/v1/webhooks"):
         foreign = stranger.client.get(path).text
         assert not any(value in foreign for value in ids.values())
+        if path == "/v1/webhooks":  # it has no pages
+            continue
         assert stranger.client.get(path, params={"after": ids["job_id"]}).status_code == 422
     assert ids["asset_id"] in api.client.get("/v1/assets").text or api.client.get("/v1/assets").json()["items"] == []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
+from service import worker
 from service.claims import shares as sharing
 from service.claims.offline import verify_report
 from service.client import Client
@@ -80,6 +82,7 @@ def test_the_days_count(api: Api, claim: str) -> None:
     for body, days in (({}, 14), ({"days": 1}, 1), ({"days": 90.0}, 90)):
         left = datetime.fromisoformat(made(api, claim, **body)["expires_at"]) - datetime.now(UTC)
         assert timedelta(days=days, minutes=-1) < left <= timedelta(days=days)
+    assert api.client.post(f"/v1/claims/{claim}/share").status_code == 201, "nothing said is 14 days, too"
     for wrong in (0, 91, 1.5, "14", None, True):
         answer = api.client.post(f"/v1/claims/{claim}/share", json={"days": wrong})
         assert answer.status_code == 422, wrong
@@ -112,6 +115,17 @@ def test_unknown_expired_revoked_and_deleted_look_alike(
     with service.db.read() as connection:
         left = set(connection.execute(sa.select(shares.c.id)).scalars())
     assert {standing["id"]} == left & {each["id"] for each in (expired, revoked, orphan, standing)}
+
+
+def test_a_worker_sweeps(service: Service, api: Api, claim: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    share, naps = made(api, claim), [None]
+    with service.db.write() as connection:
+        connection.execute(sa.update(shares).where(shares.c.id == share["id"]).values(expires_at=ago(0)))
+    monkeypatch.setattr(time, "sleep", lambda _: naps.pop())  # the second time there is none left
+    with pytest.raises(IndexError):
+        worker._tidy(service)
+    with service.db.read() as connection:
+        assert connection.execute(sa.select(shares).where(shares.c.id == share["id"])).first() is None
 
 
 def test_of_an_address_only_the_digest_is_kept(service: Service, api: Api, claim: str) -> None:

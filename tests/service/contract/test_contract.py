@@ -35,8 +35,10 @@ def filled(served: Served) -> dict[str, str]:
         asset = client.post("/v1/embed", data=form, files={"model": SMALL.read_bytes()}).json()["result"]["asset_id"]
         body = {"asset_id": asset}
         claim = client.post("/v1/verify", data=body, files={"model": SMALL.read_bytes()}).json()["result"]["claim_id"]
+        hook = client.post("/v1/webhooks", json={"url": "https://hooks.example/"}).json()["id"]
         share = client.post(f"/v1/claims/{claim}/share", json={}).json()
-    return {"asset_id": asset, "claim_id": claim, "share_id": share["id"], "token": share["url"].rpartition("/")[2]}
+    shared = {"share_id": share["id"], "token": share["url"].rpartition("/")[2]}
+    return {"asset_id": asset, "claim_id": claim, "webhook_id": hook, **shared}
 
 
 def test_all_checks(served: Served, tmp_path: Path) -> None:
@@ -65,4 +67,4 @@ def test_all_checks(served: Served, tmp_path: Path) -> None:
     ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stdout[-6000:] + served.log()[-3000:]
-    assert "Tested: 39" in done.stdout
+    assert "Tested: 42" in done.stdout

@@ -9,11 +9,11 @@ import pytest
 from pydantic import SecretStr
 
 from engine.watermark.keys import OwnerKey
-from service.db import Database
+from service.db import Database, schema
 from service.jobs.presence import Presence
 from service.problems import Problem
 from service.settings import Settings
-from service.trust import api_keys, owner_keys, rotation, signing
+from service.trust import api_keys, owner_keys, rotation, signing, webhooks
 from service.trust.audit_check import verify_log
 from service.trust.master import MasterKey, MasterKeyError
 from service.trust.rotation import rotate_master
@@ -26,6 +26,7 @@ def filled(settings: Settings, db: Database, master: MasterKey) -> str:
     """An API key's token; an owner key, an erased one and a signing key are there, too."""
     signing.ensure_key(db, master)
     owner_keys.store(db, master, "acme", SECRET)
+    webhooks.add(db, master, "acme", "https://hooks.example/", "hooks.example", 1)
     gone = owner_keys.store(db, master, "acme", OwnerKey(bytes(range(1, 33))))
     owner_keys.delete(db, "acme", gone.id)
     return api_keys.issue(db, master, "acme", ["read"])
@@ -36,6 +37,7 @@ def all_opens(db: Database, master: MasterKey, token: str) -> None:
     assert owner_keys.open_key(db, master, "acme", known.id).secret == SECRET.secret
     with db.read() as connection:
         assert signing.sign(connection, master, b"{}")
+        assert webhooks.secret_of(master, connection.execute(schema.webhooks.select()).one()).startswith("whs_")
     assert api_keys.check(db, master, token).tenant == "acme"
 
 
@@ -44,7 +46,7 @@ def test_everything_opens_under_the_new_key_only(
 ) -> None:
     path = settings.data_dir / "master.key"
     before = path.read_text()
-    assert rotate_master(settings, db, master) == 2
+    assert rotate_master(settings, db, master) == 3
     assert path.read_text() != before
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert sorted(each.name for each in settings.data_dir.glob("master*")) == ["master.key"]
@@ -97,7 +99,7 @@ def test_not_while_a_worker_lives(settings: Settings, db: Database, master: Mast
         rotate_master(settings, db, master)
     all_opens(db, MasterKey.open(settings, db), filled)
     Presence(db).leave("w")
-    assert rotate_master(settings, db, master) == 2
+    assert rotate_master(settings, db, master) == 3
 
 
 def test_a_key_that_comes_by_setting(

@@ -1,0 +1,136 @@
+"""Telling webhooks that jobs have ended: at least once, again after a while where that failed, and not for ever.
+
+What is to be told is a row of `deliveries`. Whoever takes one moves its time on by a lease: should that process die,
+another takes it then. Of each webhook a process takes one at a time, so that a slow receiver delays its own alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.metadata import version
+from typing import Any, NoReturn
+
+import sqlalchemy as sa
+
+from service.client.webhooks import HEADER, signature
+from service.clock import ago, now
+from service.core import Service
+from service.db import Database
+from service.db.schema import deliveries, jobs, webhooks
+from service.http.answers import view
+from service.jobs.rows import job_of
+from service.trust.webhooks import secret_of
+from service.webhooks.sending import DELIVERED, send
+
+EVENT = "job.ended"
+POLL_SECONDS = 1.0
+LEASE_SECONDS = 60.0
+AT_ONCE = 32
+RETRY_SECONDS = (10, 60, 300, 1800, 7200, 21600, 43200)
+"""From one try to the next; after the last a message is given up, 21 hours after the first."""
+
+_log = logging.getLogger("mark3dgs.webhooks")
+
+
+def deliver_for_ever(service: Service) -> NoReturn:
+    """What a worker does beside its jobs."""
+    asyncio.run(_deliver_all(service))
+
+
+async def _deliver_all(service: Service) -> NoReturn:
+    # Names that resolve slowly hold a thread each, also after their time is over.
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2 * AT_ONCE, "webhook"))
+    under_way: dict[str, asyncio.Task[None]] = {}
+    while True:
+        try:
+            for row in await asyncio.to_thread(take, service.db, set(under_way), AT_ONCE - len(under_way)):
+                under_way[row.webhook] = asyncio.create_task(_deliver(service, row))
+                under_way[row.webhook].add_done_callback(partial(_done, under_way, row.webhook))
+        except Exception as error:  # the database is away: what is to be told waits there
+            _log.warning("webhooks wait: %s", error)
+        await asyncio.sleep(POLL_SECONDS)
+
+
+def _done(under_way: dict[str, asyncio.Task[None]], webhook: str, task: asyncio.Task[None]) -> None:
+    del under_way[webhook]
+    if (error := task.exception()) is not None:  # it comes again when the lease is over
+        _log.warning("webhook %s waits: %s", webhook, error)
+
+
+def take(db: Database, busy: Collection[str] = (), most: int = AT_ONCE) -> list[Any]:
+    """Deliveries that are due, at most one of each webhook and none of those that are `busy`; they are the caller's for
+    the time of a lease."""
+    nth = sa.func.row_number().over(partition_by=deliveries.c.webhook, order_by=deliveries.c.due_at).label("nth")
+    due = sa.select(deliveries, nth).where(deliveries.c.due_at <= now(), deliveries.c.webhook.not_in(busy)).subquery()
+    with db.read() as connection:
+        rows = connection.execute(sa.select(due).where(due.c.nth == 1).order_by(due.c.due_at).limit(most)).all()
+    lease = _after(LEASE_SECONDS)
+    return [row for row in rows if _set(db, row, row.tries, {"due_at": lease, "tries": row.tries + 1})]
+
+
+async def _deliver(service: Service, row: Any) -> None:
+    """Try one delivery, and say what came of it."""
+    try:
+        message = await asyncio.to_thread(_message, service, row)
+        if message is None:
+            await asyncio.to_thread(_drop, service.db, row)
+            return
+        url, body, headers = message
+        status, outcome = await send(url, body, headers, private=service.settings.webhooks_private)
+    except Exception:
+        _log.exception("delivering to webhook %s failed", row.webhook)
+        status, outcome = None, "a fault of this service"
+    await asyncio.to_thread(_settle, service.db, row, status, outcome)
+
+
+def _message(service: Service, row: Any) -> tuple[str, bytes, dict[str, str]] | None:
+    """Address, body and headers; None where job or webhook are gone."""
+    with service.db.read() as connection:
+        webhook = connection.execute(sa.select(webhooks).where(webhooks.c.id == row.webhook)).first()
+        job = connection.execute(sa.select(jobs).where(jobs.c.id == row.job)).first()
+    if webhook is None or job is None:
+        return None
+    told = {"event": EVENT, "at": job.finished_at, "job": view(job_of(job)).model_dump()}
+    body = json.dumps(told, ensure_ascii=False).encode()
+    signed = signature(secret_of(service.master, webhook), int(time.time()), body)
+    agent = f"mark3dgs/{version('mark3dgs')}"
+    return webhook.url, body, {"Content-Type": "application/json", "User-Agent": agent, HEADER: signed}
+
+
+def _settle(db: Database, row: Any, status: int | None, outcome: str) -> None:
+    """What came of a try: done, given up, or due again."""
+    last = row.tries >= len(RETRY_SECONDS)
+    told = f"given up after {row.tries + 1} tries: {outcome}" if last and outcome != DELIVERED else outcome
+    with db.write() as connection:
+        said = {"last_at": now(), "last_status": status, "last_outcome": told}
+        connection.execute(sa.update(webhooks).where(webhooks.c.id == row.webhook).values(said))
+    if last or outcome == DELIVERED:
+        _drop(db, row)
+    else:
+        _set(db, row, row.tries + 1, {"due_at": _after(RETRY_SECONDS[row.tries])})
+
+
+def _drop(db: Database, row: Any) -> None:
+    with db.write() as connection:
+        connection.execute(sa.delete(deliveries).where(_this(row)))
+
+
+def _set(db: Database, row: Any, tries: int, values: dict[str, Any]) -> bool:
+    """Change a delivery of which so many tries were begun; False if another process has begun the next, or ended it."""
+    with db.write() as connection:
+        this = _this(row) & (deliveries.c.tries == tries)
+        return connection.execute(sa.update(deliveries).where(this).values(values)).rowcount > 0
+
+
+def _this(row: Any) -> sa.ColumnElement[bool]:
+    return sa.and_(deliveries.c.webhook == row.webhook, deliveries.c.job == row.job)
+
+
+def _after(seconds: float) -> str:
+    return ago(-seconds / 3600)

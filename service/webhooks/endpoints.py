@@ -1,0 +1,106 @@
+"""/v1/webhooks: addresses that are told when a tenant's jobs end."""
+
+from typing import Annotated, Any, Literal
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, ConfigDict, Field, HttpUrl, JsonValue
+
+from service.claims.told import Url
+from service.core import Service
+from service.db.schema import deliveries, webhooks
+from service.http.access import Admin, Core
+from service.http.failures import OF_OWN, responses
+from service.http.results import Time
+from service.problems import Problem
+from service.trust import webhooks as registry
+from service.webhooks.sending import is_public
+
+router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
+Events = Annotated[list[Literal["job.ended"]], Field(min_length=1, max_length=1)]
+_EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job.ended"]}
+
+
+class NewWebhook(BaseModel):
+    """An address to be told."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
+    url: Url = Field(description="https, on the open network.")
+    events: Events = ["job.ended"]
+
+
+class WebhookView(BaseModel):
+    """A webhook, and what came of the last message; never its secret."""
+
+    model_config = ConfigDict(from_attributes=True)
+    id: str
+    url: str
+    events: Events = ["job.ended"]
+    created_at: Time
+    waiting: int = Field(0, description="Messages that are still to be delivered.")
+    last_at: Time | None = Field(description="Of the last try.")
+    last_status: int | None = Field(description="HTTP; null where no answer came.")
+    last_outcome: str | None = Field(description="What came of it, in words.")
+
+
+class MadeWebhook(WebhookView):
+    """One just made."""
+
+    secret: str = Field(description="What its messages are signed with. It is never shown again.")
+
+
+class WebhookList(BaseModel):
+    """All of the tenant, oldest first."""
+
+    items: list[WebhookView]
+
+
+@router.post(
+    "",
+    status_code=201,
+    operation_id="createWebhook",
+    responses=responses("malformed-request", "unauthorized", "forbidden", "invalid-request", "budget-exceeded"),
+)
+def create_webhook(body: NewWebhook, core: Core, caller: Admin, response: Response) -> MadeWebhook:
+    """Have an address told (POST) of the end of every job of this tenant, each message signed with a secret.
+
+    The body is `{"event": "job.ended", "at": time, "job": the job}`, the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`
+    with the HMAC-SHA256 of `SECONDS.BODY`. Any answer of 2xx is taken as received; else it comes again, eight times
+    in 21 hours. The same message may come twice.
+    """
+    host = _host(core, body.url)
+    secret, row = registry.add(core.db, core.master, caller.tenant, str(body.url), host, core.settings.webhooks)
+    response.headers["Cache-Control"] = "no-store"
+    return MadeWebhook.model_validate(row._asdict() | {"secret": secret})
+
+
+@router.get("", operation_id="listWebhooks", responses=responses("unauthorized", "forbidden"))
+def list_webhooks(core: Core, caller: Admin) -> WebhookList:
+    """Webhooks of this tenant, with what came of the last message to each."""
+    waiting = sa.select(sa.func.count()).where(deliveries.c.webhook == webhooks.c.id).scalar_subquery()
+    query = sa.select(webhooks, waiting.label("waiting")).where(webhooks.c.tenant == caller.tenant)
+    with core.db.read() as connection:
+        rows: list[Any] = list(connection.execute(query.order_by(webhooks.c.created_at, webhooks.c.id)))
+    return WebhookList(items=[WebhookView.model_validate(row._asdict()) for row in rows])
+
+
+@router.delete("/{webhook_id}", status_code=204, operation_id="deleteWebhook", responses=OF_OWN)
+def delete_webhook(webhook_id: str, core: Core, caller: Admin) -> None:
+    """Tell an address nothing any more, not even what it was still to be told."""
+    registry.delete(core.db, caller.tenant, webhook_id)
+
+
+def _host(service: Service, url: HttpUrl) -> str:
+    """Name or address in a URL that messages may go to, as far as can be said before they go."""
+    host = str(url.host)
+    if service.settings.webhooks_private:
+        return host
+    if url.scheme != "https":
+        raise Problem("invalid-request", f"body.url: messages go by https, not by {url.scheme}")
+    try:
+        public = is_public(host.strip("[]"))
+    except ValueError:  # a name: it is looked up when a message goes
+        public = host.rstrip(".").lower() != "localhost"
+    if not public:
+        raise Problem("invalid-request", f"body.url: {host} is no address of the open network")
+    return host
