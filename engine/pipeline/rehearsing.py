@@ -22,6 +22,7 @@ from engine.pipeline.delivery import Delivery
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.scenes import look
+from engine.pipeline.settling import GRAIN_SSIM_SHARE
 from engine.pipeline.strength import add_dc, first_guess, solve_strength
 from engine.watermark.image_evidence import gather_displacements
 from engine.watermark.layout import Layout
@@ -87,8 +88,12 @@ class Rehearsing:
         """What these settings' fidelity promises."""
         delivery, energies = self.delivery, self._plan.energies  # (V, C)
         totals = energies.sum(axis=1)
-        start = first_guess(energies, delivery.views.cameras, config.psnr_db)
-        strength = solve_strength(delivery.views, self._displacement, config.psnr_db, config.ssim, start)
+        # What the grain may take of the fidelity is not the tint's, which alone a bad picture shows.
+        rest = 1.0 - GRAIN_SSIM_SHARE if config.plan.grain_center > 0 or config.plan.grain_scale > 0 else 1.0
+        room_db = -10.0 * math.log10(rest)
+        start = first_guess(energies, delivery.views.cameras, config.psnr_db + room_db)
+        asked = config.psnr_db + room_db, 1.0 - rest * (1.0 - config.ssim)
+        strength = solve_strength(delivery.views, self._displacement, *asked, start)
         layout = self._plan.times(strength.factor).layout
         marked = add_dc(delivery.model.sh, np.float32(strength.factor) * self._displacement)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
@@ -100,7 +105,7 @@ class Rehearsing:
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter
         signal = 3.0 * PICTURE**2 * 10 ** (-strength.psnr_db / 10.0) / NOISE**2
         noisy = 1.0 / math.sqrt(1.0 / max(NOISE_EFFICIENCY**2 * signal, 1e-12) + 1.0 / max(chips, 1e-12))
-        return Rehearsal(min(found[0][0], noisy), strength.psnr_db, held_out_db)
+        return Rehearsal(min(found[0][0], noisy), strength.psnr_db - room_db, held_out_db - room_db)
 
     def _read(self, picture: Float32, number: int, layout: Layout) -> float:
         """z of the claim from an unseen view of the marked model, kept badly."""

@@ -28,7 +28,7 @@ def test_a_quick_run_says_what_a_scene_needs(tmp_path: Path) -> None:
         assert row["attacks"]["none"]["z"] > 20
         assert min(row["psnr_held_out"]) > 38
     said = write_report(STUDY, rows, options, tmp_path)
-    assert {Path(name).stem for name in said["figures"]} == {"pareto", "time-fidelity", "rendering"}
+    assert {Path(name).stem for name in said["figures"]} == {"pareto", "time-fidelity", "rendering", "bytes-thin"}
     auto = said["summary"]["recommended"]["thin.ply"]["auto"]
     assert auto["views"] >= 6
     assert auto["predicted_z"] > 0
