@@ -52,6 +52,7 @@ class Job:
     started_at: str | None
     finished_at: str | None
     position: int | None = None  # in the queue, 1 is next; None unless queued
+    name: str = ""  # what it is about: the label, or the names of the files
 
     @property
     def ended(self) -> bool:

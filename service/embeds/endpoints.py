@@ -99,13 +99,14 @@ class EmbedForm(EmbedRequest):
 
 
 def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_key: str | None) -> Job:
-    tenant, digests = caller.tenant, {}
+    tenant, digests, names = caller.tenant, {}, {}
     for name, upload_id in (("model", body.upload_id), ("cameras", body.cameras_upload_id)):
         named, brought = [upload_id] if upload_id else [], files.get(name, [])
         if len(named) + len(brought) > 1:
             raise Problem("invalid-request", f"give one {name}, as a file or as an upload")
         rows = gather(core, tenant, named, brought, name)
         digests[name] = rows[0].sha256 if rows else None
+        names[name] = [row.name for row in rows]
     if digests["model"] is None:
         raise Problem("invalid-request", "body.upload_id: a model is needed, as an upload or as the file 'model'")
     unnamed = body.model_dump(exclude={"upload_id", "cameras_upload_id"})
@@ -115,7 +116,7 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
         check_quota(core, tenant, 0)
         spend(core.db, f"embed:{caller.key_id}", core.settings.embeds_per_hour, 1, "embed jobs of this API key")
-        return {**unnamed, **digests, "key_id": key_id}
+        return {**unnamed, **digests, "key_id": key_id, "names": names["model"]}
 
     return submit(core, caller, "embed", retry_key, {"embed": unnamed, **digests}, make)
 

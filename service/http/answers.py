@@ -29,6 +29,7 @@ class JobView(BaseModel):
     id: str
     kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
+    name: str = Field(description="What it is about: the label, or the names of the files; empty where nobody said.")
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
     cancelling: bool
@@ -65,7 +66,8 @@ JOB_RESPONSES: dict[int | str, dict[str, Any]] = {
 
 def view(job: Job, position: int | None = None) -> JobView:
     """The job for the client."""
-    return JobView.model_validate({**vars(job), "position": position})
+    name = job.request.get("label") or ", ".join(job.request.get("names") or ())
+    return JobView.model_validate({**vars(job), "position": position, "name": name})
 
 
 def views(service: Service, jobs: Sequence[Job]) -> list[JobView]:

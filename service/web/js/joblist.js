@@ -11,6 +11,8 @@ const OPEN = ["running", "queued"];
 const BUSY = 1500; // milliseconds between two looks while something is open
 const IDLE = 8000;
 
+const named = (job) => jobName(job.id) || job.name; // this tab knows more of what was asked for in it
+
 /** Wire the view; `enter` shows it and keeps it up to date until `leave`. */
 export function startJobs() {
   const [waiting, ended, problem] = ["open", "ended", "problem"].map((name) => $(`#jobs-${name}`));
@@ -20,7 +22,7 @@ export function startJobs() {
 
   const failed = (error) => showProblem(problem, error);
   const list = (jobs, put) => {
-    const made = jobs.filter((job) => ENDED.has(job.state) && !done.has(job.id)).map((job) => endedRow(job, jobName(job.id)));
+    const made = jobs.filter((job) => ENDED.has(job.state) && !done.has(job.id)).map((job) => endedRow(job, named(job)));
     for (const { element } of made) done.add(element.dataset.job);
     put(...made.map(({ element }) => element));
     $("#jobs-none").hidden = ended.children.length > 0;
@@ -57,7 +59,7 @@ export function startJobs() {
       rows.delete(id);
     }
     open.forEach((job, place) => {
-      if (!rows.has(job.id)) rows.set(job.id, openRow(job, jobName(job.id), stop));
+      if (!rows.has(job.id)) rows.set(job.id, openRow(job, named(job), stop));
       const row = rows.get(job.id);
       row.update(job);
       if (waiting.children[place] !== row.element) waiting.insertBefore(row.element, waiting.children[place] ?? null);

@@ -20,7 +20,7 @@ export function onApiKey(tell) {
 
 const jobs = () => JSON.parse(sessionStorage.getItem(JOBS) ?? "[]");
 
-/** Remember what a job is about: the service does not say. */
+/** Remember what a job is about: its copy's name, too, which the service does not say. */
 export function nameJob(id, name) {
   sessionStorage.setItem(JOBS, JSON.stringify([...jobs(), [id, name]].slice(-MOST_JOBS)));
 }

@@ -114,6 +114,19 @@ def test_the_names_of_a_suspect_go_with_its_job(api: Api) -> None:
     assert job.request["names"] == ["a b.ply"]
 
 
+def test_a_job_says_what_it_is_about(api: Api) -> None:
+    uploaded = {"upload_id": api.upload(SMALL.read_bytes(), "vase.ply")}
+    asked = [
+        api.client.post("/v1/embed", json={**uploaded, "label": "Blue vase"}).json(),
+        api.client.post("/v1/embed", json=uploaded).json(),
+        api.client.post("/v1/verify", json=uploaded).json(),
+    ]
+    assert [job["name"] for job in asked] == ["Blue vase", "vase.ply", "vase.ply"]
+    assert api.client.get(f"/v1/jobs/{asked[0]['id']}").json()["name"] == "Blue vase"
+    for job in asked:
+        api.client.delete(f"/v1/jobs/{job['id']}")
+
+
 def test_jobs(api: Api, stranger: Api) -> None:
     """By state and kind; those that wait say their place, at every look, and nothing else does."""
     for job in api.service.jobs.list("stranger", 100, states=["queued"]):

@@ -69,7 +69,8 @@ def test_jobs_that_others_asked_for_tell_what_came_of_them(page: Page) -> None:
 
 
 def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
-    running = a_job(140, kind="verify", state="running", stage="record 3 of 20", fraction=0.12)
+    stage = {"stage": "record 3 of 20", "fraction": 0.12}
+    running = a_job(140, kind="verify", state="running", name="found <b>here</b>.spz", **stage)  # asked for elsewhere
     queued = [a_job(150 + place, position=place) for place in range(1, 121)]
     past = [a_job(number, state="cancelled") for number in range(45, 0, -1)]
     jobs: list[dict[str, Any]] = [*reversed(queued), *past, running]  # the oldest
@@ -80,6 +81,7 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     rows.nth(120).wait_for()
     assert "Holding the suspect against your records" in rows.nth(0).inner_text()
     assert "3 of 20" in rows.nth(0).inner_text()
+    assert "found <b>here</b>.spz" in rows.nth(0).inner_text()
     assert rows.nth(0).locator("progress").evaluate("bar => bar.value") == 0.12
     assert [rows.nth(k).locator(".progress-now").inner_text() for k in (1, 2, 120)] == [
         "Waiting: it is next", "Waiting: 1 before it", "Waiting: 119 before it",
