@@ -255,7 +255,7 @@ def _spending(spent: dict[str, Any]) -> str:
     way = next((way for way in spent["ways"] if way["sh_degree"] == spent["sh_degree"]), None)
     if way is None:
         return f"{allowed}: kept whole, since no smaller file shows the mark well enough"
-    file = f"about {size(way['bytes'])} of {size(spent['bytes_whole'])}"
+    file = f"{size(way['bytes'])} instead of {size(spent['bytes_whole'])}"
     return f"{allowed}: pruned, harmonics to degree {way['sh_degree']}: {file}"
 
 

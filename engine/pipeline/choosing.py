@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from engine.formats import encode_model
 from engine.model import Camera, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.pipeline.delivery import Delivery, deliver
@@ -17,7 +18,7 @@ from engine.pipeline.groundwork import Groundwork, lay_groundwork
 from engine.pipeline.profiles import Auto, EmbedConfig
 from engine.pipeline.progress import Clock
 from engine.pipeline.rehearsing import Rehearsal, Rehearsing
-from engine.pipeline.spending import file_bytes, ways
+from engine.pipeline.spending import ways
 from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
@@ -45,7 +46,7 @@ class Way:
 
     sh_degree: int
     gaussians: int
-    bytes: int  # of the delivered file, about
+    bytes: int  # of the delivered file, before its mark
     predicted_z: float | None  # None where a smaller file did, and this one was not rehearsed
 
 
@@ -55,7 +56,7 @@ class Spent:
 
     allowed_db: float
     sh_degree: int | None  # of the way taken; None where none leaves enough of the mark: the model is kept whole
-    bytes_whole: int  # of the delivered file if nothing were spent, about
+    bytes_whole: int  # of the delivered file if nothing were spent
     ways: tuple[Way, ...]  # smallest file first
 
 
@@ -161,8 +162,9 @@ def _spend(
     config, least = kept.settings, min(wanted, KEPT_SHARE * found.predicted_z)
     made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
     within = [one for one in made if one.pruned["psnr_pruned_worst_view"] >= allowed_db]
-    weighed = sorted(((file_bytes(one.model, asked.format), one) for one in within), key=lambda each: each[0])
-    whole, chosen = file_bytes(kept.model, asked.format), None
+    # The whole file: a palette (.sog) costs a part as much as all.
+    weighed = sorted(((len(encode_model(one.model, asked.format)), one) for one in within), key=lambda each: each[0])
+    whole, chosen = len(encode_model(kept.model, asked.format)), None
     tried: list[Way] = []
     for size, one in weighed:
         z, degree = None, one.model.sh_degree

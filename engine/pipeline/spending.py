@@ -10,25 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
-from engine.formats import encode_model
-from engine.model import GaussianModel
 from engine.pipeline.profiles import EmbedConfig
 
-__all__ = ["file_bytes", "ways"]
-
-WEIGHED = 50_000
-"""Gaussians, evenly taken, by whose bytes a larger model's are told."""
+__all__ = ["ways"]
 
 
 def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
     """Settings that spend an allowance on a model of this degree: pruned as it is, or cut to fewer harmonics first."""
     for degree in range(sh_degree + 1):
         yield replace(config, prune=replace(config.prune, budget_db=allowed_db, sh_degree=degree))
-
-
-def file_bytes(model: GaussianModel, format: str) -> int:
-    """Bytes of a file of this model, about: told by a part of it where it is large."""
-    part = model.take(np.arange(0, len(model), max(1, len(model) // WEIGHED)))
-    return round(len(encode_model(part, format)) * len(model) / len(part))

@@ -16,7 +16,6 @@ from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import Auto, compose, delivered_as, profile
 from engine.pipeline.rehearsing import Rehearsal, Rehearsing
 from engine.pipeline.scenes import worst_psnr_against
-from engine.pipeline.spending import WEIGHED, file_bytes
 
 pytestmark = pytest.mark.slow
 
@@ -125,10 +124,11 @@ def test_chosen_and_named_are_the_same_bytes(rough: GaussianModel, choice: Choic
     assert left_open.report["choice"]["spent"]["sh_degree"] == 0
 
 
-def test_a_large_file_is_told_by_a_part(plant: GaussianModel) -> None:
-    assert len(plant) > 2 * WEIGHED
-    for kind in ("ply", "sog"):
-        assert file_bytes(plant, kind) == pytest.approx(len(encode_model(plant, kind)), rel=0.05)
+def test_bytes_are_those_of_the_delivered_format(rough: GaussianModel) -> None:
+    found = chosen(rough, asked(format="sog"))
+    assert found.spent is not None
+    assert found.spent.bytes_whole == len(encode_model(rough, "sog"))
+    assert found.spent.ways[0].bytes == len(encode_model(found.delivery.model, "sog"))
 
 
 def test_the_format_counts_where_the_way_is_open() -> None:
