@@ -15,14 +15,17 @@ SAMPLE = 50_000
 
 
 def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, registration: Registration) -> Derivation:
-    """What the matched Gaussians say."""
+    """What the matched Gaussians say; where every one was taken for a mixture, what these were made of."""
     rows = np.flatnonzero(registration.matches >= 0)
     if not registration.found:
         return Derivation(False, 0.0, 0)
-    matched = registration.matches[rows]
-    low, high = np.quantile(reference.means[matched].astype(np.float64), [0.01, 0.99], axis=0)
+    matched, recognised = registration.matches[rows], len(rows)
+    seen = matched
+    if not recognised:
+        seen, recognised = registration.mixtures.reference_rows, int(registration.mixtures.explained().sum())
+    low, high = np.quantile(reference.means[seen].astype(np.float64), [0.01, 0.99], axis=0)
     exactness = None
-    if not registration.deformed:
+    if len(rows) and not registration.deformed:
         part = slice(None, None, max(1, len(rows) // SAMPLE))
         placed = registration.similarity.apply(suspect.means[rows[part]].astype(np.float64))
         gaps = np.linalg.norm(placed - reference.means[matched[part]], axis=1)
@@ -30,7 +33,7 @@ def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, regist
         exactness = float(np.median(gaps / sizes))
     share = registration.derived_fraction
     where = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-    return Derivation(share >= DERIVED_LEAST, share, len(rows), exactness, where)
+    return Derivation(share >= DERIVED_LEAST, share, recognised, exactness, where)
 
 
 def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
