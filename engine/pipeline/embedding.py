@@ -97,7 +97,7 @@ def embed(
         so decides the chips, which nobody can then try out beforehand.
     earlier : Record, optional
         Of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of made
-        anew: same bytes, in half of the time.
+        anew: same bytes, sooner.
     """
     return next(
         embed_copies(
