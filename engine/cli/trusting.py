@@ -22,8 +22,6 @@ Jwks = Annotated[
     Path | None, typer.Option("--jwks", help="Public keys of a service whose log is trusted (/.well-known/jwks.json).")
 ]
 
-_MOST_BYTES = 1 << 20
-
 
 def read_trust(certificates: Path | None, jwks: Path | None) -> Trust:
     """What the options name; nobody is trusted otherwise."""
@@ -35,8 +33,10 @@ def read_trust(certificates: Path | None, jwks: Path | None) -> Trust:
 
 def read_jwks(path: Path) -> dict[str, Any]:
     """Public keys (RFC 7517), or InputError."""
+    from engine.formats.guards import read_small
+
     try:
-        keys = json.loads(_read(path), object_pairs_hook=_each_once)
+        keys = json.loads(read_small(path), object_pairs_hook=_each_once)
         if keys["keys"] and all(isinstance(key, dict) and "kid" in key for key in keys["keys"]):
             return dict(keys)
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -48,27 +48,22 @@ def read_certificates(path: Path) -> list[Certificate]:
     """Certificates in PEM, or InputError."""
     from cryptography.x509 import load_pem_x509_certificates
 
+    from engine.formats.guards import read_small
+
     try:
-        return load_pem_x509_certificates(_read(path))
+        return load_pem_x509_certificates(read_small(path))
     except ValueError:
         raise InputError(f"{str(path)!r} holds no certificates in PEM") from None
 
 
 def read_attestation(path: Path) -> Attestation:
     """A time-stamping service's reply (DER), or a service's signed word on a registration (compact JWS)."""
+    from engine.formats.guards import read_small
     from engine.records.attestation import LOG, Attestation, stamp_of
 
-    data = _read(path)
+    data = read_small(path)
     text = data.decode("ascii", errors="replace").strip()
     return Attestation(LOG, text) if text.count(".") == 2 and text.isprintable() else stamp_of(data)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as opened:
-            return opened.read(_MOST_BYTES)
-    except OSError as error:
-        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

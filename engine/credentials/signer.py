@@ -24,10 +24,10 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from engine.errors import InputError
+from engine.formats.guards import read_small
 
 Private = ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey | rsa.RSAPrivateKey
 
-_MOST_BYTES = 1 << 20
 _PUBLIC = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
 _CURVES = {"secp256r1": "es256", "secp384r1": "es384", "secp521r1": "es512"}
 _LEAST_RSA_BITS = 2048
@@ -79,7 +79,7 @@ class Signer:
 
 def read_signer(certificates: Path, key: Path) -> Signer:
     """The signer whose chain and key are in these files; InputError names what is wrong with which."""
-    chain, private = (_read(path) for path in (certificates, key))
+    chain, private = (read_small(path) for path in (certificates, key))
     try:
         return Signer(chain, private)
     except InputError as error:
@@ -181,11 +181,3 @@ def _algorithm(key: Private) -> str:
     if isinstance(key, rsa.RSAPrivateKey) and key.key_size >= _LEAST_RSA_BITS:
         return "ps256"
     raise InputError("the private key is neither P-256, P-384, P-521, Ed25519 nor RSA of 2,048 bits or more")
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as opened:
-            return opened.read(_MOST_BYTES)
-    except OSError as error:
-        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error

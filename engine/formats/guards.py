@@ -14,6 +14,19 @@ GAUSSIANS_PER_BYTE = 4
 reached only by rows that all say the same (a 591 KB SPZ can hold 9.5 million of them, 608 MB)."""
 
 
+SMALL_BYTES = 1 << 20
+"""More than a key, a certificate or a stamp has."""
+
+
+def read_small(path: Path) -> bytes:
+    """A small file, its first SMALL_BYTES at most; InputError where it cannot be read."""
+    try:
+        with path.open("rb") as opened:
+            return opened.read(SMALL_BYTES)
+    except OSError as error:
+        raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
+
+
 def check_count(count: int, size: int, *, file: str) -> None:
     """Refuse a number of Gaussians out of all proportion to the `size` bytes of the file (or of all files of a folder)
     that claims it: FormatError if it is zero, negative, or a decompression bomb."""

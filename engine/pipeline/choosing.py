@@ -64,16 +64,26 @@ class Spent:
 class Choice:
     """The settings chosen for a scene."""
 
-    config: EmbedConfig
     rehearsal: Rehearsal  # of these settings
     wanted_z: float
-    # Whether one bad picture is predicted to show all bits and a claim. Where nothing meets that, the choice is the
-    # strongest; better pictures, several, or the model itself may still show everything.
-    met: bool
     tried: int  # settings rehearsed
     ground: Groundwork  # of the model as it came
     delivery: Delivery  # what was rehearsed on; `embed` goes on from it
     spent: Spent | None  # on what the owner's allowance went, where there was one
+
+    @property
+    def config(self) -> EmbedConfig:
+        """The settings."""
+        return self.delivery.settings
+
+    @property
+    def met(self) -> bool:
+        """Whether one bad picture is predicted to show all bits and a claim.
+
+        Where nothing meets that, the choice is the strongest; better pictures, several, or the model itself may still
+        show everything.
+        """
+        return self.rehearsal.predicted_z >= self.wanted_z
 
     def report(self) -> dict[str, Any]:
         """Plain values for `embed --json`."""
@@ -145,8 +155,7 @@ def choose(
     if allowed is not None:
         delivery, found, spent = _spend(ground, delivery, found, asked, allowed, wanted, cameras)
         tried += sum(way.predicted_z is not None for way in spent.ways)
-    met = found.predicted_z >= wanted
-    return Choice(delivery.settings, found, wanted, met, tried, ground, delivery, spent)
+    return Choice(found, wanted, tried, ground, delivery, spent)
 
 
 def _spend(
