@@ -11,7 +11,7 @@ from engine.formats.repairs import Repair
 from engine.formats.splat import looks_like_splat, read_splat, write_splat
 from engine.model import GaussianModel
 
-__all__ = ["FORMATS", "KINDS", "READ", "Kind", "Read", "kind_of"]
+__all__ = ["FORMATS", "KINDS", "READ", "SPLAT", "Kind", "Read", "kind_of"]
 
 Read = tuple[GaussianModel, tuple[Repair, ...]]
 
@@ -87,13 +87,14 @@ def _is_ply(data: bytes, file: str, compressed: bool) -> bool:
     return data.startswith((b"ply\n", b"ply\r")) and is_compressed(parse_header(data, file=file)) is compressed
 
 
-def _is_splat(data: bytes, file: str) -> bool:
-    """It has no magic: what other formats start with is none."""
-    return not data.startswith(_MAGICS) and looks_like_splat(data)
-
-
 _SPZ, _SOG = (b"\x1f\x8b", b"NGSP"), (b"PK",)
 _MAGICS = (*_SPZ, *_SOG, b"ply\n", b"ply\r", b"glTF")
+SPLAT = Kind(
+    "splat",
+    lambda data, file: looks_like_splat(data),
+    lambda data, file, _: read_splat(data, file=file),
+    lambda model: [write_splat(model)],
+)
 
 KINDS = (
     Kind(
@@ -113,7 +114,7 @@ KINDS = (
     Kind("glb", _is_gltf, _read_gltf, _write_glb),
     # those without a magic come last
     Kind("ksplat", _is_ksplat, _read_ksplat, None),
-    Kind("splat", _is_splat, lambda data, file, _: read_splat(data, file=file), lambda model: [write_splat(model)]),
+    SPLAT,
 )
 
 FORMATS = tuple(kind.name for kind in KINDS if kind.write)

@@ -6,6 +6,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from engine.errors import FormatError, InputError
+from engine.formats.splat import looks_like_splat
 from engine.model import Float32
 
 MAX_PICTURE_PIXELS = 64_000_000
@@ -19,13 +20,16 @@ def starts_like_picture(head: bytes) -> bool:
     return head.startswith(_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
 
 
-def is_picture(path: Path) -> bool:
-    """Whether a file starts like a picture, whatever its name says."""
+def is_picture(path: Path, name: str = "") -> bool:
+    """Whether a file starts like a picture, whatever its name (`name`, or its path's own) says: except for a .splat
+    that is one by its rows, since its first number may be any bytes."""
     if path.is_dir():
         return False
     try:
         with path.open("rb") as file:
-            return starts_like_picture(file.read(12))
+            starts = starts_like_picture(file.read(12))
+        named = (name or path.name).lower().endswith(".splat")
+        return starts and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:
         raise InputError(f"cannot read {str(path)!r}: {error.strerror}") from error
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from engine.formats.pictures import starts_like_picture
+from engine.formats.pictures import is_picture
 from service.clock import now
 from service.core import Service
 from service.db import own
@@ -17,6 +17,7 @@ from service.problems import Problem
 from service.uploads.quota import check_quota, stored_bytes
 
 _CHUNK = 4 << 20
+_TEXT = 1024  # bytes that tell JSON from numbers
 
 
 def create(service: Service, tenant: str, name: str, size: int | None, sha256: str | None) -> Any:
@@ -99,11 +100,16 @@ def drop(service: Service, row: Any) -> None:
         connection.execute(sa.delete(uploads).where(uploads.c.id == row.id))
 
 
-def kind_of(head: bytes) -> str:
-    """model, picture or cameras, by the first bytes."""
-    if starts_like_picture(head):
+def kind_of(path: Path, name: str) -> str:
+    """model, picture or cameras, by what a file holds; `name` is what its owner calls it."""
+    if is_picture(path, name):
         return "picture"
-    return "cameras" if head.lstrip()[:1] in (b"{", b"[") else "model"
+    with path.open("rb") as file:
+        text = file.read(_TEXT).lstrip()
+        if text[:1] not in (b"{", b"[") or any(byte < 32 and byte not in b"\t\n\r" for byte in text):
+            return "model"  # the first number of a .splat may begin with a brace
+        file.seek(0)
+        return "model" if b'"meshes"' in file.read() else "cameras"  # a .gltf
 
 
 def part_name(upload_id: str, offset: int) -> str:

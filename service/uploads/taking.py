@@ -95,8 +95,7 @@ def inspect(service: Service, row: Any) -> Any:
     """
     with task_folder(service.settings) as folder:
         path = service.blobs.local(row.sha256, folder)
-        with path.open("rb") as file:
-            kind = store.kind_of(file.read(16))
+        kind = store.kind_of(path, row.name)
         if row.size > INSPECTED_BYTES:
             return store.note(service, row, {"kind": kind})
         request = {kind: str(path), "spz_frame": "auto"}

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
+from engine.formats.pictures import is_picture
 from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.formats.splat import RECORD, looks_like_splat, read_splat
 from engine.model import SH_C0
+from engine.sim.variants.scenes import read_scene
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.models import DATA, random_model
 
@@ -95,3 +101,31 @@ def test_what_does_not_look_like_gaussians() -> None:
     for data in (noise, text, bytes(3200), b"\xff" * 3200, b""):
         assert not looks_like_splat(data)
     assert looks_like_splat(PLANT.read_bytes())
+
+
+HEADS = (b"PK\3\4", b"PK..", b"\x1f\x8b\x08\0", b"NGSP", b"ply\n", b"glTF", b"{..:", b"[..:", b"BM..", b"\xff\xd8\xff.")
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_the_first_number_may_be_any_bytes(head: bytes, tmp_path: Path) -> None:
+    """By chance, or so that nobody can check a copy that every viewer shows."""
+    path = tmp_path / "copy.splat"
+    path.write_bytes(head + encode_model(random_model(0, 100), "splat")[4:])
+    assert not is_picture(path)
+    loaded = read_scene(path)
+    assert (loaded.format, len(loaded.model)) == ("splat", 100)
+
+
+def test_two_models_in_one_file_are_refused() -> None:
+    """A viewer that goes by the name shows the rows, one that goes by the first bytes the archive."""
+    file = io.BytesIO()
+    sog = encode_model(random_model(1, 50), "sog")
+    with zipfile.ZipFile(io.BytesIO(sog)) as archive, zipfile.ZipFile(file, "w") as both:
+        both.writestr("ab", encode_model(random_model(0, 5000), "splat"))  # behind 30 + 2 bytes: whole rows
+        for name in archive.namelist():
+            both.writestr(name, archive.read(name))
+    data = file.getvalue()[:-2]  # what follows is the length of a comment, and that
+    fill = 64 - (len(data) + 2) % 32
+    assert read_model(data + bytes(2)).format == "sog"
+    with pytest.raises(FormatError, match="two models at once"):
+        read_model(data + fill.to_bytes(2, "little") + bytes(fill))

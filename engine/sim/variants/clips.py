@@ -31,7 +31,7 @@ def is_clip(path: str | os.PathLike[str]) -> bool:
         if not Path(path).is_file():
             return False
         with open(path, "rb") as stream:
-            return is_spacetime(stream.read(MAX_HEADER_BYTES), file=str(path))
+            return is_spacetime(stream.read(MAX_HEADER_BYTES))
 
 
 def verify_in_motion(

@@ -98,7 +98,7 @@ def read_scene(path: str | os.PathLike[str], *, name: str | None = None, spz_fra
             return _read_folder(Path(path), kind)
         if "\0" not in file and Path(path).is_file():
             with open(path, "rb") as stream:
-                moves = is_spacetime(stream.read(MAX_HEADER_BYTES), file=file)
+                moves = is_spacetime(stream.read(MAX_HEADER_BYTES))
             if moves:
                 data = read_regular(Path(path), file)
                 clip, repairs = read_spacetime_ply(data, file=file)

@@ -33,11 +33,15 @@ TRBF_SCALE_LIMIT = 30.0
 _ROWS_AT_ONCE = 4096
 
 
-def is_spacetime(data: bytes | memoryview, *, file: str = "") -> bool:
-    """Whether a PLY file holds Spacetime Gaussians; only the header is looked at, FormatError where it is broken."""
+def is_spacetime(data: bytes | memoryview) -> bool:
+    """Whether a PLY file holds Spacetime Gaussians; only the header is looked at. Not where it is broken: what else
+    the bytes may be, or what is wrong with them, is said by `engine.formats.read_model`."""
     if bytes(data[:4]) not in (b"ply\n", b"ply\r"):
         return False
-    vertex = parse_header(data, file=file).element("vertex")
+    try:
+        vertex = parse_header(data, file="").element("vertex")
+    except FormatError:
+        return False
     return vertex is not None and "trbf_center" in vertex.names
 
 

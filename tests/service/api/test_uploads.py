@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 from PIL import Image
 
+from tests.formats.gltf_files import asset_of, gltf_of, splats
 from tests.service.api.conftest import PLANT, SMALL, Api
 
 
@@ -85,6 +86,20 @@ def test_large_json_and_form(api: Api) -> None:
     assert answer.status_code == 413
     form = api.client.post("/v1/verify", files={"model": ("m.ply", bytes(9 << 20))})
     assert form.status_code == 413
+
+
+@pytest.mark.parametrize("head", [b"{", b"[", b" {", b"BM", b"\xff\xd8\xff", b"PK\3\4"])
+def test_a_model_whose_first_number_reads_like_another_file(api: Api, head: bytes) -> None:
+    """One marked .splat in a hundred begins with a brace, and was refused as cameras."""
+    slot = api.upload(head + PLANT.read_bytes()[len(head) : 32 * 3000], "copy.splat")
+    info = api.client.get(f"/v1/uploads/{slot}").json()["info"]
+    assert (info["kind"], info["format"], info["gaussians"]) == ("model", "splat", 3000)
+
+
+def test_a_gltf_is_a_model_though_it_is_json(api: Api) -> None:
+    slot = api.upload(gltf_of(*asset_of(splats(5, 0))), "scene.gltf")
+    info = api.client.get(f"/v1/uploads/{slot}").json()["info"]
+    assert (info["kind"], info["format"], info["gaussians"]) == ("model", "glb", 5)
 
 
 def test_an_upload_of_cameras_and_of_a_picture(api: Api) -> None:
