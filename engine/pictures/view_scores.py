@@ -9,7 +9,7 @@ from engine.numerics.jit import parallel_kernel
 
 __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 SIDE = 96
 """Longer side of the picture that is searched, and of the views, pixels."""
 BINS = 8
@@ -31,7 +31,7 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
     Parameters
     ----------
     maps, inside : (BINS, h, w), (h, w) float32
-        As of `score_views`, rows and columns together.
+        Responses and 1 inside the picture, padded by PAD pixels.
     views : (F,) int64
     starts : (F, 4)
         Roll, radians; size, pixels; x, y of the middle, pixels.
@@ -41,22 +41,27 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
     for f in prange(views.shape[0]):
         view = views[f]
         best = np.float32(-1e9)
+        columns, rows = np.empty(points, dtype=np.int64), np.empty(points, dtype=np.int64)
+        bins = np.empty(points, dtype=np.int64)
         for turn in range(-2, 3):
             angle = starts[f, 0] + turn * (np.pi / ROLLS / 2.0)
             c, s = np.cos(angle), np.sin(angle)
+            for p in range(points):
+                bins[p] = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
             for grow in range(-2, 3):
                 radius = starts[f, 1] * (1.0 + 0.055 * grow)
+                for p in range(points):
+                    x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
+                    columns[p] = int(np.floor(c * x - s * y + 0.5)) + PAD + int(starts[f, 2])
+                    rows[p] = int(np.floor(s * x + c * y + 0.5)) + PAD + int(starts[f, 3])
                 for dy in range(-2, 3):
                     for dx in range(-2, 3):
                         said, counted = 0.0, 0.0
                         for p in range(points):
-                            x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
-                            column = int(np.floor(c * x - s * y + 0.5)) + PAD + int(starts[f, 2]) + dx
-                            row = int(np.floor(s * x + c * y + 0.5)) + PAD + int(starts[f, 3]) + dy
+                            row, column = rows[p] + dy, columns[p] + dx
                             if row < 0 or column < 0 or row >= maps.shape[1] or column >= maps.shape[2]:
                                 continue
-                            bin = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-                            said += maps[bin, row, column]
+                            said += maps[bins[p], row, column]
                             counted += inside[row, column]
                         if counted >= _LEAST_INSIDE * points and said / np.sqrt(counted) > best:
                             best = said / np.sqrt(counted)
@@ -66,13 +71,13 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
 
 
 @parallel_kernel
-def score_views(maps, inside, places, directions, radii, size, scores, found):
+def score_views(maps, places, directions, radii, size, scores, found):
     """Best place of every view, roll and size.
 
     Parameters
     ----------
-    maps, inside : (BINS, 2, 2, h, w), (2, 2, h, w) float32
-        Responses and 1 inside the picture, odd and even rows and columns apart, padded by PAD pixels.
+    maps : (BINS, 2, 2, h, w) float32
+        Responses, odd and even rows and columns apart, padded by PAD pixels.
     places, directions : (V, P, 2), (V, P) float32
         Of the views' points, from their middle in units of their spread; radians.
     radii : (S,) float32, pixels
@@ -83,37 +88,46 @@ def score_views(maps, inside, places, directions, radii, size, scores, found):
         x, y of the middle there, pixels.
     """
     views, points = directions.shape
-    rows, columns = (size[0] + 2 * BEYOND) // 2, (size[1] + 2 * BEYOND) // 2
+    height, width = size[0], size[1]
+    rows, columns = (height + 2 * BEYOND) // 2, (width + 2 * BEYOND) // 2
+    roots = np.sqrt(np.arange(points + 1).astype(np.float32))
     for job in prange(views * ROLLS):
         view, roll = job // ROLLS, job % ROLLS
         angle = 2.0 * np.pi * roll / ROLLS
         c, s = np.cos(angle), np.sin(angle)
         said = np.empty((rows, columns), dtype=np.float32)
-        counted = np.empty((rows, columns), dtype=np.float32)
+        counted = np.empty((rows + 1, columns + 1), dtype=np.int32)
         for k in range(radii.shape[0]):
             said[:] = np.float32(0.0)
-            counted[:] = np.float32(0.0)
+            counted[:] = 0
             for p in range(points):
                 x, y = places[view, p, 0] * radii[k], places[view, p, 1] * radii[k]
-                column = int(np.floor(c * x - s * y + 0.5)) + PAD - BEYOND
-                row = int(np.floor(s * x + c * y + 0.5)) + PAD - BEYOND
+                column = int(np.floor(c * x - s * y + 0.5)) - BEYOND
+                row = int(np.floor(s * x + c * y + 0.5)) - BEYOND
+                # of the places tried, those that put this point into the picture
+                left, right = max(0, (1 - column) // 2), min(columns, (width - column + 1) // 2)
+                top, bottom = max(0, (1 - row) // 2), min(rows, (height - row + 1) // 2)
+                if left >= right or top >= bottom:
+                    continue
                 bin = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-                if row < 0 or column < 0:
-                    continue
-                top, left = row // 2, column // 2
-                if top + rows > maps.shape[3] or left + columns > maps.shape[4]:
-                    continue
-                one, edge = maps[bin, row % 2, column % 2], inside[row % 2, column % 2]
-                for j in range(rows):
-                    for i in range(columns):
-                        said[j, i] += one[top + j, left + i]
-                        counted[j, i] += edge[top + j, left + i]
+                one = maps[bin, (row + PAD) % 2, (column + PAD) % 2]
+                above, before = (row + PAD) // 2, (column + PAD) // 2
+                for j in range(top, bottom):
+                    line, sums = one[above + j, before + left : before + right], said[j, left:right]
+                    for i in range(len(sums)):  # from 0: what may be negative is not vectorised
+                        sums[i] += line[i]
+                counted[top, left] += 1  # summed up below, each is a rectangle
+                counted[top, right] -= 1
+                counted[bottom, left] -= 1
+                counted[bottom, right] += 1
             best = np.float32(-1e9)
             for j in range(rows):
+                along = 0
                 for i in range(columns):
-                    if counted[j, i] >= _LEAST_INSIDE * points:
-                        value = said[j, i] / np.sqrt(counted[j, i])
-                        if value > best:
-                            best = value
-                            found[view, roll, k, 0], found[view, roll, k, 1] = 2 * i - BEYOND, 2 * j - BEYOND
+                    along += counted[j, i]
+                    counted[j, i] = along + (counted[j - 1, i] if j > 0 else 0)
+                    inside = counted[j, i]
+                    if inside >= _LEAST_INSIDE * points and said[j, i] > best * roots[inside]:
+                        best = said[j, i] / roots[inside]
+                        found[view, roll, k, 0], found[view, roll, k, 1] = 2 * i - BEYOND, 2 * j - BEYOND
             scores[view, roll, k] = best

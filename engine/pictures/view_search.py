@@ -96,13 +96,12 @@ def search_views(edges: ViewEdges, picture: Float32, count: int) -> list[tuple[f
     if not edges.cameras:
         return []
     small, factor = _reduced(picture)
-    maps, inside = _responses(small, REACH)
+    maps, _ = _responses(small, REACH)
     shape = len(edges.cameras), ROLLS, len(RADII)
     scores, found = np.empty(shape, dtype=np.float32), np.empty((*shape, 2), dtype=np.int64)
     with parallel_section():
         score_views(
             maps,
-            inside,
             edges.places,
             edges.directions,
             np.array(RADII, dtype=np.float32),

@@ -39,7 +39,7 @@ def test_kernels_say_what_their_twin_says() -> None:
     directions = rng.uniform(-np.pi, np.pi, (2, 30)).astype(np.float32)
     radii = np.array(RADII[:3], dtype=np.float32)
     scores, found = np.empty((2, ROLLS, 3), np.float32), np.empty((2, ROLLS, 3, 2), np.int64)
-    score_views(maps, inside, places, directions, radii, np.array([60, SIDE]), scores, found)
+    score_views(maps, places, directions, radii, np.array([60, SIDE]), scores, found)
     for view, roll, size in ((0, 0, 0), (1, 7, 1), (0, 23, 2)):
         asked = (places[view], directions[view])
         angle = 2.0 * np.pi * roll / ROLLS
