@@ -16,8 +16,8 @@ from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
 from engine.numerics.similarity import transform_model
 from engine.pictures.alignment import align_image
-from engine.pictures.camera_finding import find_camera
 from engine.pictures.features import luma
+from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import make_landmarks
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_agreement import agreement_of_views
@@ -89,7 +89,8 @@ def _alignment() -> None:
     model = GaussianModel(centers, np.full((n, 3), -2.0, np.float32), quats, np.full(n, 3.0, np.float32), levels)
     camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 100.0, 96, 96)
     seen = np.clip(raster.render(model, camera), 0.0, 1.0)
-    find_camera(make_landmarks(model, [camera]), model, seen, edges=lambda: describe_views(model, [camera]))
+    # The parts of `find_camera`: whole, it would look for this picture everywhere, for three seconds.
+    Look.of(keypoints_of(luma(seen)), make_landmarks(model, [camera]), (96, 96)).guided(camera)
     search_views(describe_views(model, [camera]), seen, 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
