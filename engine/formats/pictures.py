@@ -16,8 +16,9 @@ _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM
 
 
 def starts_like_picture(head: bytes) -> bool:
-    """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF or WebP."""
-    return head.startswith(_MAGICS) or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
+    """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
+    webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
+    return webp or head.startswith(_MAGICS) or head[4:12] in (b"ftypavif", b"ftypavis")
 
 
 def is_picture(path: Path, name: str = "") -> bool:

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,21 @@ from engine.formats.splat import looks_like_splat
 from engine.model import GaussianModel
 
 _META, _LOD_META = "meta.json", "lod-meta.json"
+
+_HEIC, _AVI, _MATROSKA = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1"), b"AVI ", b"\x1aE\xdf\xa3"
+_OTHERS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
+    (lambda data: data[4:8] == b"ftyp" and data[8:12] in _HEIC, "is a HEIC photo: save it as JPEG or PNG"),
+    (
+        lambda data: data[4:8] == b"ftyp" or data[8:12] == _AVI or data.startswith(_MATROSKA),
+        "is a video: save some of its frames, unscaled, as PNG, and give those",
+    ),
+    (lambda data: data.startswith(b"%PDF"), "is a PDF: save the picture in it as PNG or JPEG"),
+    (
+        lambda data: data[:1024].lstrip().lower().startswith((b"<!doctype html", b"<html")),
+        "is a web page: give the model that it loads, or a screenshot of what it shows",
+    ),
+)
+"""What else people hold for a suspect, told by its first bytes, and what to do with it."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +105,8 @@ def _told(data: bytes, file: str) -> Kind:
             return kind
     if not data:
         raise FormatError("is empty", file=file)
-    raise UnsupportedFormatError(f"is none of the formats read here: {', '.join(READ)}", file=file)
+    message = f"is none of the formats read here: {', '.join(READ)}"
+    raise UnsupportedFormatError(next((text for told, text in _OTHERS if told(data)), message), file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:

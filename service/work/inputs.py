@@ -60,7 +60,7 @@ def load_cameras(path: str | None, *, count: int | None = None) -> list[Camera] 
 def _pixels(path: Path, number: int) -> int:
     with _told_by_number(path, number):
         if not is_picture(path):
-            raise Problem("unreadable-image", f"picture {number}: is no picture (PNG, JPEG, WebP, BMP, GIF or TIFF)")
+            raise Problem("unreadable-image", f"picture {number}: is no PNG, JPEG, WebP, AVIF, BMP, GIF or TIFF")
         with Image.open(path) as picture:
             return picture.width * picture.height
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, features
 
 from engine.errors import FormatError
 from engine.formats import pictures
@@ -14,6 +14,15 @@ from engine.formats.pictures import is_picture, read_picture
 def test_a_model_is_no_picture(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"ply\nformat ascii 1.0\n")
     assert not is_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg", "bmp", "gif", "tiff", "webp", "avif"])
+def test_a_picture_is_told_by_its_bytes_and_read(kind: str, tmp_path: Path) -> None:
+    if kind == "avif" and not features.check("avif"):
+        pytest.skip("this Pillow was built without AVIF")
+    Image.new("RGB", (32, 24), (255, 128, 0)).save(tmp_path / "a", kind)
+    assert is_picture(tmp_path / "a")
+    np.testing.assert_allclose(read_picture(tmp_path / "a"), np.broadcast_to([1.0, 0.5, 0.0], (24, 32, 3)), atol=0.03)
 
 
 def test_transparent_parts_lie_over_black(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +102,30 @@ def test_chains_of_formats_stay_the_same_scene() -> None:
     centre = np.abs(model.means.mean(axis=0) - original.means.mean(axis=0)).max()
     assert centre < 1e-3 * extent
     np.testing.assert_allclose(np.sort(model.opacities), np.sort(original.opacities), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("head", "advice"),
+    [
+        (b"\0\0\0\x18ftypheic", "HEIC photo: save it as JPEG"),
+        (b"\0\0\0\x20ftypisom", "video: save some of its frames"),
+        (b"\x1aE\xdf\xa3\x9fB\x86", "video"),
+        (b"RIFF\0\0\0\0AVI LIST", "video"),
+        (b"%PDF-1.7\n", "PDF: save the picture"),
+        (b"\n<!DOCTYPE html>\n<html>", "web page: give the model that it loads"),
+    ],
+)
+def test_what_people_hold_for_a_suspect_is_named(head: bytes, advice: str) -> None:
+    with pytest.raises(UnsupportedFormatError, match=advice):
+        read_model(head + bytes(100))
+
+
+def test_a_packed_model_is_to_be_unpacked() -> None:
+    """Mail programs and shops pack what they send."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("scan/plant.ply", b"ply\n")
+    with pytest.raises(FormatError, match="no SOG scene: unpack it"):
+        read_model(file.getvalue())
+    with pytest.raises(FormatError, match=r"no SPZ file .*: unpack it"):
+        read_model(gzip.compress(b"ply\nformat ascii 1.0\n" + bytes(40)))

@@ -25,7 +25,10 @@ def read_sog(data: bytes, *, file: str) -> tuple[GaussianModel, tuple[Repair, ..
     damaged, or sizes and counts do not agree; checked before it is decoded.
     """
     archive = ZipArchive(data, file=file)
-    if not archive.has(META) and archive.streamed:
+    if not archive.has(META):
+        if not archive.streamed:
+            text = f"is a zip archive without {META}, no SOG scene: unpack it, and give one model of those in it"
+            raise FormatError(text, file=file)
         from engine.formats.sog.streamed import read_streamed
 
         return read_streamed(archive, file=file)

@@ -81,7 +81,9 @@ def unpack(data: bytes, *, file: str) -> Payload:
 
 def _check_header(header: Header, magic: int, versions: tuple[int, ...], size: int, *, file: str) -> None:
     if magic != MAGIC:
-        raise FormatError(f"is gzip, but no SPZ file: magic is {magic:#010x}", file=file, element="header")
+        raise FormatError(
+            f"is gzip, but no SPZ file (magic {magic:#010x}): unpack it first", file=file, element="header"
+        )
     if header.version not in versions:
         message = f"SPZ version {header.version}, read are 2, 3 and 4"
         raise UnsupportedFormatError(message, file=file, element="header")

@@ -9,7 +9,7 @@ import { showProblem } from "./problem.js";
 import { Cancelled, Progress } from "./progress.js";
 import { assetName } from "./words.js";
 
-const PICTURE = /\.(png|jpe?g|webp)$/i;
+const PICTURE = /\.(png|jpe?g|webp|avif|bmp|gif|tiff?)$/i;
 
 /** Wire the view; `enter` is called when it is shown, `leave` when the API key is gone. */
 export function startVerify() {

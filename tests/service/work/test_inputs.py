@@ -46,9 +46,9 @@ def small_png(folder: Path, name: str = "good.png") -> Path:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "is no picture"),
-        (b"not a picture at all", "is no picture"),
-        (b"%!PS-Adobe-3.0 EPSF-3.0\n", "is no picture"),
+        (b"", "is no PNG"),
+        (b"not a picture at all", "is no PNG"),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n", "is no PNG"),
         (b"\x89PNG\r\n\x1a\n garbage", "cannot be read"),
         (b"\xff\xd8\xff\xe0 garbage", "cannot be read"),
         (b"II*\0\xff\xff\xff\xff", "cannot be read"),
