@@ -23,6 +23,7 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.background import fill_background
 from engine.pictures.camera_hypotheses import LADDER
+from engine.pictures.camera_motion import CENTERED, PARAMETERS
 from engine.pictures.features import Keypoints, luma
 from engine.pictures.keypoint_cameras import Look, keypoints_of, look_closer, resized
 from engine.pictures.landmarks import Landmarks
@@ -242,6 +243,9 @@ class _Finder:
                 return None
             camera = self._full(refined.camera)
         assert refined is not None
+        shifted = self._refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, free=PARAMETERS)
+        if shifted is not None and shifted.gain > CLEARLY * refined.gain:
+            refined, camera = shifted, self._full(shifted.camera)
         drawn, otherwise = OWN, RasterSettings(antialiased=not self._model.antialiased)
         softer = self._refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, otherwise)
         if softer is not None and softer.gain > CLEARLY * refined.gain:
@@ -253,21 +257,26 @@ class _Finder:
         return self._keypoints.turned_over(self._size[0]) if mirrored else self._keypoints
 
     def _refined(
-        self, camera: Camera, mirrored: bool, size: int, iterations: int, step: float, drawn: RasterSettings = OWN
+        self,
+        camera: Camera,
+        mirrored: bool,
+        size: int,
+        iterations: int,
+        step: float,
+        drawn: RasterSettings = OWN,
+        free: int = CENTERED,
     ) -> Refined | None:
         grey = self._greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))
         picture = resized(grey, small.width, small.height)
-        return refine_level(self._model, picture, small, iterations, step, drawn)
+        return refine_level(self._model, picture, small, iterations, step, drawn, free=free)
 
     def _full(self, camera: Camera) -> Camera:
-        """The same camera at the picture's size: square pixels and a central principal point, which rounding of a
-        level's size may have bent."""
+        """The same camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
         width, height = self._size
-        K = camera.resized(width, height).K
-        focal = float(np.sqrt(K[0, 0] * K[1, 1]))
-        centered = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-        return Camera(camera.viewmat, centered, width, height)
+        K = camera.resized(width, height).K.copy()
+        K[0, 0] = K[1, 1] = float(np.sqrt(K[0, 0] * K[1, 1]))
+        return Camera(camera.viewmat, K, width, height)
 
     def _worth(self, refined: Refined, mirrored: bool) -> float:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Camera, Float64
-from engine.pictures.camera_motion import PARAMETERS, moved, normalized, point_columns
+from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved, normalized, point_columns
 
 __all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
 
 LADDER: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 9))
 """Focal lengths tried, in widths of the picture; 19 % apart."""
+POSE = 6
+"""Parameters of a motion without zoom."""
 RANSAC_TRIALS = 1000
 RANSAC_SEED = 0
 
@@ -87,21 +89,21 @@ def hypothesize(
 
 
 def fit_camera(
-    points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, zoom: bool = True
+    points: Float64, pixels: Float64, camera: Camera, tolerance: float, *, free: int = CENTERED
 ) -> Hypothesis | None:
-    """Refine a camera by robust Levenberg-Marquardt over pose and, to `zoom`, focal length, on points (M, 3) and pixels
-    (M, 2).
+    """Refine a camera by robust Levenberg-Marquardt over so many parameters of a motion, by default pose and focal
+    length, on points (M, 3) and pixels (M, 2).
 
     Errors far above `tolerance`, an inlier's in pixels, lose their weight. None when every point ends up behind the
     camera.
     """
-    damping, free = 1e-3, PARAMETERS if zoom else PARAMETERS - 1
+    damping = 1e-3
     cost, error, columns, weight = _linearize(points, pixels, camera, tolerance)
     for _ in range(30):
         columns = columns[..., :free]
         weighted = columns * weight[:, None, None]
-        normal = np.einsum("mik,mil->kl", weighted, columns)  # (7, 7)
-        right = np.einsum("mik,mi->k", weighted, error)  # (7,)
+        normal = np.einsum("mik,mil->kl", weighted, columns)
+        right = np.einsum("mik,mi->k", weighted, error)
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         normal[np.diag_indices_from(normal)] += 1e-9
         step = np.linalg.solve(normal, right)
@@ -140,7 +142,7 @@ def at_other_focal(
     depth = _median_depth(points, start.camera)
     motion = np.zeros(PARAMETERS)
     motion[5], motion[6] = factor - 1.0, np.log(factor)
-    return fit_camera(points, pixels, moved(start.camera, motion, depth), tolerance, zoom=False)
+    return fit_camera(points, pixels, moved(start.camera, motion, depth), tolerance, free=POSE)
 
 
 def _median_depth(points: Float64, camera: Camera) -> float:
@@ -152,7 +154,7 @@ def _median_depth(points: Float64, camera: Camera) -> float:
 def _linearize(
     points: Float64, pixels: Float64, camera: Camera, tolerance: float
 ) -> tuple[float, Float64, Float64, Float64]:
-    """Cauchy cost, errors (M, 2), columns (M, 2, 7), weights (M,); points behind the camera weigh nothing."""
+    """Cauchy cost, errors (M, 2), columns (M, 2, 9), weights (M,); points behind the camera weigh nothing."""
     rays, depth = normalized(points, camera)
     front = depth > 1e-9
     depth = np.where(front, depth, 1.0)

@@ -1,20 +1,23 @@
-"""Small motions of a camera: seven numbers that turn, shift and zoom it, and the flow of pixels they cause.
+"""Small motions of a camera: nine numbers that turn, shift and zoom it and move its picture, and the flow of pixels
+they cause.
 
-A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; logarithm of the zoom) acts in
-the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom).
+A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; logarithm of the zoom; x, y of the
+principal point in focal lengths) acts in the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom),
+c' = c + f (x, y). The last two are for pictures of which somebody cut off a part; from afar they look like a turn.
 """
 
 import numpy as np
 
 from engine.model import Camera, Float64
 
-__all__ = ["PARAMETERS", "moved", "normalized", "point_columns", "project", "swung"]
+__all__ = ["CENTERED", "PARAMETERS", "moved", "normalized", "point_columns", "project", "swung"]
 
-PARAMETERS = 7
+PARAMETERS, CENTERED = 9, 7
+"""Of a motion; of one that leaves the principal point where it is."""
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
-    """A camera after a motion (7,), whose shift is in units of `depth` (scene units)."""
+    """A camera after a motion (9,), whose shift is in units of `depth` (scene units)."""
     import cv2
 
     step = np.eye(4)
@@ -25,6 +28,7 @@ def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
     u, _, v = np.linalg.svd(viewmat[:3, :3])
     viewmat[:3, :3] = u @ v
     K = camera.K.copy()
+    K[:2, 2] += K[0, 0] * motion[7:]
     K[0, 0] *= np.exp(motion[6])
     K[1, 1] *= np.exp(motion[6])
     return Camera(viewmat, K, camera.width, camera.height)
@@ -59,14 +63,14 @@ def project(points: Float64, camera: Camera) -> Float64:
 
 
 def point_columns(rays: Float64, depth: Float64, focal: float) -> Float64:
-    """(P, 2, 7) flow of points by each parameter of a motion, pixels, at rays (P, 2) for focal length 1 and depths (P,)
+    """(P, 2, 9) flow of points by each parameter of a motion, pixels, at rays (P, 2) for focal length 1 and depths (P,)
     in units of the shift."""
     a, b = rays.T
     near = 1.0 / depth
-    zero = np.zeros_like(a)
-    horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a]
-    vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b]
-    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)  # (P, 2, 7)
+    zero, one = np.zeros_like(a), np.ones_like(a)
+    horizontal = [-a * b, 1.0 + a * a, -b, near, zero, -a * near, a, one, zero]
+    vertical = [-1.0 - b * b, a * b, a, zero, near, -b * near, b, zero, one]
+    return focal * np.stack([np.stack(horizontal, axis=1), np.stack(vertical, axis=1)], axis=1)  # (P, 2, 9)
 
 
 def _between(a: Float64, b: Float64) -> Float64:

@@ -3,7 +3,7 @@
 The model of the picture is suspect(x) = gain render(x; camera) + offset alpha(x) + (1 - alpha(x)) behind(x), alpha the
 render's opacity, behind what the picture shows where that is clear (`background`). A small motion of the camera moves
 what a pixel shows by a flow that follows from its depth, and so changes its brightness by -gradient . flow:
-one render with depth gives all seven columns of the linearised problem. The residual is always that of an
+one render with depth gives all columns of the linearised problem. The residual is always that of an
 exact render, so where the iteration stops, depth edges and haze have not biased it; they only slow it down.
 
 Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
@@ -21,13 +21,13 @@ from engine.numerics.jit import parallel_kernel, parallel_section
 from engine.numerics.resampling import smooth
 from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
-from engine.pictures.camera_motion import PARAMETERS, moved
+from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.features import luma
 from engine.raster import RasterSettings, render_depth
 
 __all__ = ["Refined", "refine_level"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 BLUR = 0.8
 """Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
 WIDEST_BLUR = 3.0
@@ -44,7 +44,7 @@ FARTHEST = 2.0
 FAR_MARGIN = 12
 """Pixels around the model where the background is not looked for while the camera is still off by many."""
 LEAST_PIXELS = 150
-"""Fewer usable pixels than this cannot carry nine unknowns."""
+"""Fewer usable pixels than this cannot carry so many unknowns."""
 ACCELERATE_BELOW = 0.5
 """Steps below this are taken for linear, pixels of the level."""
 MEMORY = 2
@@ -80,9 +80,10 @@ class Refined:
 def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, rows, flows):
     height, width = base.shape
     for j in prange(height):
-        column = np.zeros(9)
-        u = np.zeros(7)
-        v = np.zeros(7)
+        column = np.zeros(PARAMETERS + 2)
+        u = np.zeros(PARAMETERS)
+        v = np.zeros(PARAMETERS)
+        u[7] = v[8] = 1.0
         b = (j + 0.5 - cy) / focal
         for i in range(width):
             if weight[j, i] <= 0.0:
@@ -91,18 +92,18 @@ def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, c
             near = 1.0 / depth[j, i]
             u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
             v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
-            for k in range(7):
+            for k in range(PARAMETERS):
                 column[k] = -focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
-            column[7] = base[j, i]
-            column[8] = cover[j, i]
+            column[PARAMETERS] = base[j, i]
+            column[PARAMETERS + 1] = cover[j, i]
             r = residual[j, i]
             w = weight[j, i] / (1.0 + (r / spread) ** 2)
-            for k in range(9):
-                for l in range(k, 9):
+            for k in range(PARAMETERS + 2):
+                for l in range(k, PARAMETERS + 2):
                     rows[j, k, l] += w * column[k] * column[l]
-                rows[j, k, 9] += w * column[k] * r
-            for k in range(7):
-                for l in range(k, 7):
+                rows[j, k, PARAMETERS + 2] += w * column[k] * r
+            for k in range(PARAMETERS):
+                for l in range(k, PARAMETERS):
                     flows[j, k, l] += weight[j, i] * focal * focal * (u[k] * u[l] + v[k] * v[l])
 
 
@@ -113,12 +114,15 @@ def refine_level(
     iterations: int,
     tolerance: float,
     settings: RasterSettings = RasterSettings(),
+    *,
+    free: int = CENTERED,
 ) -> Refined | None:
     """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
     the picture.
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
-    the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders.
+    the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders; so many
+    parameters of the motion are `free`, by default all but the principal point.
     """
     gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
     memory = Acceleration()
@@ -163,7 +167,7 @@ def refine_level(
                 rows,
                 flows,
             )
-        motion, brightness = _solve(rows.sum(axis=0))
+        motion, brightness = _solve(rows.sum(axis=0), free)
         flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
@@ -191,14 +195,14 @@ class Acceleration:
         self._moves: list[Float64] = []
 
     def improve(self, motion: Float64, flow: Float64, step: float) -> Float64:
-        """The move to make in place of a motion (7,), whose squared flow is motion' flow motion = step^2."""
+        """The move to make in place of a motion (9,), whose squared flow is motion' flow motion = step^2."""
         if step > ACCELERATE_BELOW:  # not linear yet
             self._motions, self._moves = [], []
             return motion
         move = motion
         if self._moves:
-            changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (7, m)
-            moves = np.stack(self._moves).T  # (7, m)
+            changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (9, m)
+            moves = np.stack(self._moves).T  # (9, m)
             normal = changes.T @ flow @ changes
             normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
             normal[np.diag_indices_from(normal)] += 1e-16
@@ -237,12 +241,15 @@ def _symmetric(upper: Float64) -> Float64:
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
-def _solve(system: Float64) -> tuple[Float64, Float64]:
-    """Motion (7,) and change of gain and offset (2,) from the summed upper triangle and right side."""
-    normal = _symmetric(system[:, :_UNKNOWNS])
+def _solve(system: Float64, free: int) -> tuple[Float64, Float64]:
+    """Motion (9,), zero beyond so many parameters, and change of gain and offset (2,) from the summed upper triangle
+    and right side."""
+    asked = np.r_[:free, PARAMETERS:_UNKNOWNS]
+    normal = _symmetric(system[:, :_UNKNOWNS])[np.ix_(asked, asked)]
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
     # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
     # cannot tell where it was.
-    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(_UNKNOWNS)
-    solution = scale * np.linalg.solve(damped, scale * system[:, _UNKNOWNS])
+    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(len(asked))
+    solution = np.zeros(_UNKNOWNS)
+    solution[asked] = scale * np.linalg.solve(damped, scale * system[asked, _UNKNOWNS])
     return solution[:PARAMETERS], solution[PARAMETERS:]

@@ -153,6 +153,26 @@ def test_a_picture_that_is_recognised_is_not_turned_over(
     assert len(looks) == 1
 
 
+@pytest.mark.parametrize(("left", "top"), [(0, 120), (130, 0)])
+def test_where_the_middle_was_is_found_when_a_part_was_cut_off(
+    plant: GaussianModel, bank: Landmarks, left: int, top: int
+) -> None:
+    whole = around(plant, 48, 33, 1.1, 0.8)
+    part = np.clip(render(plant, whole), 0, 1)[top : top + 240, left : left + 350]
+    found = find_camera(bank, plant, jpeg(part, 80))
+    assert found is not None
+    K = whole.K.copy()
+    K[:2, 2] -= left, top
+    assert reprojection(plant, Camera(whole.viewmat, K, 350, 240), found.camera) < 0.1
+    np.testing.assert_allclose(found.camera.K[:2, 2], K[:2, 2], atol=8.0)
+
+
+def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank: Landmarks) -> None:
+    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
+    assert found is not None
+    np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])
+
+
 def test_exposure_and_another_background_do_not_mislead(plant: GaussianModel, bank: Landmarks) -> None:
     true = around(plant, 60.0, 30.0, 1.3, 1.0)
     picture = jpeg(0.7 * render(plant, true, background=1.0) + 0.1, 80)

@@ -7,7 +7,7 @@ import pytest
 
 from engine.model import Camera, look_at
 from engine.pictures.camera_hypotheses import fit_camera, hypothesize
-from engine.pictures.camera_motion import moved, normalized, point_columns, project
+from engine.pictures.camera_motion import PARAMETERS, moved, normalized, point_columns, project
 from engine.pictures.pose_refinement import Acceleration
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -22,8 +22,8 @@ def test_columns_are_the_derivative_of_the_motion() -> None:
     points, camera = cloud(np.random.default_rng(1), 20)
     rays, depth = normalized(points, camera)
     columns = point_columns(rays, depth / 3.0, camera.K[0, 0])
-    for k in range(7):
-        step = np.zeros(7)
+    for k in range(PARAMETERS):
+        step = np.zeros(PARAMETERS)
         step[k] = 1e-6
         ahead, behind = (project(points, moved(camera, s * step, 3.0)) for s in (1.0, -1.0))
         np.testing.assert_allclose(columns[:, :, k], (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-3)

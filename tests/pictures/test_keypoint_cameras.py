@@ -24,7 +24,7 @@ def plant() -> GaussianModel:
 def small_view(model: GaussianModel, zoom: float) -> Camera:
     """A view of 1,000 by 800 pixels with the model left of the middle."""
     base = make_rig(model, 1, 1000, 800, jitter=np.full((1, 4), 0.3))[0]
-    aside = moved(base, np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, np.log(zoom)]), 1.0)
+    aside = moved(base, np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, np.log(zoom), 0.0, 0.0]), 1.0)
     return aside
 
 
@@ -54,7 +54,7 @@ def test_the_window_holds_the_model_and_goes_back(plant: GaussianModel) -> None:
 
 def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
     camera = small_view(plant, 1.0)
-    away = moved(camera, np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
+    away = moved(camera, np.array([0.0, np.pi, *np.zeros(7)]), 1.0)
     assert Window.around(plant, away) is None
     assert look_closer(plant, busy(plant, camera), away) is None
 
@@ -63,7 +63,7 @@ def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
 def test_a_small_model_among_other_things_is_found_from_nearly_there(plant: GaussianModel, zoom: float) -> None:
     true = small_view(plant, zoom)
     grey = busy(plant, true)
-    rough = moved(true, np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03]), 2.0)
+    rough = moved(true, np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03, 0.0, 0.0]), 2.0)
     found = look_closer(plant, grey, rough)
     assert found is not None
     assert found.support >= 30
