@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from engine.pictures.background import fill_background
 from engine.pictures.camera_hypotheses import LADDER
 from engine.pictures.camera_motion import CENTERED, PARAMETERS
 from engine.pictures.features import Keypoints, luma
+from engine.pictures.found_camera import OWN, FoundCamera
+from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of, look_closer, resized
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
@@ -55,8 +58,6 @@ CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
 """Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
 VOTED = 4
 """Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
-OWN = RasterSettings()
-"""How viewers draw: most as we do, some as they are told to."""
 CLEARLY = 1.03
 """How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
 _EDGE = 0.05
@@ -71,23 +72,8 @@ class CameraConfig:
     """Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after."""
     other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
     """Focal lengths to start from where the refinement from the keypoints' own fails, in those."""
-
-
-@dataclass(frozen=True, eq=False)
-class FoundCamera:
-    """The camera of a picture."""
-
-    camera: Camera  # of the picture's size; square pixels, principal point in the centre
-    inliers: int  # matches that agree with the pose found from keypoints; 0 where these did not help
-    rms: float  # robust standard deviation of the brightness residual, 0..1
-    correlation: float  # of picture and render, -1..1
-    step: float  # root mean square flow of the last step of the refinement, pixels
-    mirrored: bool = False  # it is the camera of the picture turned over left to right
-    drawn: RasterSettings = OWN  # how the reference is drawn most like it
-
-    def face(self, image: Float32) -> Float32:
-        """The picture (h, w, 3) as this camera sees it: turned over left to right if it was mirrored."""
-        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
+    framed: bool = True
+    """Whether the picture may show something else around what shows the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +112,14 @@ def find_camera(
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite")
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
-    best = finder.best(finder.by_keypoints())
+    candidates = finder.by_keypoints()
+    first = next(candidates, None)
+    frame = finder.frame(first) if config.framed and first is not None and first.support >= SUPPORTED else None
+    if frame is not None:
+        part = np.ascontiguousarray(image[frame])
+        found = find_camera(landmarks, reference_model, part, replace(config, framed=False), edges, bank)
+        return None if found is None else replace(found, frame=frame)
+    best = finder.best(candidates if first is None else chain([first], candidates))
     if bank is not None and (best is None or not best.sure):
         best = finder.best(finder.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):
@@ -252,6 +245,14 @@ class _Finder:
             refined, drawn, camera = softer, otherwise, self._full(softer.camera)
         told = (refined.rms, refined.correlation, refined.step)
         return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)
+
+    def frame(self, candidate: _Candidate) -> tuple[slice, slice] | None:
+        """Rows and columns in which the picture shows the model, where not in all."""
+        frame = find_frame(self._model, self._greys[candidate.mirrored], candidate.camera)
+        if frame is None or not candidate.mirrored:
+            return frame
+        rows, columns = frame
+        return rows, slice(self._size[0] - columns.stop, self._size[0] - columns.start)
 
     def _seen(self, mirrored: bool) -> Keypoints:
         return self._keypoints.turned_over(self._size[0]) if mirrored else self._keypoints

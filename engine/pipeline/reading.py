@@ -163,7 +163,7 @@ def read_pictures(
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
-            camera, turned = found.camera, found.mirrored
+            camera, turned = found.of_whole(image), found.mirrored
             with clock.stage("read picture"):
                 evidence = _read_found(found.face(image), found, reference)
         else:

@@ -167,6 +167,22 @@ def test_where_the_middle_was_is_found_when_a_part_was_cut_off(
     np.testing.assert_allclose(found.camera.K[:2, 2], K[:2, 2], atol=8.0)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_what_is_around_a_viewer_does_not_mislead(plant: GaussianModel, bank: Landmarks, mirrored: bool) -> None:
+    """A page around a viewer in which the model is larger than fits."""
+    true = around(plant, 48, 33, 0.8, 0.9)
+    page = np.zeros((560, 700, 3), np.float32)
+    page[100:460, 120:600] = np.clip(render(plant, true), 0, 1)
+    page = jpeg(page[:, ::-1] if mirrored else page, 80)
+    found = find_camera(bank, plant, np.ascontiguousarray(page))
+    assert found is not None
+    assert found.mirrored is mirrored
+    K = true.K.copy()
+    K[:2, 2] += 120.0, 100.0
+    assert reprojection(plant, Camera(true.viewmat, K, 700, 560), found.of_whole(page)) < 0.3
+    assert found.face(page).shape[0] < 400
+
+
 def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank: Landmarks) -> None:
     found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
     assert found is not None
