@@ -140,15 +140,19 @@ def measure_screenshots(scene: str, seed: int, profile: str, trials: int, other:
 
 
 def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: GaussianModel | None = None) -> list[Row]:
-    """800x600 screenshots, JPEG 80, camera and focal length unknown, and a part cut out of each; of `foreign` where
-    given."""
+    """800x600 screenshots, JPEG 80, camera and focal length unknown, a part cut out of each, and each on a page; of
+    `foreign` where given."""
     source = foreign or scene.marked
     rows = []
     for trial in range(trials):
         rng = np.random.default_rng((seed, trial))
         camera = random_view(source, rng, 800, 600)
         picture = image_attack("jpeg").apply(to_8_bit(render(source, camera)), 80, rng=rng)
-        for name, shown in (("screenshot", picture), ("part of it", _part(picture, rng))):
+        for name, shown in (
+            ("screenshot", picture),
+            ("part of it", _part(picture, rng)),
+            ("on a page", _page(picture, rng)),
+        ):
             result = verify_images([shown], scene.opened, VerifyConfig())
             rows.append({"scene": scene.name, "trial": trial, **claim_row(name, result)})
     return rows
@@ -161,6 +165,15 @@ def _part(picture: Float32, rng: np.random.Generator) -> Float32:
     corners = rng.integers(0, [picture.shape[0] - height, picture.shape[1] - width], (10, 2))
     parts = [picture[top : top + height, left : left + width] for top, left in corners]
     return np.ascontiguousarray(max(parts, key=lambda part: float((part.sum(axis=2) > _DARK).mean())))
+
+
+def _page(picture: Float32, rng: np.random.Generator) -> Float32:
+    """A picture in one grey that shows this one (H, W, 3) somewhere, as wide as a half to nine tenths of it."""
+    height, width = (round(float(side)) for side in np.array(picture.shape[:2]) / rng.uniform(0.5, 0.9, 2))
+    page = np.full((height, width, 3), rng.random(), dtype=np.float32)
+    top, left = rng.integers(0, [height - picture.shape[0], width - picture.shape[1]])
+    page[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
+    return page
 
 
 def measure_suite(scene: str, seed: int, profile: str, other: str) -> list[Row]:
