@@ -1,8 +1,8 @@
 """Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
 
 1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths, then a
-   render from there matched once more. Where few agree, the same for the picture turned over left to right (turned
-   over upside down is that and half a turn).
+   render from there matched once more. Where few agree, the same for the picture turned over left to right. Where a
+   page is around what shows the model (`framing`), all begins anew without it.
 2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines and edges of
    many views are held against both hands (`view_search`).
 3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
@@ -37,6 +37,7 @@ from engine.raster import RasterSettings, render_depth
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
 
+LEAST_SIDE = 16  # of a picture, pixels
 LEAST_CORRELATION, SURE_CORRELATION = 0.75, 0.9
 """Correlation of brightness with the render below which the picture shows something else, and above which a camera that
 enough keypoints agree on is the one."""
@@ -107,18 +108,19 @@ def find_camera(
     `landmarks` are those of its record; `bank` gives the views they were seen from, and `edges` those of views of it
     (asked only where keypoints do not do). InputError if the picture is not a finite (h, w, 3) image.
     """
-    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 16:
-        raise InputError(f"a picture is (h, w, 3) and at least 16 pixels a side, got {image.shape}")
+    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < LEAST_SIDE:
+        raise InputError(f"a picture is (h, w, 3) and at least {LEAST_SIDE} pixels a side, got {image.shape}")
     if not np.isfinite(image).all():
         raise InputError("the picture holds values that are not finite")
     finder = _Finder(landmarks, reference_model, np.asarray(image, dtype=np.float32), config)
     candidates = finder.by_keypoints()
     first = next(candidates, None)
     frame = finder.frame(first) if config.framed and first is not None and first.support >= SUPPORTED else None
-    if frame is not None:
+    if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part = np.ascontiguousarray(image[frame])
         found = find_camera(landmarks, reference_model, part, replace(config, framed=False), edges, bank)
-        return None if found is None else replace(found, frame=frame)
+        if found is not None:
+            return replace(found, frame=frame)
     best = finder.best(candidates if first is None else chain([first], candidates))
     if bank is not None and (best is None or not best.sure):
         best = finder.best(finder.by_votes(bank()), best)

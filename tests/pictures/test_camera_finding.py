@@ -183,6 +183,19 @@ def test_what_is_around_a_viewer_does_not_mislead(plant: GaussianModel, bank: La
     assert found.face(page).shape[0] < 400
 
 
+def test_where_the_part_within_a_frame_is_not_recognised_the_whole_is(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame may be wrong, and may leave next to nothing."""
+    true = around(plant, 48, 33, 1.1, 0.8)
+    for rows in (slice(0, 60), slice(0, 5)):
+        monkeypatch.setattr(camera_finding, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
+        found = find_camera(bank, plant, jpeg(render(plant, true), 80))
+        assert found is not None
+        assert found.frame is None
+        assert reprojection(plant, true, found.camera) < 0.1
+
+
 def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank: Landmarks) -> None:
     found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
     assert found is not None
