@@ -15,7 +15,7 @@ MAX_PICTURE_PIXELS = 64_000_000
 _MAGICS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"II*\0", b"MM\0*")
 
 
-def starts_like_picture(head: bytes) -> bool:
+def _starts_like_picture(head: bytes) -> bool:
     """Whether 12 bytes or more are the start of a PNG, JPEG, BMP, GIF, TIFF, WebP or AVIF."""
     webp = head[:4] == b"RIFF" and head[8:12] == b"WEBP"
     return webp or head.startswith(_MAGICS) or head[4:12] in (b"ftypavif", b"ftypavis")
@@ -28,7 +28,7 @@ def is_picture(path: Path, name: str = "") -> bool:
         return False
     try:
         with path.open("rb") as file:
-            starts = starts_like_picture(file.read(12))
+            starts = _starts_like_picture(file.read(12))
         named = (name or path.name).lower().endswith(".splat")
         return starts and not (named and looks_like_splat(path.read_bytes()))
     except OSError as error:

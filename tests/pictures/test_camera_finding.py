@@ -1,67 +1,26 @@
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
-from PIL import Image
 
 from engine.errors import InputError
-from engine.formats import read_model
-from engine.model import Camera, GaussianModel, look_at
+from engine.model import GaussianModel, look_at
 from engine.pictures import camera_finding, keypoint_cameras
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
-from engine.pictures.landmarks import Landmarks, lift, make_landmarks
+from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_search import describe_views, thinned
 from engine.raster import RasterSettings, render, render_depth
+from tests.pictures.plant_views import UP, around, jpeg, reprojection
 from tests.pictures.rolling import rolled
 from tests.threads import with_one_and_two_threads
 
 pytestmark = pytest.mark.slow
-
-UP = np.array([0.0, -1.0, 0.0])
-
-
-def around(model: GaussianModel, azimuth: float, elevation: float, distance: float, focal: float) -> Camera:
-    """A view of 480 x 360 pixels; angles in degrees, distance in sizes of the model, focal length in widths."""
-    a, e = np.radians(azimuth), np.radians(elevation)
-    low, high = np.quantile(model.means.astype(np.float64), [0.1, 0.9], axis=0)
-    toward = np.array([np.cos(a) * np.cos(e), -np.sin(e), np.sin(a) * np.cos(e)])
-    center, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    up = UP + 0.06 * np.array([np.sin(7 * a), 0.0, np.cos(5 * a)])
-    return look_at(center + distance * size * toward, center, up, 480 * focal, 480, 360)
-
-
-def jpeg(image: np.ndarray, quality: int) -> np.ndarray:
-    buffer = io.BytesIO()
-    Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
-    return np.asarray(Image.open(buffer), dtype=np.float32) / 255
-
-
-def reprojection(model: GaussianModel, true: Camera, found: Camera) -> float:
-    """Root mean square distance of surface points between two cameras' pictures, pixels."""
-    _, alpha, depth = render_depth(model, true)
-    row, column = np.nonzero(alpha > 0.7)
-    pixels = np.stack([column + 0.5, row + 0.5], axis=1)
-    points = lift(pixels, depth[row, column].astype(np.float64), true)
-    return float(np.sqrt(np.mean(np.sum((project(points, found) - pixels) ** 2, axis=1))))
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(Path(__file__).parents[1] / "data" / "plant.splat").model
-
-
-@pytest.fixture(scope="module")
-def bank(plant: GaussianModel) -> Landmarks:
-    views = [around(plant, 30.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(12)]
-    return make_landmarks(plant, views)
 
 
 @pytest.fixture
@@ -151,55 +110,6 @@ def test_a_picture_that_is_recognised_is_not_turned_over(
     picture = jpeg(render(plant, around(plant, 17.0, 30.0, 1.2, 0.75)), 80)
     assert find_camera(bank, plant, picture) is not None
     assert len(looks) == 1
-
-
-@pytest.mark.parametrize(("left", "top"), [(0, 120), (130, 0)])
-def test_where_the_middle_was_is_found_when_a_part_was_cut_off(
-    plant: GaussianModel, bank: Landmarks, left: int, top: int
-) -> None:
-    whole = around(plant, 48, 33, 1.1, 0.8)
-    part = np.clip(render(plant, whole), 0, 1)[top : top + 240, left : left + 350]
-    found = find_camera(bank, plant, jpeg(part, 80))
-    assert found is not None
-    K = whole.K.copy()
-    K[:2, 2] -= left, top
-    assert reprojection(plant, Camera(whole.viewmat, K, 350, 240), found.camera) < 0.1
-    np.testing.assert_allclose(found.camera.K[:2, 2], K[:2, 2], atol=8.0)
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_what_is_around_a_viewer_does_not_mislead(plant: GaussianModel, bank: Landmarks, mirrored: bool) -> None:
-    """A page around a viewer in which the model is larger than fits."""
-    true = around(plant, 48, 33, 0.8, 0.9)
-    page = np.zeros((560, 700, 3), np.float32)
-    page[100:460, 120:600] = np.clip(render(plant, true), 0, 1)
-    page = jpeg(page[:, ::-1] if mirrored else page, 80)
-    found = find_camera(bank, plant, np.ascontiguousarray(page))
-    assert found is not None
-    assert found.mirrored is mirrored
-    K = true.K.copy()
-    K[:2, 2] += 120.0, 100.0
-    assert reprojection(plant, Camera(true.viewmat, K, 700, 560), found.of_whole(page)) < 0.3
-    assert found.face(page).shape[0] < 400
-
-
-def test_where_the_part_within_a_frame_is_not_recognised_the_whole_is(
-    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A frame may be wrong, and may leave next to nothing."""
-    true = around(plant, 48, 33, 1.1, 0.8)
-    for rows in (slice(0, 60), slice(0, 5)):
-        monkeypatch.setattr(camera_finding, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
-        found = find_camera(bank, plant, jpeg(render(plant, true), 80))
-        assert found is not None
-        assert found.frame is None
-        assert reprojection(plant, true, found.camera) < 0.1
-
-
-def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank: Landmarks) -> None:
-    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
-    assert found is not None
-    np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])
 
 
 def test_exposure_and_another_background_do_not_mislead(plant: GaussianModel, bank: Landmarks) -> None:

@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.camera_finding import FoundCamera
 from engine.pictures.features import luma
 from engine.pictures.framing import find_frame
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
-from tests.scenes import PLANT
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def close(model: GaussianModel) -> Camera:

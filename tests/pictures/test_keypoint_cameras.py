@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 from skimage import data
 
-from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.camera_motion import moved, project
 from engine.pictures.features import luma
 from engine.pictures.keypoint_cameras import Window, look_closer
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
-from tests.scenes import PLANT
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def small_view(model: GaussianModel, zoom: float) -> Camera:

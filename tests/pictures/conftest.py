@@ -1,0 +1,22 @@
+"""The plant, and landmarks of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from engine.formats import read_model
+from engine.model import GaussianModel
+from engine.pictures.landmarks import Landmarks, make_landmarks
+from tests.pictures.plant_views import around
+from tests.scenes import PLANT
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return read_model(PLANT).model
+
+
+@pytest.fixture(scope="module")
+def bank(plant: GaussianModel) -> Landmarks:
+    views = [around(plant, 30.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(12)]
+    return make_landmarks(plant, views)

@@ -1,0 +1,64 @@
+"""Cameras of pictures that were cropped, and of such with a page around them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.model import Camera, GaussianModel
+from engine.pictures import camera_finding
+from engine.pictures.camera_finding import find_camera
+from engine.pictures.landmarks import Landmarks
+from engine.raster import render
+from tests.pictures.plant_views import around, jpeg, reprojection
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize(("left", "top"), [(0, 120), (130, 0)])
+def test_where_the_middle_was_is_found_when_a_part_was_cut_off(
+    plant: GaussianModel, bank: Landmarks, left: int, top: int
+) -> None:
+    whole = around(plant, 48, 33, 1.1, 0.8)
+    part = np.clip(render(plant, whole), 0, 1)[top : top + 240, left : left + 350]
+    found = find_camera(bank, plant, jpeg(part, 80))
+    assert found is not None
+    K = whole.K.copy()
+    K[:2, 2] -= left, top
+    assert reprojection(plant, Camera(whole.viewmat, K, 350, 240), found.camera) < 0.1
+    np.testing.assert_allclose(found.camera.K[:2, 2], K[:2, 2], atol=8.0)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_what_is_around_a_viewer_does_not_mislead(plant: GaussianModel, bank: Landmarks, mirrored: bool) -> None:
+    """A page around a viewer in which the model is larger than fits."""
+    true = around(plant, 48, 33, 0.8, 0.9)
+    page = np.zeros((560, 700, 3), np.float32)
+    page[100:460, 120:600] = np.clip(render(plant, true), 0, 1)
+    page = jpeg(page[:, ::-1] if mirrored else page, 80)
+    found = find_camera(bank, plant, np.ascontiguousarray(page))
+    assert found is not None
+    assert found.mirrored is mirrored
+    K = true.K.copy()
+    K[:2, 2] += 120.0, 100.0
+    assert reprojection(plant, Camera(true.viewmat, K, 700, 560), found.of_whole(page)) < 0.3
+    assert found.face(page).shape[0] < 400
+
+
+def test_where_the_part_within_a_frame_is_not_recognised_the_whole_is(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame may be wrong, and may leave next to nothing."""
+    true = around(plant, 48, 33, 1.1, 0.8)
+    for rows in (slice(0, 60), slice(0, 5)):
+        monkeypatch.setattr(camera_finding, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
+        found = find_camera(bank, plant, jpeg(render(plant, true), 80))
+        assert found is not None
+        assert found.frame is None
+        assert reprojection(plant, true, found.camera) < 0.1
+
+
+def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank: Landmarks) -> None:
+    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
+    assert found is not None
+    np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])
