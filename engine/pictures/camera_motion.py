@@ -10,10 +10,10 @@ import numpy as np
 
 from engine.model import Camera, Float64
 
-__all__ = ["CENTERED", "PARAMETERS", "moved", "normalized", "point_columns", "project", "swung"]
+__all__ = ["CENTERED", "PARAMETERS", "UNEVEN", "moved", "normalized", "point_columns", "project", "swung"]
 
-PARAMETERS, CENTERED = 9, 7
-"""Of a motion; of one that leaves the principal point where it is."""
+PARAMETERS, CENTERED, UNEVEN = 9, 7, 11
+"""Of a motion; of one that leaves the principal point where it is; and with the shape of the pixels (`pixel_shape`)."""
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32
+from engine.pictures.pixel_shape import PixelShape
 from engine.raster import RasterSettings
 
 __all__ = ["OWN", "FoundCamera"]
@@ -24,17 +25,23 @@ class FoundCamera:
     step: float  # root mean square flow of the last step of the refinement, pixels
     mirrored: bool = False  # it is the camera of the picture turned over left to right
     drawn: RasterSettings = OWN  # how the reference is drawn most like it
-    frame: tuple[slice, slice] | None = None  # rows and columns in which the picture shows it, where not in all
+    shape: PixelShape | None = None  # of the picture's pixels, where these are not square
+    frame: tuple[slice, slice] | None = None  # rows and columns in which that picture shows it, where not in all
 
     def face(self, image: Float32) -> Float32:
-        """The picture (h, w, 3) as this camera sees it: cut to its frame, turned over left to right if mirrored."""
+        """The picture (h, w, 3) as this camera sees it: with square pixels, cut to its frame, turned over left to right
+        if mirrored."""
+        if self.shape is not None:
+            image = self.shape.undo(image)
         if self.frame is not None:
             image = np.ascontiguousarray(image[self.frame])
         return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
     def of_whole(self, image: Float32) -> Camera:
-        """The camera of the whole picture (h, w, 3), turned over if mirrored."""
+        """The camera of the whole picture (h, w, 3), in square pixels, turned over if mirrored."""
         height, width = image.shape[:2]
+        if self.shape is not None:
+            width, height = self.shape.square_size(width, height)
         if self.frame is None:
             return self.camera
         rows, columns = self.frame

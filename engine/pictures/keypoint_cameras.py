@@ -13,9 +13,10 @@ from engine.pictures.camera_motion import CENTERED, PARAMETERS
 from engine.pictures.features import Keypoints, detect_keypoints
 from engine.pictures.landmark_matching import match_landmarks, match_projected
 from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.pixel_shape import SQUARE, PixelShape
 from engine.raster import render_depth
 
-__all__ = ["Look", "keypoints_of", "look_closer", "resized"]
+__all__ = ["Look", "keypoints_of", "look_closer", "look_near", "resized"]
 
 KEYPOINTS = 2000
 """SIFT keypoints of the picture."""
@@ -83,7 +84,7 @@ class Look:
         """A camera fitted to all that matches where it projects, which is more than stood out at first."""
         fitted = None
         for factor in factors:
-            points, pixels = self._projected(camera, 3.0 * factor * self.tolerance)
+            points, pixels = self.projected(camera, 3.0 * factor * self.tolerance)
             fitted = fit_camera(points, pixels, camera, factor * self.tolerance) if len(points) > 3 else None
             if fitted is None:
                 return None
@@ -92,7 +93,7 @@ class Look:
 
     def _off_center(self, centered: Hypothesis) -> Hypothesis:
         """The camera of a picture of which a part was cut off, where clearly more keypoints agree with that."""
-        points, pixels = self._projected(centered.camera, 3.0 * self.tolerance)
+        points, pixels = self.projected(centered.camera, 3.0 * self.tolerance)
         if len(points) < LEAST_OFF_CENTER:
             return centered
         asked = points, pixels, centered.camera, self.tolerance
@@ -103,15 +104,19 @@ class Look:
 
     def at_other_focals(self, hypothesis: Hypothesis, factors: Sequence[float]) -> Iterator[Hypothesis]:
         """Cameras of other focal lengths with which the keypoints agree about as well."""
-        points, pixels = self._projected(hypothesis.camera, self.tolerance)
+        points, pixels = self.projected(hypothesis.camera, self.tolerance)
         for factor in factors:
             other = at_other_focal(points, pixels, hypothesis, factor, 0.5 * self.tolerance)
             if other is not None:
                 yield other
 
-    def _projected(self, camera: Camera, radius: float) -> tuple[Float64, Float64]:
-        """Landmarks (M, 3) and the keypoints (M, 2) that look like them within so many pixels of their projections."""
-        keypoint, landmark = match_projected(self.keypoints, self.landmarks, camera, radius)
+    def projected(self, camera: Camera, radius: float, shape: PixelShape = SQUARE) -> tuple[Float64, Float64]:
+        """Landmarks (M, 3) and the keypoints (M, 2) that look like them within so many pixels of their projections;
+        `shape` is that of the picture's pixels."""
+        square = self.keypoints
+        if shape != SQUARE:
+            square = Keypoints(shape.squared(square.points), square.descriptors)
+        keypoint, landmark = match_projected(square, self.landmarks, camera, radius)
         return self.landmarks.points[landmark].astype(np.float64), self.keypoints.points[keypoint]
 
 
@@ -123,19 +128,26 @@ def look_closer(model: GaussianModel, grey: Float32, camera: Camera) -> Hypothes
     """
     found = None
     for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike
-        window = Window.around(model, camera)
-        if window is None:
+        near = look_near(model, grey, camera)
+        closer = None if near is None else near[0].guided(near[1], factors)
+        if near is None or closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
             return found
-        near = window.of(camera)
-        part = resized(grey[window.rows, window.columns], near.width, near.height)
-        bank = make_landmarks(model, [near.with_side(CLOSER_SIZE)])
-        seen = keypoints_of(part, window.shown)
-        closer = Look(seen, bank, (near.width, near.height), ()).guided(near, factors) if len(bank) else None
-        if closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
-            return found
-        camera = window.back(closer.camera)
+        camera = near[2].back(closer.camera)
         found = replace(closer, camera=camera)
     return found
+
+
+def look_near(model: GaussianModel, grey: Float32, camera: Camera) -> tuple[Look, Camera, Window] | None:
+    """The part of a picture's brightness (H, W) in which a camera shows the model, to be held against a render from
+    there; that part's camera; and where it lies. None where there is nothing to see."""
+    window = Window.around(model, camera)
+    if window is None:
+        return None
+    near = window.of(camera)
+    part = resized(grey[window.rows, window.columns], near.width, near.height)
+    bank = make_landmarks(model, [near.with_side(CLOSER_SIZE)])
+    seen = keypoints_of(part, window.shown)
+    return (Look(seen, bank, (near.width, near.height), ()), near, window) if len(bank) else None
 
 
 @dataclass(frozen=True, eq=False)

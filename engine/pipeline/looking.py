@@ -30,7 +30,7 @@ __all__ = ["Place", "Sighting", "place_by_looking"]
 
 VIEW_SIZE = (640, 480)
 """As the landmarks were made."""
-RECOGNITION = CameraConfig(other_focals=(), framed=False)
+RECOGNITION = CameraConfig(other_focals=(), framed=False, uneven=False)
 """The focal length of a render is known, so no other is tried, and nothing is around it."""
 VIEWS = 6
 """Views with one side up; then the model is turned over and looked at again."""

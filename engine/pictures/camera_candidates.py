@@ -1,0 +1,156 @@
+"""Cameras a picture may have been taken by: what keypoints, votes of keypoints, outlines and edges speak for
+(DESIGN 4.8).
+
+Nothing here sees a key or a chip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from engine.model import Camera
+from engine.pictures.camera_trial import Picture
+from engine.pictures.features import Keypoints
+from engine.pictures.framing import find_frame
+from engine.pictures.keypoint_cameras import Look, keypoints_of
+from engine.pictures.landmarks import Landmarks
+from engine.pictures.pixel_shape import PixelShape
+from engine.pictures.uneven_pixels import find_shape, refine_shape
+from engine.pictures.view_search import ViewEdges, search_views
+from engine.pictures.voted_views import vote_for_views
+
+__all__ = ["ENOUGH", "LEAST_CORRELATION", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
+
+LEAST_CORRELATION = 0.75
+"""Correlation of brightness with the render below which the picture shows something else."""
+SUPPORTED, ENOUGH = 30, 60
+"""Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
+render from nearly there, so that no further view is tried."""
+QUICK_ITERATIONS, QUICK_STEP = 8, 0.05
+"""Renders at most of a level of the refinement before the last, and the step at which it ends, pixels."""
+THUMBNAIL = 128
+"""Longer side of the picture on which candidates without keypoints are refined first, pixels."""
+CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
+"""Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
+VOTED = 4
+"""Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A camera of the picture's size that may be the one, and what speaks for it."""
+
+    camera: Camera
+    mirrored: bool
+    support: int  # keypoints that agree
+    worth: float = 0.0  # how well it explains the small picture
+    correlation: float = 0.0  # of render and small picture
+    size: int = 0  # longer side of the picture it was refined on, pixels
+
+    @property
+    def sure(self) -> bool:
+        """Whether no other needs to be looked for: what repeats itself finds keypoints that agree on a wrong camera."""
+        return self.support >= SUPPORTED and self.correlation > LEAST_CORRELATION
+
+
+class Candidates:
+    """Those of one picture, sought with so many focal lengths, in widths of it, and others beside those found."""
+
+    def __init__(
+        self, picture: Picture, landmarks: Landmarks, focals: tuple[float, ...], other_focals: tuple[float, ...]
+    ) -> None:
+        self._picture, self._landmarks, self._focals, self._other_focals = picture, landmarks, focals, other_focals
+        self._keypoints = keypoints_of(picture.greys[False])
+        self._looks: dict[bool, Look] = {}  # what they match, by hand
+
+    def by_keypoints(self) -> Iterator[Candidate]:
+        """What keypoints agree on; the mirror image is asked where few do."""
+        strongest = 0
+        for mirrored in (False, True):
+            if mirrored and strongest >= SUPPORTED:
+                return
+            look = self._look(mirrored)
+            for number, start in enumerate(look.hypotheses(self._focals)):
+                strongest = max(strongest, start.support)
+                yield Candidate(start.camera, mirrored, start.support)
+                closer = self._closer(start.camera, mirrored)  # landmarks agree on cameras a little off, too
+                if closer is not None:
+                    yield closer
+                if number == 0:
+                    for other in look.at_other_focals(start, self._other_focals):
+                        yield Candidate(other.camera, mirrored, other.support)
+
+    def by_votes(self, bank: Sequence[Camera]) -> Iterator[Candidate]:
+        """What keypoints speak for together of which hardly one stands out."""
+        found = []
+        for mirrored in (False, True):
+            voted = vote_for_views(self._seen(mirrored), self._landmarks, bank, self._picture.size)
+            found += [(view, mirrored) for view in voted[:VOTED]]
+        found.sort(key=lambda each: -each[0].loudness)
+        for view, mirrored in found[:VOTED]:
+            look = Look(self._seen(mirrored), self._landmarks, self._picture.size, ())
+            agreed = look.agreed(view.keypoints, view.landmarks, self._focals)
+            closer = self._closer(view.camera if agreed is None else agreed.camera, mirrored)
+            if closer is not None:
+                yield closer
+
+    def by_edges(self, edges: ViewEdges) -> list[Candidate]:
+        """What outlines and edges speak for, refined on a thumbnail."""
+        found = []
+        for mirrored in (False, True):
+            found += [
+                (score, mirrored, camera)
+                for score, camera in search_views(edges, self._picture.turned(mirrored), CANDIDATES)
+            ]
+        found.sort(key=lambda each: -each[0])
+        tried = []
+        for _, mirrored, camera in found[:CLOSER]:
+            closer = self._closer(camera, mirrored)
+            if closer is not None:
+                tried.append(closer)
+                if closer.support >= ENOUGH:
+                    return tried
+        for _, mirrored, camera in found[:CANDIDATES]:
+            refined = self._picture.refined(camera, mirrored, THUMBNAIL, QUICK_ITERATIONS, QUICK_STEP)
+            if refined is not None:
+                worth = self._picture.worth(refined, mirrored)
+                tried.append(Candidate(self._picture.full(refined.camera), mirrored, 0, worth))
+        tried.sort(key=lambda candidate: (-candidate.support, -candidate.worth))
+        finalists = tried[:FINALISTS]
+        for rough in finalists:  # once refined, a view may look alike enough
+            closer = self._closer(rough.camera, rough.mirrored) if not rough.support else None
+            if closer is not None:
+                finalists = [*finalists, closer]
+        return finalists
+
+    def _closer(self, camera: Camera, mirrored: bool) -> Candidate | None:
+        """What the picture and a render from this camera agree on."""
+        closer = self._picture.closer(camera, mirrored)
+        return None if closer is None else Candidate(closer.camera, mirrored, closer.support)
+
+    def frame(self, candidate: Candidate) -> tuple[slice, slice] | None:
+        """Rows and columns in which the picture shows the model, where not in all."""
+        frame = find_frame(self._picture.model, self._picture.greys[candidate.mirrored], candidate.camera)
+        if frame is None or not candidate.mirrored:
+            return frame
+        rows, columns = frame
+        return rows, slice(self._picture.size[0] - columns.stop, self._picture.size[0] - columns.start)
+
+    def shape(self, first: Candidate | None, far: bool) -> PixelShape | None:
+        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are, and
+        `far` that it does not look like it."""
+        mirrored = first is not None and first.mirrored
+        found = find_shape(self._look(mirrored), None if first is None else first.camera, far, self._focals)
+        if found is None:
+            return None
+        shape = refine_shape(self._picture.model, self._picture.turned(mirrored), found)
+        return shape.turned_over() if mirrored else shape
+
+    def _look(self, mirrored: bool) -> Look:
+        if mirrored not in self._looks:
+            self._looks[mirrored] = Look.of(self._seen(mirrored), self._landmarks, self._picture.size)
+        return self._looks[mirrored]
+
+    def _seen(self, mirrored: bool) -> Keypoints:
+        return self._keypoints.turned_over(self._picture.size[0]) if mirrored else self._keypoints

@@ -1,0 +1,81 @@
+"""Whether a picture was scaled unevenly or photographed from aside, from its keypoints (DESIGN 4.8).
+
+Whoever fits a camera with square pixels to such a picture finds half of the matches, at a wrong place. The shape of the
+pixels is fitted together with the camera; where it is far from square, that begins at shapes people make.
+
+Nothing here sees a key or a chip.
+"""
+
+from dataclasses import replace
+
+from engine.model import Camera, Float32, GaussianModel
+from engine.pictures.camera_hypotheses import Hypothesis, fit_camera
+from engine.pictures.camera_motion import PARAMETERS, UNEVEN
+from engine.pictures.features import Keypoints, luma
+from engine.pictures.keypoint_cameras import Look, look_near
+from engine.pictures.pixel_shape import SQUARE, PixelShape
+
+__all__ = ["find_shape", "refine_shape"]
+
+RATIOS = (0.75, 1.33)
+"""Ratios to start from beside 1: a wide picture made to fit an old screen, and the other way; each serves others."""
+SUPPORTED = 30
+"""Keypoints that must agree."""
+ROUNDS = (3.0, 2.0, 1.0, 0.5, 0.5)
+"""Tolerances of matching where landmarks project and of fitting, in that of an inlier: each sees more of the model."""
+CLEARLY, AT_ALL = 1.15, 1.0
+"""How much better keypoints must agree with a shape than with square pixels, how many by their error: where the picture
+looks like its render as it is, and where it does not; what is flat looks nearly the same from aside."""
+LEAST, MOST = 0.4, 2.5
+"""Ratios that somebody may have made."""
+
+
+def find_shape(look: Look, start: Camera | None, far: bool, focals: tuple[float, ...]) -> Hypothesis | None:
+    """Camera, and shape of a picture's pixels, on which its keypoints clearly agree; None where they are square, or
+    nobody can tell.
+
+    `start` is the best camera with square pixels. Where they may be `far` from square, that begins at other shapes,
+    too, and at these focal lengths, in widths of the picture.
+    """
+    plain = None if start is None else _fitted(look, start, SQUARE, PARAMETERS)
+    tried = [] if start is None else [_fitted(look, start, SQUARE, UNEVEN)]
+    if far:
+        tried += [_from_ratio(look, ratio, focals) for ratio in RATIOS]
+    best = max(tried, key=_worth, default=None)
+    if best is None or best.support < SUPPORTED or _worth(best) < (AT_ALL if far else CLEARLY) * _worth(plain):
+        return None
+    return best
+
+
+def refine_shape(model: GaussianModel, image: Float32, found: Hypothesis) -> PixelShape:
+    """The shape of the pixels of a picture (h, w, 3) on which it and renders from nearly there agree."""
+    shape = found.shape
+    near = look_near(model, luma(shape.undo(image)), shape.squared_camera(found.camera, *image.shape[1::-1]))
+    fitted = None if near is None else _fitted(near[0], near[1], SQUARE, UNEVEN)
+    return shape if fitted is None or fitted.support < SUPPORTED else shape.after(fitted.shape)
+
+
+def _from_ratio(look: Look, ratio: float, focals: tuple[float, ...]) -> Hypothesis | None:
+    shape = PixelShape(ratio)
+    keypoints = Keypoints(shape.squared(look.keypoints.points), look.keypoints.descriptors)
+    width, height = look.size
+    found = replace(look, keypoints=keypoints, size=(round(width / ratio), height)).hypotheses(focals)
+    return _fitted(look, found[0].camera, shape, UNEVEN) if found else None
+
+
+def _fitted(look: Look, camera: Camera, shape: PixelShape, free: int) -> Hypothesis | None:
+    """A camera and, where so many numbers are free, a shape fitted to all that matches where it projects."""
+    fitted = None
+    for factor in ROUNDS:
+        points, pixels = look.projected(camera, 3.0 * factor * look.tolerance, shape)
+        if len(points) < UNEVEN:
+            return None
+        fitted = fit_camera(points, pixels, camera, factor * look.tolerance, free=free, shape=shape)
+        if fitted is None or not LEAST < fitted.shape.ratio < MOST:
+            return None
+        camera, shape = fitted.camera, fitted.shape
+    return fitted
+
+
+def _worth(fitted: Hypothesis | None) -> float:
+    return 0.0 if fitted is None else fitted.support / fitted.rms
