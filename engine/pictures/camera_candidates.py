@@ -145,7 +145,7 @@ class Candidates:
         if found is None:
             return None
         shape = refine_shape(self._picture.model, self._picture.turned(mirrored), found)
-        return shape.turned_over() if mirrored else shape
+        return shape.turned_over() if shape is not None and mirrored else shape
 
     def _look(self, mirrored: bool) -> Look:
         if mirrored not in self._looks:

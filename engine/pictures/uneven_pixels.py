@@ -26,6 +26,8 @@ ROUNDS = (3.0, 2.0, 1.0, 0.5, 0.5)
 CLEARLY, AT_ALL = 1.15, 1.0
 """How much better keypoints must agree with a shape than with square pixels, how many by their error: where the picture
 looks like its render as it is, and where it does not; what is flat looks nearly the same from aside."""
+NOTHING = 0.006
+"""How far from square nobody makes a picture: matches are no better, and taking it back would only blur it."""
 LEAST, MOST = 0.4, 2.5
 """Ratios that somebody may have made."""
 
@@ -47,12 +49,15 @@ def find_shape(look: Look, start: Camera | None, far: bool, focals: tuple[float,
     return best
 
 
-def refine_shape(model: GaussianModel, image: Float32, found: Hypothesis) -> PixelShape:
-    """The shape of the pixels of a picture (h, w, 3) on which it and renders from nearly there agree."""
+def refine_shape(model: GaussianModel, image: Float32, found: Hypothesis) -> PixelShape | None:
+    """The shape of the pixels of a picture (h, w, 3) on which it and a render from nearly there agree; None where they
+    are square after all."""
     shape = found.shape
     near = look_near(model, luma(shape.undo(image)), shape.squared_camera(found.camera, *image.shape[1::-1]))
     fitted = None if near is None else _fitted(near[0], near[1], SQUARE, UNEVEN)
-    return shape if fitted is None or fitted.support < SUPPORTED else shape.after(fitted.shape)
+    if fitted is not None and fitted.support >= SUPPORTED:
+        shape = shape.after(fitted.shape)
+    return None if max(abs(shape.ratio - 1.0), abs(shape.slant)) < NOTHING else shape
 
 
 def _from_ratio(look: Look, ratio: float, focals: tuple[float, ...]) -> Hypothesis | None:

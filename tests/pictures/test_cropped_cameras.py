@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures import camera_finding
+from engine.pictures import camera_candidates
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.landmarks import Landmarks
 from engine.raster import render
@@ -51,7 +51,7 @@ def test_where_the_part_within_a_frame_is_not_recognised_the_whole_is(
     """A frame may be wrong, and may leave next to nothing."""
     true = around(plant, 48, 33, 1.1, 0.8)
     for rows in (slice(0, 60), slice(0, 5)):
-        monkeypatch.setattr(camera_finding, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
+        monkeypatch.setattr(camera_candidates, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
         found = find_camera(bank, plant, jpeg(render(plant, true), 80))
         assert found is not None
         assert found.frame is None

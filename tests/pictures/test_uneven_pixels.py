@@ -1,0 +1,121 @@
+"""Pictures that were made narrower or wider, and photographs of a screen."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.model import Camera, GaussianModel
+from engine.pictures.camera_finding import CameraConfig, find_camera
+from engine.pictures.camera_hypotheses import fit_camera
+from engine.pictures.camera_motion import UNEVEN, project
+from engine.pictures.features import luma
+from engine.pictures.landmarks import Landmarks
+from engine.pictures.pixel_shape import SQUARE, PixelShape
+from engine.raster import render
+from tests.pictures.plant_views import around, jpeg, reprojection
+
+
+@pytest.fixture(scope="module")
+def points(plant: GaussianModel) -> np.ndarray:
+    return plant.means[:: len(plant) // 200].astype(np.float64)
+
+
+@pytest.mark.parametrize("shape", [PixelShape(0.75), PixelShape(1.4), PixelShape(0.9, 0.1), PixelShape(1.1, -0.2)])
+def test_a_picture_taken_back_is_the_one_that_was_taken(plant: GaussianModel, shape: PixelShape) -> None:
+    """The camera goes along, no pixel of the picture is lost, and the corner stays in it."""
+    camera = around(plant, 48, 33, 1.1, 0.8)
+    image = np.clip(render(plant, camera), 0, 1)
+    shift = max(0.0, -shape.slant * 360)
+    width, height = round(480 * shape.ratio + abs(shape.slant) * 360), 360
+    there = np.column_stack([shape.matrix, shape.matrix @ [0.5, 0.5] - 0.5 + [shift, 0.0]])
+    uneven = cv2.warpAffine(image, there, (width, height), flags=cv2.INTER_AREA)
+    K = camera.K.copy()
+    K[0, 2] += shift / shape.ratio  # so that the shape's origin is the picture's corner
+    square = shape.squared_camera(Camera(camera.viewmat, K, 480, 360), width, height)
+    back = shape.undo(uneven)
+    assert back.shape[:2] == (square.height, square.width) == shape.square_size(width, height)[::-1]
+    assert min(back.shape[0] - height, back.shape[1] - width * min(shape.ratio, 1)) >= -1e-6
+    np.testing.assert_allclose(square.K[0, 0], square.K[1, 1])
+    expected = np.clip(render(plant, square), 0, 1)
+    assert np.corrcoef(luma(back).ravel(), luma(expected).ravel())[0, 1] > 0.995
+
+
+def test_shapes_follow_one_another() -> None:
+    first, rest = PixelShape(0.8, 0.1), PixelShape(1.05, -0.02)
+    pixels = np.random.default_rng(0).random((5, 2)) * 100
+    both = first.after(rest)
+    np.testing.assert_allclose(both.squared(pixels), rest.squared(first.squared(pixels)))
+    assert SQUARE.after(first) == first
+    # The picture turned over: x becomes width - x on both sides.
+    over = pixels * (-1, 1)
+    np.testing.assert_allclose(first.turned_over().squared(over), first.squared(pixels) * (-1, 1))
+
+
+@pytest.mark.parametrize("shape", [PixelShape(0.9, 0.05), PixelShape(1.2, -0.1)])
+def test_matches_tell_the_shape_among_outliers(plant: GaussianModel, points: np.ndarray, shape: PixelShape) -> None:
+    true = around(plant, 48, 33, 1.1, 0.8)
+    rng = np.random.default_rng(1)
+    pixels = project(points, true) @ shape.matrix.T + rng.normal(0, 0.3, (len(points), 2))
+    wrong = rng.random(len(points)) < 0.3
+    pixels[wrong] += rng.uniform(-60, 60, (int(wrong.sum()), 2))
+    camera = around(plant, 49, 32, 1.15, 0.82)
+    for tolerance in (12.0, 4.0, 1.0):
+        fitted = fit_camera(points, pixels, camera, tolerance, free=UNEVEN)
+        assert fitted is not None
+        camera = fitted.camera
+    last = fit_camera(points, pixels, camera, 1.0, free=UNEVEN, shape=fitted.shape)
+    assert last is not None
+    np.testing.assert_allclose([last.shape.ratio, last.shape.slant], [shape.ratio, shape.slant], atol=0.004)
+    shown = project(points, last.camera) @ last.shape.matrix.T
+    np.testing.assert_allclose(shown[~wrong], (project(points, true) @ shape.matrix.T)[~wrong], atol=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ratio", "mirrored"), [(0.75, False), (0.93, True), (1.33, False)])
+def test_the_camera_of_a_picture_scaled_unevenly_is_found(
+    plant: GaussianModel, bank: Landmarks, ratio: float, mirrored: bool
+) -> None:
+    true = around(plant, 48, 33, 1.1, 0.8)
+    image = cv2.resize(np.clip(render(plant, true), 0, 1), (round(480 * ratio), 360), interpolation=cv2.INTER_AREA)
+    image = jpeg(image[:, ::-1] if mirrored else image, 90)
+    found = find_camera(bank, plant, np.ascontiguousarray(image))
+    assert found is not None
+    assert found.shape is not None
+    assert found.mirrored is mirrored
+    assert found.shape.ratio == pytest.approx(ratio, rel=0.01)
+    face = found.face(image)
+    assert face.shape[:2] == (found.camera.height, found.camera.width)
+    enlarged = max(found.shape.ratio, 1.0)
+    width = round(480 * enlarged)
+    assert abs(face.shape[1] - width) <= 0.01 * width
+    shown = np.clip(render(plant, found.camera), 0, 1)
+    assert np.corrcoef(luma(face).ravel(), luma(shown).ravel())[0, 1] > 0.99
+    whole = found.of_whole(image)
+    assert (whole.width, whole.height) == face.shape[1::-1]
+    assert reprojection(plant, true.resized(whole.width, whole.height), whole) < 0.015 * width
+    # Whoever does not ask is misled.
+    taken = find_camera(bank, plant, np.ascontiguousarray(image), CameraConfig(uneven=False))
+    assert taken is None or taken.correlation < found.correlation
+
+
+@pytest.mark.slow
+def test_the_photograph_of_a_screen_seen_from_aside_is_recognised(plant: GaussianModel, bank: Landmarks) -> None:
+    image = np.clip(render(plant, around(plant, 48, 33, 1.1, 0.8)), 0, 1)
+    corners = np.array([[0, 0], [480, 0], [480, 360], [0, 360]], np.float32)
+    seen = np.array([[90, 70], [560, 100], [545, 425], [105, 470]], np.float32)
+    there = cv2.getPerspectiveTransform(corners, seen)
+    photo = cv2.warpPerspective(image, there, (640, 520), flags=cv2.INTER_AREA, borderValue=(0.35, 0.34, 0.33))
+    photo = jpeg(0.9 * photo + 0.04, 85)
+    found = find_camera(bank, plant, photo)
+    assert found is not None
+    assert found.shape is not None
+    assert found.correlation > 0.97
+
+
+@pytest.mark.slow
+def test_a_whole_picture_is_square(plant: GaussianModel, bank: Landmarks) -> None:
+    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
+    assert found is not None
+    assert found.shape is None
