@@ -121,7 +121,8 @@ def embed(
     from engine.pipeline.embedding import embed_copies
     from engine.pipeline.profiles import compose, delivered_as
     from engine.records.record import Record
-    from engine.sim.variants.scenes import embed_variant, notes_of, read_scene, write_scene, written_as
+    from engine.sim.variants.marking import embed_variant
+    from engine.sim.variants.scenes import notes_of, read_scene, write_scene, written_as
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 

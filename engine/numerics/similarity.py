@@ -2,7 +2,6 @@
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
@@ -34,6 +33,8 @@ def quaternion_product(p: npt.ArrayLike, q: npt.ArrayLike) -> Float64:
 
 def rotation_to_quaternion(R: npt.ArrayLike) -> Float64:
     """Unit quaternions (..., 4), w, x, y, z with w >= 0, of proper rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation  # a tenth of a second that readers of files need not spend
+
     matrices = np.asarray(R, dtype=np.float64)
     xyzw = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True)
     return np.ascontiguousarray(np.roll(xyzw, 1, axis=-1).reshape(*matrices.shape[:-2], 4))

@@ -35,6 +35,9 @@ STANDARD_LUMA_TABLE = np.array(
 LEAST_STEP = 3.0
 """Steps smaller than this hide in the rounding of the decoded picture to 8 bits."""
 
+LOOKED_AT = 64
+"""Rows of a picture that tell whether it was decoded from 8 bits."""
+
 ROUNDING = 0.5
 """Standard deviation of a coefficient's error from 8-bit rounding before and after coding, grey levels."""
 
@@ -63,6 +66,8 @@ def find_quality(picture: Float32) -> int | None:
     None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or compressed too
     lightly to matter).
     """
+    if not _is_decoded(picture):
+        return None
     luma = 255.0 * picture @ LUMA
     flat = blocks_of(luma).reshape(-1, 64)  # (B, 64)
     flat = flat[_unclipped(picture).reshape(-1)]  # clipping moves coefficients off their multiples
@@ -84,6 +89,12 @@ def find_quality(picture: Float32) -> int | None:
         if fit < 0.7 * least:
             best, least = quality, fit
     return best
+
+
+def _is_decoded(picture: Float32) -> bool:
+    """Whether all values are those of 8 bits, as any decoder writes them: a render or what was resampled is not."""
+    levels = 255.0 * picture[:: max(1, len(picture) // LOOKED_AT)]
+    return bool(np.abs(levels - np.rint(levels)).max() < 0.01)
 
 
 def _unclipped(picture: Float32) -> Bool:

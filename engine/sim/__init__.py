@@ -4,17 +4,3 @@ An attack is one function under `@ATTACKS.add` (see `attack`) in the module of i
 `adversaries.denoising` for pictures, `model_*` and the other adversaries for models; `attacks` gathers the modules.
 `suite` runs the list of `suite.toml`, `scenario` plays whole lives.
 """
-
-from engine.sim.attack import Attack, Reading, Strength
-from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS, find_attack, image_attack, model_attack
-
-__all__ = [
-    "IMAGE_ATTACKS",
-    "MODEL_ATTACKS",
-    "Attack",
-    "Reading",
-    "Strength",
-    "find_attack",
-    "image_attack",
-    "model_attack",
-]

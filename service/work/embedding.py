@@ -13,7 +13,8 @@ from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import compose, delivered_as
 from engine.records.record import Record
 from engine.registration.sketch import make_sketch
-from engine.sim.variants.scenes import embed_variant, encode_scene, notes_of, output_of, written_as
+from engine.sim.variants.marking import embed_variant
+from engine.sim.variants.scenes import encode_scene, notes_of, output_of, written_as
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from service.work.candidates import find_marks, load_candidates

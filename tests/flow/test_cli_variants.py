@@ -12,8 +12,8 @@ import pytest
 from engine.formats import encode_model, read_model, write_model
 from engine.model import GaussianModel
 from engine.pipeline.sealing import open_record
-from engine.sim.variants.codebook import make_codebook
 from engine.sim.variants.codebook_files import read_codebook, write_codebook
+from engine.sim.variants.codebook_marking import make_codebook
 from engine.sim.variants.moving import visible
 from engine.sim.variants.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from engine.sim.variants.swaying import fit_spacetime, set_in_motion

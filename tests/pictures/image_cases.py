@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy import ndimage
 
-from engine.sim import image_attack
+from engine.sim.attacks import image_attack
 
 BLOCK = 5
 SIDE = 300

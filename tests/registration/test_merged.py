@@ -16,7 +16,7 @@ from engine.registration.index import ReferenceIndex
 from engine.registration.merged import _by_axes, _evidence, register_merged
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import Registration, RegistrationConfig, register
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from tests.registration.registration_cases import MOVES
 
 SCENE = Path(__file__).parents[1] / "data" / "plant.splat"

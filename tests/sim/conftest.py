@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.model import Float32, GaussianModel
-from engine.sim import Attack
+from engine.sim.attack import Attack
 
 
 @pytest.fixture(scope="session")

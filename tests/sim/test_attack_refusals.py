@@ -9,7 +9,8 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
-from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, Reading, model_attack
+from engine.sim.attack import Attack, Reading
+from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS, model_attack
 
 OUT_OF_RANGE = {
     "rotate": float("nan"),

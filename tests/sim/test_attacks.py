@@ -9,7 +9,8 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Float32, GaussianModel
-from engine.sim import IMAGE_ATTACKS, MODEL_ATTACKS, Attack, find_attack, image_attack, model_attack
+from engine.sim.attack import Attack
+from engine.sim.attacks import IMAGE_ATTACKS, MODEL_ATTACKS, find_attack, image_attack, model_attack
 
 MODEL_NAMES = [
     "rotate",

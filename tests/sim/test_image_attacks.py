@@ -10,7 +10,7 @@ from PIL import Image
 
 from engine.model import Float32
 from engine.numerics.image_metrics import psnr
-from engine.sim import IMAGE_ATTACKS, image_attack
+from engine.sim.attacks import IMAGE_ATTACKS, image_attack
 
 
 def run(name: str, image: Float32, strength: float | None = None, seed: int = 0, **options: object) -> Float32:

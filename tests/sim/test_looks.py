@@ -11,7 +11,7 @@ from engine.model import Camera, Float32, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.pipeline.rigs import measure_extent
 from engine.raster import render
-from engine.sim import MODEL_ATTACKS, model_attack
+from engine.sim.attacks import MODEL_ATTACKS, model_attack
 
 
 @pytest.fixture(scope="module")

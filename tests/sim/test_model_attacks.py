@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.model import GaussianModel, look_at
 from engine.pipeline.rigs import measure_extent
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.model_population import clone, impact
 from engine.sim.model_travels import foreign_scene
 

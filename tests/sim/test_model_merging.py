@@ -15,7 +15,7 @@ from engine.numerics.flattening import flatten
 from engine.numerics.gaussians import covariances, surface_mass
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.model_merging import disjoint_pairs, merge_groups, merging_costs, volume_mass
 from tests.reference import merging as twin
 

@@ -118,7 +118,7 @@ def _codebook(original: GaussianModel, key: OwnerKey, config: EmbedConfig, folde
     from engine.pipeline.delivery import slim_down
     from engine.pipeline.rigs import measure_extent
     from engine.pipeline.scenes import look
-    from engine.sim.variants.codebook import make_codebook
+    from engine.sim.variants.codebook_marking import make_codebook
     from engine.sim.variants.measuring import measure_codebook
 
     views = look(original, make_rig(original, 8, 512, 512), lambda fraction: None)

@@ -19,7 +19,7 @@ from engine.sim.capture.from_points import points_to_model, read_scans, scans_to
 from engine.sim.capture.posing import odometry, reconstruct
 from engine.sim.capture.training import TrainConfig
 from engine.sim.scenario.tables import Table, given
-from engine.sim.variants.codebook import make_codebook
+from engine.sim.variants.codebook_marking import make_codebook
 from engine.sim.variants.discs import make_discs
 from engine.sim.variants.generative import generate_from_views
 from engine.sim.variants.scenes import CODEBOOK, SPACETIME, Loaded, Scene, read_scene

@@ -26,8 +26,8 @@ from engine.sim.scenario.world import Clip, Tracked, World
 from engine.sim.variants.codebook import CodebookModel
 from engine.sim.variants.generative import marking
 from engine.sim.variants.hybrid import HybridPart
+from engine.sim.variants.marking import embed_variant
 from engine.sim.variants.moving import Moving, move_record
-from engine.sim.variants.scenes import embed_variant
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 

@@ -23,8 +23,9 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import verify_model
 from engine.raster import render
-from engine.sim.variants.codebook import CodebookModel, embed_codebook
+from engine.sim.variants.codebook import CodebookModel
 from engine.sim.variants.codebook_files import PLY, read_codebook, write_codebook
+from engine.sim.variants.codebook_marking import embed_codebook
 from engine.sim.variants.generative import marking, write_raw_ply
 from engine.sim.variants.moving import embed_moving, move_record, verify_moment, verify_moving_images, visible
 from engine.sim.variants.spacetime import SpacetimeModel

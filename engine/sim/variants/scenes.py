@@ -1,35 +1,30 @@
 """Whatever a file or a folder holds, taken as what it is: plain Gaussians, a clip that moves, a model in codebooks.
 
-The one door by which commands and service come in: `read_scene`, `embed_variant`, `write_scene`; and `Loaded.model` for
-whoever only looks. What a format of the output has no place for is refused by `written_as`, never dropped.
+The one door by which commands and service come in: `read_scene` and `write_scene`, between them
+`marking.embed_variant`; and `Loaded.model` for whoever only looks. What a format of the output has no place for is
+refused by `written_as`, never dropped.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-from engine.errors import InputError, UnsupportedFormatError
+from engine.errors import UnsupportedFormatError
 from engine.formats import FORMATS, read_model, write_model
 from engine.formats.guards import opening, read_regular
 from engine.formats.ply.header import MAX_HEADER_BYTES
 from engine.formats.repairs import Repair
 from engine.formats.writing import encode_model, loss_note, write_whole
 from engine.model import GaussianModel
-from engine.pipeline.embedding import Embedding
-from engine.pipeline.profiles import Auto, Settings
-from engine.sim.variants.codebook import CodebookModel, embed_codebook
+from engine.sim.variants.codebook import CodebookModel
 from engine.sim.variants.codebook_files import ARGS, CENTERS, INDICES, PLY, read_codebook, write_codebook
 from engine.sim.variants.frames import FrameSequence, frame_files, read_frames, write_frames
-from engine.sim.variants.moving import embed_moving
 from engine.sim.variants.spacetime import SpacetimeModel
 from engine.sim.variants.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
-from engine.watermark.keys import OwnerKey
 
 __all__ = [
     "CODEBOOK",
@@ -38,7 +33,6 @@ __all__ = [
     "SPACETIME",
     "Loaded",
     "Scene",
-    "embed_variant",
     "encode_scene",
     "folder_kind",
     "notes_of",
@@ -146,25 +140,6 @@ def written_as(loaded: Loaded, kind: str) -> str:
 def output_of(loaded: Loaded) -> str:
     """The format in which a marked scene is written where none is asked for: its own, if that is written at all."""
     return loaded.format if loaded.format in (*FORMATS, *FOLDERS) else "ply"
-
-
-def embed_variant(
-    loaded: Loaded, key: OwnerKey, copies: Sequence[str] = ("",), *, config: Settings | None = None, **request: Any
-) -> Iterator[tuple[Scene, Embedding]]:
-    """Mark a clip or a model in codebooks as what it is, for each of these recipients: the marked scene, of the same
-    kind, and its embedding. Plain Gaussians are the matter of `engine.pipeline.embedding.embed_copies`.
-
-    The `request` is that of `engine.pipeline.embedding.embed`, whose errors are raised. InputError where the settings
-    were to be chosen by rehearsal.
-    """
-    scene = loaded.scene
-    if isinstance(config, Auto):
-        raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
-    for copy in copies:
-        if isinstance(scene, SpacetimeModel | FrameSequence):
-            yield embed_moving(scene, key, config=config, copy=copy, **request)
-        elif isinstance(scene, CodebookModel):
-            yield embed_codebook(scene, key, config=config, copy=copy, **request)
 
 
 def write_scene(scene: Scene, path: str | os.PathLike[str], kind: str) -> int:

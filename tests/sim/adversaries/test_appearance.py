@@ -11,7 +11,7 @@ from engine.model import SH_C0, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 
 
 def test_baked_colours_are_closer_to_the_views_than_plain_truncation(model: GaussianModel) -> None:

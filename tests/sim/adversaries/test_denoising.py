@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.model import Float32
 from engine.numerics.image_metrics import psnr
-from engine.sim import image_attack
+from engine.sim.attacks import image_attack
 
 STRENGTHS = {"median": 5, "bilateral": 0.3, "denoise_nonlocal": 12, "denoise_wavelet": 0.15}
 

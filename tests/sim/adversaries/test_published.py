@@ -7,7 +7,7 @@ import pytest
 
 from engine.model import SH_C0, GaussianModel
 from engine.pipeline.rigs import measure_extent
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 
 
 def run(name: str, model: GaussianModel, strength: float, reading: str | None = None) -> GaussianModel:

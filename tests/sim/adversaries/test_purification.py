@@ -8,8 +8,8 @@ import pytest
 from engine.errors import InputError
 from engine.model import GaussianModel, look_at
 from engine.pipeline.rigs import make_rig
-from engine.sim import model_attack
 from engine.sim.adversaries.density import cluster_by_density
+from engine.sim.attacks import model_attack
 from engine.sim.model_placement import join
 from engine.sim.model_population import impact
 from tests.reference.density import cluster_by_density as by_the_book

@@ -11,7 +11,7 @@ import pytest
 from engine.errors import InputError
 from engine.model import GaussianModel
 from engine.pipeline.verification import VerifyConfig
-from engine.sim import find_attack, model_attack
+from engine.sim.attacks import find_attack, model_attack
 from engine.sim.cost import image_cost, model_cost
 from engine.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
 from tests.sim.adversaries.conftest import Marked

@@ -12,9 +12,9 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
 from engine.registration.registering import RegistrationConfig, register
-from engine.sim import model_attack
 from engine.sim.adversaries.collusion import RULES, collude
 from engine.sim.adversaries.evolution import Budget, evolve
+from engine.sim.attacks import model_attack
 from engine.sim.cost import model_cost
 from tests.sim.adversaries.conftest import Marked
 

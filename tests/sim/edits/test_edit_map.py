@@ -10,7 +10,7 @@ from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Bool, GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.verification import verify_model
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.edits import (
     Change,
     EditTrack,

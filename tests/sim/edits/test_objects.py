@@ -10,7 +10,7 @@ from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.pipeline.sealing import OpenedRecord
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.edits import BoxTree, FlatScene, Scene, model_box, verify_objects
 from engine.watermark.claim import Verdict
 from tests.reference import box_tree as slow

@@ -9,7 +9,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
-from engine.sim import model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.physics.deformations import (
     barrel_points,
     bend,

@@ -9,8 +9,9 @@ from engine.pipeline.embedding import Embedding
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.sealing import OpenedRecord, open_record
 from engine.pipeline.verification import verify_model
-from engine.sim import model_attack
-from engine.sim.variants.codebook import CodebookModel, embed_codebook, make_codebook
+from engine.sim.attacks import model_attack
+from engine.sim.variants.codebook import CodebookModel
+from engine.sim.variants.codebook_marking import embed_codebook, make_codebook
 from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
 

@@ -16,8 +16,9 @@ import torch
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
 from engine.model import GaussianModel
-from engine.sim.variants.codebook import CodebookModel, make_codebook
+from engine.sim.variants.codebook import CodebookModel
 from engine.sim.variants.codebook_files import read_codebook, write_codebook
+from engine.sim.variants.codebook_marking import make_codebook
 from tests.reference.codebook_files import load_trusting
 
 PLY, CENTERS, INDICES, ARGS = "point_cloud.ply", "kmeans_centers.pth", "kmeans_inds.bin", "kmeans_args.npy"

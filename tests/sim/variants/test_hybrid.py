@@ -12,7 +12,7 @@ from engine.numerics.umeyama import Similarity
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.sealing import OpenedRecord, open_record
-from engine.sim.variants.codebook import embed_codebook, make_codebook
+from engine.sim.variants.codebook_marking import embed_codebook, make_codebook
 from engine.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.sim.variants.spacetime import SpacetimeModel
 from engine.watermark.claim import Verdict
