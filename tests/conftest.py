@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 # A pool of two on a machine with one core, too: tests compare what one and two threads answer (`tests.threads`).
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 
@@ -12,3 +14,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     import numba
 
     numba.set_num_threads(1)
+
+
+@pytest.fixture
+def small_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Renders of suspects a quarter as large, for tests that ask what is said of them and not how much they say."""
+    monkeypatch.setattr("engine.pipeline.reading.RENDER_SIZE", 256)

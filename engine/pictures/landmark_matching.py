@@ -19,7 +19,7 @@ from engine.pictures.landmarks import Landmarks
 
 __all__ = ["match_landmarks", "match_projected"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 _CHUNK = 256
 """Keypoints matched at a time: 256 rows of 20,000 distances are 20 MB."""
 MOST_UNLIKE = 0.55 * 512.0
@@ -30,26 +30,35 @@ MOST_UNLIKE = 0.55 * 512.0
 def _rank(products, squares, points, starts, radius, best, first, rival, in_view):
     """For each row: best landmark, its distance, the best distance elsewhere; and by view the best two."""
     for k in prange(products.shape[0]):
-        nearest, distance = 0, np.inf
+        nearest, distance = 0, np.float32(np.inf)
         for v in range(len(starts) - 1):
-            place, low, high = starts[v], np.inf, np.inf
+            place, low, high = starts[v], np.float32(np.inf), np.float32(np.inf)
             for n in range(starts[v], starts[v + 1]):
-                d = squares[n] - 2.0 * products[k, n]
-                if d < low:
-                    place, low, high = n, d, low
-                elif d < high:
-                    high = d
+                d = squares[n] - np.float32(2.0) * products[k, n]
+                if d < high:
+                    if d < low:
+                        place, low, high = n, d, low
+                    else:
+                        high = d
             in_view[k, v, 0], in_view[k, v, 1], in_view[k, v, 2] = place, low, high
             if low < distance:
                 nearest, distance = place, low
         x, y, z = points[nearest, 0], points[nearest, 1], points[nearest, 2]
-        second = np.inf
-        for n in range(products.shape[1]):
-            d = squares[n] - 2.0 * products[k, n]
-            if d < second:
-                away = (points[n, 0] - x) ** 2 + (points[n, 1] - y) ** 2 + (points[n, 2] - z) ** 2
-                if away > radius * radius:
-                    second = d
+        second = np.float32(np.inf)
+        for v in range(len(starts) - 1):
+            if in_view[k, v, 1] >= second:
+                continue
+            seen = np.int64(in_view[k, v, 0])
+            away = (points[seen, 0] - x) ** 2 + (points[seen, 1] - y) ** 2 + (points[seen, 2] - z) ** 2
+            if away > radius * radius:
+                second = np.float32(in_view[k, v, 1])
+                continue
+            for n in range(starts[v], starts[v + 1]):  # a view of the same place: what it shows elsewhere
+                d = squares[n] - np.float32(2.0) * products[k, n]
+                if d < second:
+                    away = (points[n, 0] - x) ** 2 + (points[n, 1] - y) ** 2 + (points[n, 2] - z) ** 2
+                    if away > radius * radius:
+                        second = d
         best[k], first[k], rival[k] = nearest, distance, second
 
 

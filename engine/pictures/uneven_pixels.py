@@ -37,12 +37,12 @@ def find_shape(look: Look, start: Camera | None, far: bool, focals: tuple[float,
     nobody can tell.
 
     `start` is the best camera with square pixels. Where they may be `far` from square, that begins at other shapes,
-    too, and at these focal lengths, in widths of the picture.
+    too, and at every other of these focal lengths, in widths of the picture.
     """
     plain = None if start is None else _fitted(look, start, SQUARE, PARAMETERS)
     tried = [] if start is None else [_fitted(look, start, SQUARE, UNEVEN)]
     if far:
-        tried += [_from_ratio(look, ratio, focals) for ratio in RATIOS]
+        tried += [_from_ratio(look, ratio, focals[::2]) for ratio in RATIOS]
     best = max(tried, key=_worth, default=None)
     if best is None or best.support < SUPPORTED or _worth(best) < (AT_ALL if far else CLEARLY) * _worth(plain):
         return None

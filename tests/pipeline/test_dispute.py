@@ -21,7 +21,7 @@ from engine.watermark.numerals import PLAIN
 from engine.watermark.rates import Attested
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 OWNER, THIEF = bench_key(1), bench_key(666)
 QUICK = profile("fast", landmark_views=0, views=3, view_size=200)
 

@@ -22,7 +22,7 @@ from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import spread
 from tests.scenes import sparse_plant
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from tests.evaluate.pieces import write_piece
 
 def small(cell: Cell) -> Cell:
     """As little of a quick cell as tells that it works."""
-    least = {"keys": min(cell.arguments.get("keys", 0), 20_000)} if "keys" in cell.arguments else {}
+    least = {"keys": min(cell.arguments.get("keys", 0), 4_000)} if "keys" in cell.arguments else {}
     return Cell(cell.name, cell.work, {**cell.arguments, **least})
 
 
