@@ -20,7 +20,7 @@ from engine.sim.attacks import model_attack
 from engine.watermark.numerals import PLAIN
 from engine.watermark.wording import words_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
 
 @pytest.fixture(scope="module")

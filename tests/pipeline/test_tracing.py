@@ -22,7 +22,7 @@ from engine.sim.attacks import model_attack
 from engine.watermark.messages import derive_message
 from engine.watermark.statistics import z_threshold
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
 CONFIG = profile("fast", landmark_views=0, views=3, view_size=160)
 INNOCENT = 300

@@ -97,3 +97,8 @@ def inspect(tmp_path: Path) -> Ask:
 def checks(reply: dict[str, Any]) -> dict[str, bool | None]:
     """The outcome of each check."""
     return {check["code"]: check["ok"] for check in reply["checks"]}
+
+
+@pytest.fixture(autouse=True)
+def _small(small_renders: None) -> None:
+    """How much renders say is the matter of tests/pipeline."""

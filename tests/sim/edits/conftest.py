@@ -76,3 +76,8 @@ def marked(model: GaussianModel, seed: int) -> tuple[GaussianModel, OpenedRecord
 def objects() -> dict[str, tuple[GaussianModel, OpenedRecord]]:
     """Three marked objects, each under a key of its own."""
     return {name: marked(solid(seed), seed) for seed, name in enumerate(("ball", "bell", "bowl"), start=11)}
+
+
+@pytest.fixture(autouse=True)
+def _small(small_renders: None) -> None:
+    """How much renders say is the matter of tests/pipeline."""

@@ -55,3 +55,8 @@ def marked_clip(
 ) -> tuple[SpacetimeModel, Embedding, OpenedRecord]:
     marked, result = embed_moving(clip, key, config=config)
     return marked, result, open_record(result.record.to_bytes(key), key)
+
+
+@pytest.fixture(autouse=True)
+def _small(small_renders: None) -> None:
+    """How much renders say is the matter of tests/pipeline."""
