@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures.camera_finding import CameraConfig, find_camera
+from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_hypotheses import fit_camera
 from engine.pictures.camera_motion import UNEVEN, project
 from engine.pictures.features import luma
@@ -95,9 +95,6 @@ def test_the_camera_of_a_picture_scaled_unevenly_is_found(
     whole = found.of_whole(image)
     assert (whole.width, whole.height) == face.shape[1::-1]
     assert reprojection(plant, true.resized(whole.width, whole.height), whole) < 0.015 * width
-    # Whoever does not ask is misled.
-    taken = find_camera(bank, plant, np.ascontiguousarray(image), CameraConfig(uneven=False))
-    assert taken is None or taken.correlation < found.correlation
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from engine.evaluate.marked_scene import MarkedScene, mark_copies, mark_scene
@@ -140,8 +141,8 @@ def measure_screenshots(scene: str, seed: int, profile: str, trials: int, other:
 
 
 def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: GaussianModel | None = None) -> list[Row]:
-    """800x600 screenshots, JPEG 80, camera and focal length unknown, a part cut out of each, and each on a page; of
-    `foreign` where given."""
+    """800x600 screenshots, JPEG 80, camera and focal length unknown, a part cut out of each, each on a page, scaled
+    unevenly, and photographed off a screen; of `foreign` where given."""
     source = foreign or scene.marked
     rows = []
     for trial in range(trials):
@@ -152,6 +153,8 @@ def read_screenshots(scene: MarkedScene, trials: int, seed: int = 0, foreign: Ga
             ("screenshot", picture),
             ("part of it", _part(picture, rng)),
             ("on a page", _page(picture, rng)),
+            ("scaled unevenly", _uneven(picture, rng)),
+            ("off a screen", _photograph(picture, rng)),
         ):
             result = verify_images([shown], scene.opened, VerifyConfig())
             rows.append({"scene": scene.name, "trial": trial, **claim_row(name, result)})
@@ -174,6 +177,26 @@ def _page(picture: Float32, rng: np.random.Generator) -> Float32:
     top, left = rng.integers(0, [height - picture.shape[0], width - picture.shape[1]])
     page[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
     return page
+
+
+def _uneven(picture: Float32, rng: np.random.Generator) -> Float32:
+    """A picture (H, W, 3) that was made to fit another shape: up to a quarter narrower, a third wider."""
+    width = round(picture.shape[1] * float(np.exp(rng.uniform(np.log(0.75), np.log(4 / 3)))))
+    return np.asarray(cv2.resize(picture, (width, picture.shape[0]), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _photograph(picture: Float32, rng: np.random.Generator) -> Float32:
+    """A photograph of a screen that shows this picture (H, W, 3): a corner up to a twentieth of the width from where it
+    would be seen from straight ahead, a little soft, noisy and pale, JPEG 85."""
+    height, width = picture.shape[:2]
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
+    seen = corners + 0.1 * np.array([width, height]) + rng.uniform(-0.05, 0.05, (4, 2)) * width
+    matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), seen.astype(np.float32))
+    size = (round(1.2 * width), round(1.2 * height))
+    room = (0.35, 0.34, 0.33)
+    photo = cv2.warpPerspective(picture, matrix, size, flags=cv2.INTER_AREA, borderValue=room)
+    photo = 0.9 * cv2.GaussianBlur(photo, (0, 0), 0.7) + 0.04 + rng.normal(0.0, 0.01, photo.shape)
+    return image_attack("jpeg").apply(np.clip(photo, 0.0, 1.0).astype(np.float32), 85, rng=rng)
 
 
 def measure_suite(scene: str, seed: int, profile: str, other: str) -> list[Row]:
