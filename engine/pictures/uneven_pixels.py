@@ -28,8 +28,8 @@ CLEARLY, AT_ALL = 1.15, 1.0
 looks like its render as it is, and where it does not; what is flat looks nearly the same from aside."""
 NOTHING = 0.006
 """How far from square nobody makes a picture: matches are no better, and taking it back would only blur it."""
-LEAST, MOST = 0.4, 2.5
-"""Ratios that somebody may have made."""
+LEAST, MOST, STEEPEST = 0.4, 2.5, 1.0
+"""Ratios that somebody may have made, and slants: whoever crafts a picture for others does not fill our memory."""
 
 
 def find_shape(look: Look, start: Camera | None, far: bool, focals: tuple[float, ...]) -> Hypothesis | None:
@@ -57,7 +57,8 @@ def refine_shape(model: GaussianModel, image: Float32, found: Hypothesis) -> Pix
     fitted = None if near is None else _fitted(near[0], near[1], SQUARE, UNEVEN)
     if fitted is not None and fitted.support >= SUPPORTED:
         shape = shape.after(fitted.shape)
-    return None if max(abs(shape.ratio - 1.0), abs(shape.slant)) < NOTHING else shape
+    nothing = max(abs(shape.ratio - 1.0), abs(shape.slant)) < NOTHING
+    return None if nothing or not _possible(shape) else shape
 
 
 def _from_ratio(look: Look, ratio: float, focals: tuple[float, ...]) -> Hypothesis | None:
@@ -76,11 +77,15 @@ def _fitted(look: Look, camera: Camera, shape: PixelShape, free: int) -> Hypothe
         if len(points) < UNEVEN:
             return None
         fitted = fit_camera(points, pixels, camera, factor * look.tolerance, free=free, shape=shape)
-        if fitted is None or not LEAST < fitted.shape.ratio < MOST:
+        if fitted is None or not _possible(fitted.shape):
             return None
         camera, shape = fitted.camera, fitted.shape
     return fitted
 
 
+def _possible(shape: PixelShape) -> bool:
+    return LEAST < shape.ratio < MOST and abs(shape.slant) < STEEPEST
+
+
 def _worth(fitted: Hypothesis | None) -> float:
-    return 0.0 if fitted is None else fitted.support / fitted.rms
+    return 0.0 if fitted is None else fitted.support / max(fitted.rms, 1e-6)

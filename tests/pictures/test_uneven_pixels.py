@@ -8,11 +8,12 @@ import pytest
 
 from engine.model import Camera, GaussianModel
 from engine.pictures.camera_finding import find_camera
-from engine.pictures.camera_hypotheses import fit_camera
+from engine.pictures.camera_hypotheses import Hypothesis, fit_camera
 from engine.pictures.camera_motion import UNEVEN, project
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.pixel_shape import SQUARE, PixelShape
+from engine.pictures.uneven_pixels import refine_shape
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection
 
@@ -70,6 +71,15 @@ def test_matches_tell_the_shape_among_outliers(plant: GaussianModel, points: np.
     np.testing.assert_allclose([last.shape.ratio, last.shape.slant], [shape.ratio, shape.slant], atol=0.004)
     shown = project(points, last.camera) @ last.shape.matrix.T
     np.testing.assert_allclose(shown[~wrong], (project(points, true) @ shape.matrix.T)[~wrong], atol=0.3)
+
+
+@pytest.mark.parametrize("shape", [PixelShape(0.3), PixelShape(3.0), PixelShape(1.0, 1.2)])
+def test_a_shape_that_nobody_makes_is_none(plant: GaussianModel, shape: PixelShape) -> None:
+    """A picture crafted to be taken back to a hundred times its size is left as it is."""
+    camera = around(plant, 48, 33, 1.1, 0.8)
+    plain = np.clip(render(plant, camera), 0, 1)
+    found = Hypothesis(camera, np.ones(1, dtype=bool), 1.0, shape)
+    assert refine_shape(plant, plain, found) is None
 
 
 @pytest.mark.slow
