@@ -137,11 +137,10 @@ class Candidates:
         rows, columns = frame
         return rows, slice(self._picture.size[0] - columns.stop, self._picture.size[0] - columns.start)
 
-    def shape(self, first: Candidate | None, far: bool) -> PixelShape | None:
-        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are, and
-        `far` that it does not look like it."""
+    def shape(self, first: Candidate | None) -> PixelShape | None:
+        """Shape of the picture's pixels, where they are not square; `first` is what keypoints agree on if they are."""
         mirrored = first is not None and first.mirrored
-        found = find_shape(self._look(mirrored), None if first is None else first.camera, far, self._focals)
+        found = find_shape(self._look(mirrored), None if first is None else first.camera, self._focals)
         if found is None:
             return None
         shape = refine_shape(self._picture.model, self._picture.turned(mirrored), found)

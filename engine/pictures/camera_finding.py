@@ -43,8 +43,8 @@ LEAST_SIDE = 16  # of a picture, pixels
 SURE_CORRELATION = 0.9
 """Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
 ALIKE = 0.96
-"""The same below which a picture may have been scaled unevenly: square pixels came to 0.975 and more, others mostly to
-0.7 to 0.95."""
+"""The same below which a picture may have been scaled unevenly: renders with square pixels came to 0.975 and more,
+others mostly to 0.7 to 0.95; what is above told no shape from its keypoints."""
 LEAST_DETAIL = 0.7
 """The same of what the render's opacity does not explain: something else in one colour, in the shape of a view, came to
 0.47, pictures of the asset to 0.80 and more."""
@@ -93,9 +93,8 @@ def find_camera(
     keypoints = candidates.by_keypoints()
     first = next(keypoints, None)
     best = None if first is None else _best(picture, [first])
-    # Of square pixels, whatever their tone and light, a camera that is right comes to more.
-    far = best is None or best.correlation < ALIKE
-    shape = candidates.shape(first, far) if config.uneven else None
+    uneven = config.uneven and (best is None or best.correlation < ALIKE)
+    shape = candidates.shape(first) if uneven else None
     if shape is not None:
         found = find_camera(landmarks, reference_model, shape.undo(image), replace(config, uneven=False))
         if found is not None and (best is None or found.correlation > best.correlation):

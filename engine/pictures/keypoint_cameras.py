@@ -129,10 +129,13 @@ def look_closer(model: GaussianModel, grey: Float32, camera: Camera) -> Hypothes
     found = None
     for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike
         near = look_near(model, grey, camera)
-        closer = None if near is None else near[0].guided(near[1], factors)
-        if near is None or closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
+        if near is None:
             return found
-        camera = near[2].back(closer.camera)
+        look, part, window = near
+        closer = look.guided(part, factors)
+        if closer is None or closer.support < max(LEAST_INLIERS, 0 if found is None else found.support):
+            return found
+        camera = window.back(closer.camera)
         found = replace(closer, camera=camera)
     return found
 

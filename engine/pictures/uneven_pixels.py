@@ -23,28 +23,24 @@ SUPPORTED = 30
 """Keypoints that must agree."""
 ROUNDS = (3.0, 2.0, 1.0, 0.5, 0.5)
 """Tolerances of matching where landmarks project and of fitting, in that of an inlier: each sees more of the model."""
-CLEARLY, AT_ALL = 1.15, 1.0
-"""How much better keypoints must agree with a shape than with square pixels, how many by their error: where the picture
-looks like its render as it is, and where it does not; what is flat looks nearly the same from aside."""
 NOTHING = 0.006
 """How far from square nobody makes a picture: matches are no better, and taking it back would only blur it."""
 LEAST, MOST, STEEPEST = 0.4, 2.5, 1.0
 """Ratios that somebody may have made, and slants: whoever crafts a picture for others does not fill our memory."""
 
 
-def find_shape(look: Look, start: Camera | None, far: bool, focals: tuple[float, ...]) -> Hypothesis | None:
-    """Camera, and shape of a picture's pixels, on which its keypoints clearly agree; None where they are square, or
-    nobody can tell.
+def find_shape(look: Look, start: Camera | None, focals: tuple[float, ...]) -> Hypothesis | None:
+    """Camera, and shape of a picture's pixels, on which its keypoints agree better than on square ones, how many by
+    their error; None where they do not. What is flat looks nearly the same from aside: how it looks must decide.
 
-    `start` is the best camera with square pixels. Where they may be `far` from square, that begins at other shapes,
-    too, and at every other of these focal lengths, in widths of the picture.
+    `start` is the best camera with square pixels; other shapes begin at every other of these focal lengths, in widths
+    of the picture.
     """
     plain = None if start is None else _fitted(look, start, SQUARE, PARAMETERS)
     tried = [] if start is None else [_fitted(look, start, SQUARE, UNEVEN)]
-    if far:
-        tried += [_from_ratio(look, ratio, focals[::2]) for ratio in RATIOS]
+    tried += [_from_ratio(look, ratio, focals[::2]) for ratio in RATIOS]
     best = max(tried, key=_worth, default=None)
-    if best is None or best.support < SUPPORTED or _worth(best) < (AT_ALL if far else CLEARLY) * _worth(plain):
+    if best is None or best.support < SUPPORTED or _worth(best) < _worth(plain):
         return None
     return best
 
@@ -54,7 +50,10 @@ def refine_shape(model: GaussianModel, image: Float32, found: Hypothesis) -> Pix
     are square after all."""
     shape = found.shape
     near = look_near(model, luma(shape.undo(image)), shape.squared_camera(found.camera, *image.shape[1::-1]))
-    fitted = None if near is None else _fitted(near[0], near[1], SQUARE, UNEVEN)
+    if near is None:
+        return None
+    look, part, _ = near
+    fitted = _fitted(look, part, SQUARE, UNEVEN)
     if fitted is not None and fitted.support >= SUPPORTED:
         shape = shape.after(fitted.shape)
     nothing = max(abs(shape.ratio - 1.0), abs(shape.slant)) < NOTHING
