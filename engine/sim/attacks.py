@@ -21,7 +21,7 @@ from engine.sim.adversaries import (
     transplant,
 )
 from engine.sim.attack import Attack
-from engine.sim.views import encoders, lenses, tones
+from engine.sim.views import encoders, lenses, overlays, tones
 
 __all__ = ["IMAGE_ATTACKS", "MODEL_ATTACKS", "find_attack", "image_attack", "model_attack"]
 
@@ -47,6 +47,7 @@ IMAGE_ATTACKS: dict[str, Attack[Float32]] = {
     **image_attacks.ATTACKS,
     **lenses.ATTACKS,
     **tones.ATTACKS,
+    **overlays.ATTACKS,
     **encoders.ATTACKS,
     **denoising.ATTACKS,
 }

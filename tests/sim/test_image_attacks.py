@@ -139,3 +139,25 @@ def test_grids_run_from_harmless_to_ruinous(name: str, image: Float32) -> None:
 def test_results_do_not_alias_the_input(image: Float32) -> None:
     for name, strength in (("crop_image", 0.0), ("blur", 0.0), ("brightness", 1.0), ("scale_image", 1.0)):
         assert not np.shares_memory(run(name, image, strength), image)
+
+
+def test_lettering_covers_the_same_of_a_picture_of_any_size() -> None:
+    grey = np.full((240, 320, 3), 0.4, dtype=np.float32)
+    small, large = (run("lettering", np.tile(grey, (k, k, 1)), 0.5) for k in (1, 3))
+    for out in (small, large):
+        covered = (out - 0.4) / (0.5 * 0.6)
+        assert covered.min() == pytest.approx(0.0, abs=1e-6)
+        assert covered.max() == pytest.approx(1.0, abs=1e-5)
+        quarters = [part.mean() for half in np.array_split(covered, 2) for part in np.array_split(half, 2, axis=1)]
+        assert 0.06 < min(quarters) < max(quarters) < 0.25
+    assert small.mean() == pytest.approx(large.mean(), abs=0.02)
+    np.testing.assert_array_equal(run("lettering", grey, 0.0), grey)
+
+
+def test_chequers_are_as_strong_as_they_say_and_change_no_mean() -> None:
+    grey = np.full((352, 352, 3), 0.5, dtype=np.float32)
+    board = run("chequers", grey, 0.04) - grey
+    assert psnr(grey, grey + board) == pytest.approx(-20.0 * np.log10(0.04), abs=0.01)
+    assert abs(board.mean()) < 0.002
+    changes = np.flatnonzero(np.diff(np.sign(board[0, :, 0])))
+    assert np.diff(changes).mean() == pytest.approx(0.011 * 352, abs=0.1)
