@@ -16,7 +16,7 @@ from numba import prange
 from engine.model import Bool, Float32, Float64
 from engine.numerics.jit import inlined, kernel, parallel_kernel, parallel_section
 
-__all__ = ["map_points", "remap", "sample", "smooth", "warp"]
+__all__ = ["map_points", "remap", "resized", "sample", "smooth", "warp"]
 
 _KERNEL_VERSION = 2
 
@@ -137,3 +137,12 @@ def smooth(image: Float32, sigma: float) -> Float32:
         return image
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, dtype=np.float32).reshape(image.shape)
+
+
+def resized(grey: Float32, width: int, height: int) -> Float32:
+    """An image (H, W) at another size, reduced by areas."""
+    import cv2
+
+    if (height, width) == grey.shape:
+        return grey
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)

@@ -16,14 +16,13 @@ from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.pixel_shape import PixelShape
+from engine.pictures.pose_refinement import LEAST_CORRELATION
 from engine.pictures.uneven_pixels import find_shape, refine_shape
 from engine.pictures.view_search import ViewEdges, search_views
 from engine.pictures.voted_views import vote_for_views
 
-__all__ = ["ENOUGH", "LEAST_CORRELATION", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
+__all__ = ["ENOUGH", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
 
-LEAST_CORRELATION = 0.75
-"""Correlation of brightness with the render below which the picture shows something else."""
 SUPPORTED, ENOUGH = 30, 60
 """Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
 render from nearly there, so that no further view is tried."""

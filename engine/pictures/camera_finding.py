@@ -9,7 +9,8 @@
 3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
 4. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
 
-The picture of another scene fails at the correlation with the render. Nothing here sees a key or a chip.
+The picture of another scene fails at the correlation with the render, or at that of their details (`Refined.alike`).
+Nothing here sees a key or a chip.
 """
 
 from __future__ import annotations
@@ -21,14 +22,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures.camera_candidates import (
-    LEAST_CORRELATION,
-    QUICK_ITERATIONS,
-    QUICK_STEP,
-    SUPPORTED,
-    Candidate,
-    Candidates,
-)
+from engine.pictures.camera_candidates import QUICK_ITERATIONS, QUICK_STEP, SUPPORTED, Candidate, Candidates
 from engine.pictures.camera_hypotheses import LADDER
 from engine.pictures.camera_motion import PARAMETERS
 from engine.pictures.camera_trial import Picture
@@ -45,9 +39,6 @@ SURE_CORRELATION = 0.9
 ALIKE = 0.96
 """The same below which a picture may have been scaled unevenly: renders with square pixels came to 0.975 and more,
 others mostly to 0.7 to 0.95; what is above told no shape from its keypoints."""
-LEAST_DETAIL = 0.7
-"""The same of what the render's opacity does not explain: something else in one colour, in the shape of a view, came to
-0.47, pictures of the asset to 0.80 and more."""
 SIZES = (256, 640, 1600)
 """Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
 ITERATIONS, STEP = 12, 0.005
@@ -146,7 +137,7 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
         last = size >= min(own, SIZES[-1])
         limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
         refined = picture.refined(camera, candidate.mirrored, size, *limits)
-        if refined is None or refined.correlation < LEAST_CORRELATION or refined.detail < LEAST_DETAIL:
+        if refined is None or not refined.alike:
             return None
         camera = picture.full(refined.camera)
     assert refined is not None

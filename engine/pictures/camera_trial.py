@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.resampling import smooth
+from engine.numerics.resampling import resized, smooth
 from engine.pictures.background import fill_background
 from engine.pictures.camera_hypotheses import Hypothesis
 from engine.pictures.camera_motion import CENTERED
 from engine.pictures.features import luma
 from engine.pictures.found_camera import OWN
-from engine.pictures.keypoint_cameras import look_closer, resized
+from engine.pictures.keypoint_cameras import look_closer
 from engine.pictures.pose_refinement import Refined, refine_level
 from engine.raster import RasterSettings, render_depth
 

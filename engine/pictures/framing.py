@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.resampling import smooth
+from engine.numerics.resampling import resized, smooth
 from engine.pictures.features import luma
-from engine.pictures.keypoint_cameras import resized
 from engine.raster import render_depth
 
 __all__ = ["find_frame"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
+from engine.numerics.resampling import resized
 from engine.pictures.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.pictures.camera_motion import CENTERED, PARAMETERS
 from engine.pictures.features import Keypoints, detect_keypoints
@@ -16,7 +17,7 @@ from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pixel_shape import SQUARE, PixelShape
 from engine.raster import render_depth
 
-__all__ = ["Look", "keypoints_of", "look_closer", "look_near", "resized"]
+__all__ = ["Look", "keypoints_of", "look_closer", "look_near"]
 
 KEYPOINTS = 2000
 """SIFT keypoints of the picture."""
@@ -211,15 +212,6 @@ def keypoints_of(grey: Float32, shown: Bool | None = None) -> Keypoints:
         mask = cv2.resize(shown.astype(np.uint8), small.shape[::-1], interpolation=cv2.INTER_NEAREST)
     found = detect_keypoints(small, KEYPOINTS, mask)
     return Keypoints(found.points * (width / small.shape[1], height / small.shape[0]), found.descriptors)
-
-
-def resized(grey: Float32, width: int, height: int) -> Float32:
-    """An image (H, W) at another size, reduced by areas."""
-    import cv2
-
-    if (height, width) == grey.shape:
-        return grey
-    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def _radius(landmarks: Landmarks) -> float:

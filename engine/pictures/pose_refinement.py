@@ -16,16 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numba import prange
 
-from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.jit import parallel_kernel, parallel_section
-from engine.numerics.resampling import smooth
+from engine.numerics.resampling import resized, smooth
 from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.features import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["Refined", "refine_level"]
+__all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
 
 _KERNEL_VERSION = 3
 BLUR = 0.8
@@ -45,6 +45,17 @@ FAR_MARGIN = 12
 """Pixels around the model where the background is not looked for while the camera is still off by many."""
 LEAST_PIXELS = 150
 """Fewer usable pixels than this cannot carry so many unknowns."""
+LEAST_CORRELATION = 0.75
+"""Correlation of brightness below which a picture shows something else."""
+LEAST_DETAIL = 0.5
+"""The same of what `DETAIL` keeps."""
+DETAIL = (1 / 160, 3 / 160)
+"""Blurs between which detail lies, longer sides of the picture: a light and a dark part, which every other scene has
+somewhere, are coarser; noise, compression and a picture out of focus are finer."""
+DETAIL_SIZE = 320
+"""Longer side of the picture on which detail is compared, pixels."""
+LEAST_COVER = 0.1
+"""Pixels of it of which a smaller part is usable are left out."""
 ACCELERATE_BELOW = 0.5
 """Steps below this are taken for linear, pixels of the level."""
 MEMORY = 2
@@ -59,8 +70,8 @@ class Refined:
     """A camera of the level's size and how well its render explains the picture.
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1; `detail` the same of what a flat colour of the render's opacity does not explain. `step`: root mean
-    square flow of the last motion, pixels of the level. `pixels`: how many were used.
+    used, -1..1; `detail` the same of their detail, and of what a flat colour of the render's opacity does not explain.
+    `step`: root mean square flow of the last motion, pixels of the level. `pixels`: how many were used.
     """
 
     camera: Camera
@@ -69,6 +80,11 @@ class Refined:
     detail: float
     step: float
     pixels: int
+
+    @property
+    def alike(self) -> bool:
+        """Whether the picture shows what the render does, and not something else."""
+        return self.correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
 
     @property
     def gain(self) -> float:
@@ -143,8 +159,6 @@ def refine_level(
         residual = seen - toned
         spread = robust_scale(residual[used])
         outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
-        correlation = _correlation(toned[used], seen[used])
-        detail = _correlation(*(_beyond(each[used], cover[used]) for each in (toned, seen)))
         # The background stands still when the camera moves; what covers it moves.
         gy, gx = np.gradient(toned)
         by, bx = np.gradient(cover)
@@ -179,7 +193,8 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
-    return Refined(camera, spread, correlation, detail, step, int(used.sum()))
+    correlation = _correlation(toned[used], seen[used])
+    return Refined(camera, spread, correlation, _detail(toned, seen, cover, used, camera), step, int(used.sum()))
 
 
 class Acceleration:
@@ -230,6 +245,22 @@ def _correlation(a: Float32, b: Float32) -> float:
     a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
     both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
     return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
+
+
+def _detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> float:
+    """Correlation of the details of render and picture (H, W) that do not follow from its opacity `cover`."""
+    small = camera.with_side(min(DETAIL_SIZE, max(used.shape)))
+    inside, *planes = (
+        resized(np.where(used, each, 0.0).astype(np.float32), small.width, small.height)
+        for each in (np.ones_like(seen), toned, seen, cover)
+    )
+    shown = inside > LEAST_COVER
+    if not shown.any():
+        return 0.0
+    fine, coarse = (share * max(small.width, small.height) for share in DETAIL)
+    around = smooth(inside, fine)[shown], smooth(inside, coarse)[shown]
+    a, b, c = (smooth(each, fine)[shown] / around[0] - smooth(each, coarse)[shown] / around[1] for each in planes)
+    return _correlation(_beyond(a, c), _beyond(b, c))
 
 
 def _beyond(values: Float32, cover: Float32) -> Float32:

@@ -38,8 +38,6 @@ EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
 """Views in which a picture without keypoints is sought, and their shape."""
 MOST_SEEN = 30_000
 """Gaussians that are enough to look at a model from afar."""
-LEAST_CORRELATION = 0.75
-"""Correlation of brightness below which a view shows something else: as `find_camera` demands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +106,7 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
     for number, camera in enumerate(cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
-        if refined is not None and refined.correlation > LEAST_CORRELATION:
+        if refined is not None and refined.alike:
             said = _added(said, _read_picture(picture, refined.camera, reference)[0])
         clock.advance((number + 1) / len(cameras))
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
@@ -133,7 +131,7 @@ def _in_place(suspect: GaussianModel, opened: OpenedRecord, camera: Camera) -> b
     """Whether the suspect looks like the reference where it stands: a copy trained anew was hardly ever moved."""
     picture = np.clip(render(suspect, camera), 0.0, 1.0)
     refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
-    return refined is not None and refined.correlation > LEAST_CORRELATION
+    return refined is not None and refined.alike
 
 
 def read_pictures(
