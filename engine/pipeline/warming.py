@@ -31,14 +31,18 @@ def warm_up(
     progress: Callable[[float], None] | None = None,
     processes: int | None = None,
     compiling: Callable[[], None] = lambda: None,
+    enough: Callable[[], bool] = lambda: False,
 ) -> None:
     """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
     compile, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are cores by
-    default, at most compile side by side."""
+    default, at most compile side by side. As long as kernels are only loaded, it ends as soon as that is `enough`."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
+    begun = False
 
     def begin() -> None:
+        nonlocal begun
+        begun = True
         compiling()
         _call_helpers(plan, (processes or _cores()) - 1)
 
@@ -48,6 +52,8 @@ def warm_up(
             steps[name].run()
             mine.add(name)
             plan.finish(name)
+            if not begun and enough():
+                return
         plan.wait()
         for name in steps:
             if name not in mine:

@@ -37,8 +37,9 @@ PATIENCE_SECONDS = 0.05
 _log = logging.getLogger(__name__)
 
 
-def serve(tasks: Mapping[str, Task], warm_up: Callable[[], None]) -> None:
-    """Do one task, and end the process. Where no request is there yet, `warm_up` makes ready what can be."""
+def serve(tasks: Mapping[str, Task], warm_up: Callable[[Callable[[], bool]], None]) -> None:
+    """Do one task, and end the process. Where no request is there yet, `warm_up` makes ready what can be; it is given a
+    function that says whether a request has come by now, which needs only some of that."""
     out = _take_standard_output()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
@@ -55,7 +56,7 @@ def serve(tasks: Mapping[str, Task], warm_up: Callable[[], None]) -> None:
         out.write(json.dumps({"stage": "compile", "fraction": 0.0}) + "\n")  # read by who comes before it is done
         out.flush()
         try:
-            warm_up()
+            warm_up(lambda: not requests.empty())
         except Exception:
             _log.exception("the warm-up failed; the task starts cold")
         line = requests.get()

@@ -1,6 +1,6 @@
 """The tasks by name. Importing this file is cheap; a task brings in what it needs when it is taken."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,9 +32,10 @@ TASKS: Mapping[str, Task] = {
 }
 
 
-def preload() -> None:
-    """Import what every task needs, and load its compiled kernels: a process in waiting starts at once."""
+def preload(wanted: Callable[[], bool]) -> None:
+    """Import what every task needs, and load its compiled kernels: a process in waiting starts at once. Those that are
+    not loaded by the time that it is `wanted` are loaded as they are needed; compiling is not broken off."""
     from engine.pipeline.warming import warm_up
     from service.work import disputes, embedding, files, screening, verification  # noqa: F401
 
-    warm_up("everything")
+    warm_up("everything", enough=wanted)

@@ -67,6 +67,21 @@ def test_nobody_is_called_where_every_kernel_is_there(monkeypatch: pytest.Monkey
     assert (asked, ran, said) == ([], ["first", "second"], [])
 
 
+def test_loading_ends_when_it_is_enough_and_compiling_does_not(
+    monkeypatch: pytest.MonkeyPatch, asked: list[str]
+) -> None:
+    ran = list[str]()
+    small_steps(monkeypatch, first=lambda: ran.append("first"), second=lambda: ran.append("second"))
+    warm_up("embed", enough=lambda: bool(ran))
+    assert ran == ["first"]
+
+    ran.clear()
+    small_steps(monkeypatch, first=lambda: ran.append(str(numba.njit(lambda x: x + 2)(1.0))), second=lambda: None)
+    told = list[float]()
+    warm_up("embed", told.append, processes=1, enough=lambda: bool(ran))
+    assert told[-1] == 1.0
+
+
 def test_a_step_waits_for_those_with_the_same_kernels() -> None:
     steps = {
         name: Step(lambda: None, 1.0, ("embed",), after) for name, after in {"a": (), "b": (), "c": ("a",)}.items()

@@ -116,13 +116,20 @@ def test_progress_comes_with_stage_and_fraction(children: Children, tmp_path: Pa
 
 
 def test_cancelling_kills_within_a_second(children: Children, tmp_path: Path) -> None:
+    """At the next look, that is: on a busy machine a second is none."""
     file = tmp_path / "pid"
     cancelled = threading.Event()
     found: list[BaseException] = []
+    refused: list[str] = []
+
+    def go_on(stage: str, fraction: float) -> bool:
+        if cancelled.is_set():
+            refused.append(stage)
+        return not cancelled.is_set()
 
     def work() -> None:
         try:
-            children.run("nap", {"pid_file": str(file)}, tmp_path, lambda *_: not cancelled.is_set())
+            children.run("nap", {"pid_file": str(file)}, tmp_path, go_on)
         except BaseException as error:
             found.append(error)
 
@@ -130,9 +137,11 @@ def test_cancelling_kills_within_a_second(children: Children, tmp_path: Path) ->
     thread.start()
     pid = pid_in(file)
     cancelled.set()
-    assert gone_within(pid, 1.0)
+    assert gone_within(pid, 10.0)
     thread.join()
     assert isinstance(found[0], Cancelled)
+    assert len(refused) == 1
+    assert SECONDS_BETWEEN_LOOKS < 0.5
 
 
 def test_stopping_kills_the_task_and_the_spare(tmp_path: Path) -> None:
@@ -141,7 +150,7 @@ def test_stopping_kills_the_task_and_the_spare(tmp_path: Path) -> None:
     threading.Timer(0.5, children.stop).start()
     with pytest.raises(Stopped):
         children.run("nap", {"pid_file": str(file)}, tmp_path)
-    assert gone_within(int(file.read_text()), 1.0)
+    assert gone_within(int(file.read_text()), 10.0)
     assert children._spare is None
     with pytest.raises(Stopped):
         children.run("echo", {}, tmp_path)
