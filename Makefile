@@ -1,4 +1,5 @@
-# make install  -> .venv with everything; make demo -> the main job on a real scene; make test -> every check;
+# make install  -> .venv with everything; make demo -> the main job on a real scene;
+# make test -> what must hold before a change lands; make full -> that, and every study, bench and viewer: before a release;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
 # make results -> the README's figure, measured anew on the shipped scene (about 10 minutes on two quiet cores);
@@ -7,12 +8,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# One more than there are cores: some tests wait for servers and browsers.
-WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
+# Two more than there are cores: some tests wait for servers and browsers.
+WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 2)
 UNITS := architecture cli compress credentials formats numerics pictures pipeline raster records registration theory watermark
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal
 
-.PHONY: install demo test quick mutants results docker-test check kernels clean
+.PHONY: install demo test full quick mutants results docker-test check kernels clean
 
 install: $(STAMP)
 
@@ -37,9 +38,13 @@ test: install
 	$(MAKE) --jobs=2 --output-sync check kernels
 	$(PYTEST)
 
+full: install
+	$(MAKE) --jobs=2 --output-sync check kernels
+	$(PYTEST) -m 'not docker'
+
 quick: install
 	$(MAKE) --jobs=2 --output-sync check kernels
-	$(PYTEST) -m 'not docker and not slow' $(addprefix tests/,$(UNITS))
+	$(PYTEST) -m 'not docker and not slow and not long' $(addprefix tests/,$(UNITS))
 
 mutants: install
 	$(BIN)/python -m tests.mutants $(MUTANTS)

@@ -128,6 +128,7 @@ def test_published_numbers_have_their_conditions() -> None:
     assert "published, other hardware, blind" in next(p.label for p in points if p.method == "GuardSplat")
 
 
+@pytest.mark.long
 def test_the_quick_study_puts_methods_side_by_side(tmp_path: Path) -> None:
     options = Options((PLANT,), quick=True)
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")

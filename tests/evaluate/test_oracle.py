@@ -69,6 +69,7 @@ def test_the_far_model_lies_at_the_start_of_the_walk() -> None:
     np.testing.assert_allclose(there.log_scales, way.far.take(way.order).log_scales, atol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_mark_gives_little_away(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
     plant = read_model("tests/data/plant.splat").model

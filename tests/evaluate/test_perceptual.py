@@ -44,6 +44,7 @@ def test_lpips_says_what_it_lacks(tmp_path: Path) -> None:
         load_lpips(str(tmp_path / "weights.pth"))
 
 
+@pytest.mark.long
 def test_the_quick_study_keeps_its_bars(tmp_path: Path) -> None:
     options = Options((PLANT,), quick=True)
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")

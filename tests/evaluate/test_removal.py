@@ -42,6 +42,7 @@ def test_smoothing_and_shaking(plant: GaussianModel) -> None:
     assert 1.2 < np.median(moved) < 2.5
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_model_claims_while_there_is_anything_to_look_at(
     plant: GaussianModel, tmp_path: object, monkeypatch: pytest.MonkeyPatch

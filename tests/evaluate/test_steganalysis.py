@@ -115,6 +115,7 @@ def test_a_stranger_needs_other_scenes() -> None:
         detect_as_stranger([PLANT], "fast", "floats", 1, 0)
 
 
+@pytest.mark.long
 def test_the_quick_study_reports_what_it_finds(tmp_path: Path) -> None:
     options = Options((PLANT,), quick=True)
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import engine
 
 ROOT = Path(__file__).parents[2]
@@ -36,6 +38,7 @@ def test_every_name_is_what_type_checkers_are_told() -> None:
     assert not hasattr(engine, "no_such_name")
 
 
+@pytest.mark.long
 def test_the_program_runs_as_written(tmp_path: Path) -> None:
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "data").symlink_to(ROOT / "tests" / "data")

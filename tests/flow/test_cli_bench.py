@@ -15,6 +15,7 @@ def test_medians_and_extremes() -> None:
     assert stage_medians(runs) == {"look": 2.0, "plan": 5.0}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["embed", "verify"])
 def test_bench(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     thin, out = tmp_path / "thin.splat", tmp_path / "report.json"

@@ -25,6 +25,7 @@ def embed(capsys: Capsys, folder: Path, key: Path, out: str, *copies: str) -> tu
     return ask(capsys, "embed", SMALL, *files, "--profile", "fast", *named)
 
 
+@pytest.mark.long
 def test_each_recipient_has_a_copy_and_a_record(key: Path, capsys: Capsys, tmp_path: Path) -> None:
     code, said = embed(capsys, tmp_path, key, "{copy}", *NAMES)
     assert code == 0

@@ -9,6 +9,7 @@ from PIL import Image
 from tests.flow.conftest import ask
 
 
+@pytest.mark.long
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "demo-out"
     code, report = ask(capsys, "demo", "--out", out)

@@ -45,6 +45,7 @@ def test_both_colluders_are_named_and_nobody_else(sold: Path, capsys: pytest.Cap
     assert "NAMED: " in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_unmarked_original_names_nobody(sold: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, report = ask(capsys, "trace", SCENE, "--records", sold / "bob.record", "--key", sold / "owner.key")
     assert (code, report["named"]) == (3, [])

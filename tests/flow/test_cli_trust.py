@@ -54,6 +54,7 @@ def test_a_stamped_record_claims_at_the_usual_rate(marked: Marked, capsys: Capsy
     assert marked.verify(capsys, marked.model, *beside)[1]["rate_basis"] == "attested"
 
 
+@pytest.mark.long
 def test_the_thief_who_marks_again_and_dates_back_loses(marked: Marked, capsys: Capsys, tmp_path: Path) -> None:
     from engine.cli.app import run
 

@@ -57,6 +57,7 @@ def verdict(capsys: Capsys, key: Path, record: Path, suspect: Path, *more: str |
     return said
 
 
+@pytest.mark.long
 def test_a_clip_is_marked_as_a_clip(clip: Path, key: Path, tmp_path: Path, capsys: Capsys) -> None:
     out, record = tmp_path / "marked.ply", tmp_path / "marked.record"
     code, report = embed(capsys, key, clip, out)
@@ -107,6 +108,7 @@ def test_gaussians_that_move_otherwise_are_refused_by_name(
     assert not (tmp_path / "out.ply").exists()
 
 
+@pytest.mark.long
 def test_frames_of_a_scene_that_moves(clip: Path, key: Path, tmp_path: Path, capsys: Capsys) -> None:
     """A `.ply` a moment, as 4DGS exports what its network deforms: marked together, verified together and alone."""
     moving = read_spacetime_ply(clip.read_bytes(), file="x")[0]
@@ -135,6 +137,7 @@ def test_a_network_beside_the_file_is_spoken_of(key: Path, tmp_path: Path, capsy
     assert [repair["code"] for repair in repairs] == ["deformation_beside"]
 
 
+@pytest.mark.long
 def test_codebooks_are_marked_in_their_folder(key: Path, tmp_path: Path, capsys: Capsys) -> None:
     source, out = tmp_path / "compressed", tmp_path / "marked"
     write_codebook(make_codebook(thin(6), {"dc": 1024, "rot": 256}), source)

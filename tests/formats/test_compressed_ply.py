@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import gsply
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -16,6 +15,7 @@ from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.model import SH_C0, GaussianModel
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.models import random_model
+from tests.formats.plain_gsply import gsply
 
 COLOR_BOUNDS = [f" {end}_{channel}".encode() for end in ("min", "max") for channel in "rgb"]
 

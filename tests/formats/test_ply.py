@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
-import gsply
 import numpy as np
 import numpy.typing as npt
 import plyfile
@@ -16,6 +15,7 @@ from engine.formats import encode_model, read_model
 from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.model import DISC_THICKNESS, GaussianModel
 from tests.formats.models import ATTRIBUTES, DATA, assert_same, header_for, names_of, ply_of, random_model, rows_for
+from tests.formats.plain_gsply import gsply
 
 TRAIN = DATA / "train_1000.ply"
 

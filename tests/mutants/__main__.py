@@ -104,7 +104,7 @@ def _test(root: Path, tests: tuple[str, ...]) -> None:
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
-    os._exit(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "pytest_timeout", *tests]))
+    os._exit(pytest.main(["-x", "-m", "not docker", "-p", "no:cacheprovider", "-p", "pytest_timeout", *tests]))
 
 
 def _say(text: str) -> None:

@@ -38,6 +38,7 @@ def choose_for(model: GaussianModel, bits: int, asked: Auto | None = None) -> Ch
     return choose(model, bench_key(1), bits, asked or Auto(), DIGEST)
 
 
+@pytest.mark.long
 def test_a_rich_scene_keeps_its_fidelity(plant: GaussianModel) -> None:
     choice = choose_for(plant, 32)
     assert choice.met
@@ -49,6 +50,7 @@ def test_a_rich_scene_keeps_its_fidelity(plant: GaussianModel) -> None:
     assert choice.report() == choose_for(plant, 32).report()
 
 
+@pytest.mark.long
 def test_a_longer_message_takes_more_strength_unless_fidelity_was_asked_for(plant: GaussianModel) -> None:
     longer = choose_for(plant, 80)
     assert longer.config.psnr_db < 47.0
@@ -94,6 +96,7 @@ def test_the_owners_cameras_that_are_no_key_views_are_the_unseen_ones(plant: Gau
     assert choice.rehearsal.predicted_z > 0.0
 
 
+@pytest.mark.long
 def test_more_fidelity_and_fewer_cells_foretell_less(plant: GaussianModel) -> None:
     def foretold(config: EmbedConfig) -> float:
         return rehearse(plant, bench_key(1), config, DIGEST).predicted_z

@@ -41,13 +41,10 @@ def owner(small_plant: GaussianModel) -> Party:
 
 
 def lost(owner: Party, thief: Party, *deeds: str) -> Dispute:
-    """The dispute, which the thief loses from whichever side he comes; his deeds are named."""
+    """The dispute, which the thief loses; his deeds are named."""
     found = settle(owner, thief)
     assert found.first == "a"
     assert found.seen == tuple((deed, "b") for deed in deeds)
-    turned = settle(thief, owner)
-    assert turned.first == "b"
-    assert turned.seen == tuple((deed, "a") for deed in deeds)
     text = " ".join((dispute_words(found.to_json()).finding, *dispute_words(found.to_json()).reasons))
     assert text.startswith("The mark of Party A is in the original of Party B")
     return found
@@ -63,6 +60,9 @@ def test_re_marking_and_back_dating(owner: Party) -> None:
     assert abs(looks["b", "a", "original"].claim.z) < 6
     assert found.dates["b"].self_declared == "2020-01-01"
     assert "which nobody attests" in " ".join(dispute_words(found.to_json()).reasons)
+    turned = settle(thief, owner)
+    assert turned.first == "b", "whichever side he comes from"
+    assert turned.seen == tuple((deed, "a") for deed, _ in found.seen)
 
 
 def test_an_attested_date_does_not_help_the_thief(owner: Party) -> None:
@@ -108,6 +108,7 @@ def test_two_who_marked_one_unmarked_model(owner: Party, small_plant: GaussianMo
     assert "The dates do not tell" in " ".join(dispute_words(undated.to_json()).reasons)
 
 
+@pytest.mark.long
 def test_two_who_have_nothing_in_common(owner: Party, small_plant: GaussianModel) -> None:
     rng = np.random.default_rng(8)
     foreign = small_plant.with_(
@@ -115,7 +116,7 @@ def test_two_who_have_nothing_in_common(owner: Party, small_plant: GaussianModel
         log_scales=rng.uniform(-5, -3, small_plant.means.shape),
         opacity_logits=rng.standard_normal(len(small_plant)),
     )
-    found = settle(owner, mark(foreign, 2, psnr_db=40.0))
+    found = settle(owner, mark(foreign.take(np.arange(len(foreign) // 2)), 2, psnr_db=40.0))
     assert (found.first, found.same_original, found.seen) == ("neither", False, ())
     assert "nothing in common" in dispute_words(found.to_json()).finding
 

@@ -142,6 +142,7 @@ def test_pruning_meets_its_budget(plant: GaussianModel, budget: float) -> None:
     assert verify_model(result.model, opened).claim.bit_accuracy == 1.0
 
 
+@pytest.mark.long
 def test_tighter_budget_keeps_more(plant: GaussianModel) -> None:
     counts = [len(quick(plant, prune=PruneConfig(budget_db=b)).model) for b in (42.0, 32.0)]
     assert counts[0] > 1.1 * counts[1]

@@ -44,6 +44,7 @@ def test_the_place_found_by_looking_is_exact(model: GaussianModel, landmarks: La
     assert np.median(np.linalg.norm(back - model.means, axis=1)) < 2e-3 * np.ptp(model.means)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_mirrored_model_is_placed_by_its_mirror_image(model: GaussianModel, landmarks: Landmarks) -> None:
     scale, R, t = MOVES["small"]

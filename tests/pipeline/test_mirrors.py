@@ -52,6 +52,7 @@ def screenshots(scene: MarkedScene) -> list[np.ndarray]:
     return [to_8_bit(render(scene.marked, camera)) for camera in cameras]
 
 
+@pytest.mark.long
 def test_a_mirrored_model_claims_as_if_it_were_not(scene: MarkedScene, suspect: GaussianModel) -> None:
     mirrored, plain = (verify_model(m, scene.opened).claim for m in (suspect, mirror_model(suspect)))
     assert mirrored.verdict.value == "marked"
@@ -79,7 +80,7 @@ def test_an_unmarked_mirror_image_makes_no_claim(scene: MarkedScene) -> None:
     assert claim.derived_fraction == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("axis", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_mirrored_screenshots_claim_as_if_they_were_not(
     with_landmarks: OpenedRecord, screenshots: list[np.ndarray], axis: int
 ) -> None:
@@ -94,7 +95,7 @@ def test_mirrored_screenshots_claim_as_if_they_were_not(
     assert mirrored.derivation.views == (2, 2)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("axis", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_a_mirrored_picture_of_a_known_camera_is_turned_over(scene: MarkedScene, axis: int) -> None:
     camera = scene.opened.cameras[1]
     picture = to_8_bit(render(scene.marked, camera))

@@ -115,6 +115,7 @@ def test_where_evidence_is_short_a_tenth_of_it_may_go(rough: GaussianModel, monk
         assert spent.sh_degree == degree
 
 
+@pytest.mark.long
 def test_chosen_and_named_are_the_same_bytes(rough: GaussianModel, choice: Choice) -> None:
     key = bench_key(1)
     left_open = embed(rough, key, original_sha256=DIGEST, bits=16, config=asked())
@@ -124,6 +125,7 @@ def test_chosen_and_named_are_the_same_bytes(rough: GaussianModel, choice: Choic
     assert left_open.report["choice"]["spent"]["sh_degree"] == 0
 
 
+@pytest.mark.long
 def test_bytes_are_those_of_the_delivered_format(rough: GaussianModel) -> None:
     found = chosen(rough, asked(format="sog"))
     assert found.spent is not None

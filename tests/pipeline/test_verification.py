@@ -116,6 +116,7 @@ def test_one_attacked_picture_is_enough(scene: MarkedScene, name: str, strength:
     assert claim.bit_accuracy >= 0.96
 
 
+@pytest.mark.long
 def test_several_pictures_say_more_than_one(scene: MarkedScene) -> None:
     cameras = scene.opened.cameras[:3]
     pictures = [image_attack("noise_image").apply(render(scene.marked, c), 0.2, rng=k) for k, c in enumerate(cameras)]

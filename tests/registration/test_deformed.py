@@ -34,7 +34,14 @@ def share_right(got: Registration, order: np.ndarray) -> tuple[float, float]:
     return float(right.sum() / (order >= 0).sum()), float(right.sum() / max(1, (got.matches >= 0).sum()))
 
 
-@pytest.mark.parametrize(("case", "more"), [("bend 90", 0.3), ("squash 0.5", 0.6), ("articulate 45", 0.2)])
+@pytest.mark.parametrize(
+    ("case", "more"),
+    [
+        pytest.param("bend 90", 0.3, marks=pytest.mark.long),
+        pytest.param("squash 0.5", 0.6, marks=pytest.mark.long),
+        ("articulate 45", 0.2),
+    ],
+)
 def test_deformed_real_scene(plant: ReferenceIndex, case: str, more: float) -> None:
     order = shuffled(plant.model)
     suspect = moved(CASES[case](marked(plant.model)).take(order))

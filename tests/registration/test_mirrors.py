@@ -122,6 +122,7 @@ def test_a_piece_left_in_place_hides_no_mirror_elsewhere() -> None:
     assert (got.matches[cut:] == order[cut:]).mean() > 0.99
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_mirror_that_is_bent() -> None:
     model = scene(0, degree=0)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.service import serving
 from tests.service.serving import ROOT
 
@@ -23,6 +25,7 @@ def run(commands: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(shell, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 def test_commands_run_as_written(tmp_path: Path) -> None:
     """Those that want no running service first; the others beside one."""
     install, backup, keyless, keys, watch = BLOCKS

@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from service.settings import Settings
 from tests.service import serving
 from tests.service.serving import ROOT
@@ -26,6 +28,7 @@ def form(value: Any) -> Any:
     return "number" if isinstance(value, (int, float)) and not isinstance(value, bool) else type(value).__name__
 
 
+@pytest.mark.long
 def test_commands_run_as_written(tmp_path: Path) -> None:
     served = serving.start(tmp_path)
     (tmp_path / "tests").symlink_to(ROOT / "tests")
@@ -57,6 +60,7 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.long
 def test_the_client_on_the_page_runs_as_written(tmp_path: Path) -> None:
     program = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "SERVICE.md").read_text(), re.DOTALL)[0]
     served = serving.start(tmp_path)

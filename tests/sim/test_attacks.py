@@ -64,6 +64,8 @@ VIEW_NAMES = [
     "saturation",
     "white_balance",
     "viewer_color",
+    "lettering",
+    "chequers",
     "resize_nearest",
     "resize_bilinear",
     "resize_area",

@@ -31,6 +31,7 @@ def marked() -> MarkedScene:
     return mark_scene(PLANT, profile("fast", landmark_views=24))
 
 
+@pytest.mark.long
 def test_screenshots_of_the_supersplat_viewer_claim(marked: MarkedScene, tmp_path: Path) -> None:
     write_model(marked.marked, tmp_path / "plant.ply")
     camera = make_rig(marked.marked, 1, *SIZE, jitter=np.array([[0.2, 0.6, 0.1, 0.5]]))[0]

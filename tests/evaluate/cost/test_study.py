@@ -24,6 +24,7 @@ def scene(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.long
 def test_a_quick_run_measures_every_axis(scene: str, tmp_path: Path) -> None:
     options = Options((scene,), quick=True)
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")

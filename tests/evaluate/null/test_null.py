@@ -30,6 +30,7 @@ def small(cell: Cell) -> Cell:
     return Cell(cell.name, cell.work, {**cell.arguments, **least})
 
 
+@pytest.mark.long
 def test_quick_run(tmp_path: Path) -> None:
     options = Options((str(write_piece(tmp_path)),), quick=True)
     cells = STUDY.cells(options)

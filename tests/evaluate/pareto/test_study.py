@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from engine.evaluate.pareto.study import STUDY
 from engine.evaluate.reporting import write_report
@@ -16,6 +17,7 @@ from engine.formats import encode_model, read_model
 PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
 
 
+@pytest.mark.long
 def test_a_quick_run_says_what_a_scene_needs(tmp_path: Path) -> None:
     thin = read_model(PLANT).model.take(np.arange(0, 113_000, 4))
     scene = tmp_path / "thin.ply"

@@ -32,6 +32,7 @@ def model(count: int = 50) -> GaussianModel:
     )
 
 
+@pytest.mark.long
 def test_quick_run(tmp_path: Path) -> None:
     options = Options((str(write_piece(tmp_path)),), quick=True)
     rows = run_cells(STUDY.cells(options), tmp_path / "cells")

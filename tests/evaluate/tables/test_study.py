@@ -20,6 +20,7 @@ PLANT = str(Path(__file__).parents[2] / "data" / "plant.splat")
 DRAWN = {"table1", "table2", "table5", "fig6", "fig7", "ablation"}
 
 
+@pytest.mark.long
 def test_quick_run_fills_every_table(tmp_path: Path) -> None:
     thin = read_model(PLANT).model.take(np.arange(0, 113_000, 5))  # a fifth of the time
     (tmp_path / "thin.ply").write_bytes(encode_model(thin, "ply"))

@@ -41,6 +41,7 @@ def filled(served: Served) -> dict[str, str]:
     return {"asset_id": asset, "claim_id": claim, "webhook_id": hook, **shared}
 
 
+@pytest.mark.long
 def test_all_checks(served: Served, tmp_path: Path) -> None:
     ids = filled(served)
     config = tmp_path / "schemathesis.toml"

@@ -29,6 +29,7 @@ def forged(marked: Marked, signer: Signer, tmp_path: Path) -> Path:
     return tmp_path / "forged.sog"
 
 
+@pytest.mark.long
 def test_a_verdict_is_the_same_with_it(verify: Ask, forged: Path) -> None:
     plain, with_it = (verify(model=str(path)) for path in (forged.with_name("plain.sog"), forged))
     assert with_it["claim"]["verdict"] != "marked"

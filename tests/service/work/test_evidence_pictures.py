@@ -59,7 +59,7 @@ def test_no_picture_shows_the_unmarked_model(verify: Ask, marked: Marked, tmp_pa
     assert far > 3 * near
 
 
-@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("turned", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_screenshot_lies_over_the_asset(verify: Ask, marked: Marked, tmp_path: Path, turned: bool) -> None:
     """Over another background, cut, and turned over left to right."""
     model = read_model(marked.path("model")).model
@@ -77,5 +77,6 @@ def test_a_screenshot_lies_over_the_asset(verify: Ask, marked: Marked, tmp_path:
     assert grey.mean() > 0.9
 
 
+@pytest.mark.long
 def test_what_was_not_laid_over_has_no_difference(verify: Ask, tmp_path: Path) -> None:
     assert verify(model=str(FOREIGN))["files"].keys() == {"suspect", "asset", "heatmap"}

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from engine.catalogue.entry import Entry
 from engine.errors import CapacityError, FormatError, InputError
 from engine.formats import read_model
 from engine.pipeline.sealing import open_record
+from engine.pipeline.warm_steps import Step
 from engine.registration.sketch import make_sketch
 from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
@@ -23,7 +25,7 @@ from engine.watermark.planning import PlanConfig
 from service.work.candidates import find_marks, load_candidates
 from service.work.embedding import embed_mark
 from service.work.pictures import choose_view
-from service.work.tasks import TASKS
+from service.work.tasks import TASKS, preload
 from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked, silent
 
 EMBED: dict[str, Any] = {
@@ -52,6 +54,16 @@ def test_importing_the_tasks_is_cheap_and_preloading_needs_no_torch() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_a_process_that_is_wanted_loads_no_more_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = list[str]()
+    steps = {name: Step(partial(ran.append, name), 1.0, ()) for name in ("first", "second")}
+    monkeypatch.setattr("engine.pipeline.warming.steps_of", lambda work: steps)
+    preload(lambda: True)
+    assert ran == ["first"]
+    preload(lambda: False)
+    assert ran == ["first", "first", "second"]
+
+
 def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
     reply = marked.reply
     json.dumps(reply)
@@ -70,6 +82,7 @@ def test_embed_makes_all_that_its_contract_names(marked: Marked) -> None:
     assert len(entry.seen) > 500
 
 
+@pytest.mark.long
 def test_auto_says_what_it_chose_and_keeps_the_fidelity_that_was_asked_for(tmp_path: Path, marked: Marked) -> None:
     reply = embed_mark(EMBED | {"model": str(marked.original), "profile": "auto", "psnr": 44.0}, tmp_path, silent)
     choice = reply["report"]["choice"]

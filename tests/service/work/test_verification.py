@@ -49,6 +49,7 @@ def test_derived_but_unmarked(verify: Ask, marked: Marked) -> None:
     assert checks(reply) == dict(zip(FIVE, [True, True, True, False, True], strict=True))
 
 
+@pytest.mark.long
 def test_not_derived(verify: Ask) -> None:
     reply = verify(model=str(FOREIGN))
     assert reply["claim"]["verdict"] == "inconclusive"
@@ -125,6 +126,7 @@ def test_a_screenshot_from_an_unknown_camera(verify: Ask, marked: Marked, tmp_pa
         assert picture.size == (800, 569)
 
 
+@pytest.mark.long
 def test_a_picture_of_something_else(verify: Ask, tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
     Image.fromarray(noise).save(tmp_path / "noise.png")

@@ -54,6 +54,7 @@ def fresh(scene: MarkedScene, cameras: list[Camera]) -> GaussianModel:
     return retrain(scene.marked, cameras, CONFIG)
 
 
+@pytest.mark.long
 def test_no_gaussian_is_left_and_the_mark_is_still_seen(scene: MarkedScene, fresh: GaussianModel) -> None:
     assert not register(scene.opened.reference, fresh).found
     claim = verify_model(fresh, scene.opened).claim
@@ -62,6 +63,7 @@ def test_no_gaussian_is_left_and_the_mark_is_still_seen(scene: MarkedScene, fres
     assert claim.bit_accuracy > 0.9
 
 
+@pytest.mark.long
 def test_moved_and_trained_anew_it_is_found_by_looking(scene: MarkedScene, fresh: GaussianModel) -> None:
     scale, R, t = MOVES["large"]
     claim = verify_model(transform_model(fresh, scale, R, t), scene.opened).claim
@@ -69,6 +71,7 @@ def test_moved_and_trained_anew_it_is_found_by_looking(scene: MarkedScene, fresh
     assert any("placed by what it looks like" in note for note in claim.notes)
 
 
+@pytest.mark.long
 def test_trained_on_unmarked_renders_nothing_is_claimed(scene: MarkedScene, cameras: list[Camera]) -> None:
     claim = verify_model(retrain(scene.original, cameras, CONFIG), scene.opened).claim
     assert claim.verdict.value != "marked"
@@ -92,6 +95,7 @@ def test_random_points_know_nothing_of_the_surface(scene: MarkedScene, cameras: 
     assert losses[0] > losses[1] + 1
 
 
+@pytest.mark.long
 def test_bench_gives_a_row_for_each_route(scene: MarkedScene) -> None:
     rows = list(read_retrained(scene, views=(3,), stops=(5,), size=96, config=CONFIG))
     assert [row["route"] for row in rows] == ["render", "image"]

@@ -23,6 +23,7 @@ def place(scale: float, degrees: float, x: float) -> Similarity:
     return Similarity(scale, Rotation.from_euler("y", degrees, degrees=True).as_matrix(), np.array([x, 0.0, 0.0]))
 
 
+@pytest.mark.long
 def test_variants_in_one_file_are_told_apart(
     plant: GaussianModel,
     clip: SpacetimeModel,

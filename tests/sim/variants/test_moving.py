@@ -84,6 +84,7 @@ def test_a_picture_of_an_unknown_moment_counts_every_moment_tried(clip: Spacetim
     assert best.claim.tries == 2 * 6
 
 
+@pytest.mark.long
 def test_the_moment_of_an_export_is_found(clip: SpacetimeModel, marked_clip: Marked) -> None:
     marked, _, opened = marked_clip
     for time in (0.31, 0.62):  # halfway between two that are tried, the wrong one may explain more, less exactly
