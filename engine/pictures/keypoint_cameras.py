@@ -15,10 +15,13 @@ from engine.pictures.features import Keypoints, detect_keypoints
 from engine.pictures.landmark_matching import match_landmarks, match_projected
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pixel_shape import SQUARE, PixelShape
-from engine.raster import render_depth
+from engine.pictures.windows import CLOSER_SIZE, Window
 
 __all__ = ["Look", "keypoints_of", "look_closer", "look_near"]
 
+LEAST_RESEMBLANCE = 0.15
+"""Of a picture and the render from a view nearby, at a glance: of 52 looks that found enough keypoints, two that led
+nowhere else but to what others found had less; of 425 others a half."""
 KEYPOINTS = 2000
 """SIFT keypoints of the picture."""
 DETECTION_SIZE = 1000
@@ -39,12 +42,6 @@ GUIDED, GUIDED_FAR = (1.0, 1.0, 0.5), (4.0, 2.0, 1.0, 0.5)
 LEAST_OFF_CENTER, OFF_CENTER = 24, 1.1
 """Matches that can tell where a picture's own centre was, and how much better they must then agree (how many by their
 error): of pictures that were not cropped it is 0.99 to 1.02, of others mostly above 1.1."""
-CLOSER_SIZE = 640
-"""Longer side of the render whose keypoints a picture is matched to from a view that looks alike, pixels."""
-GLANCE, VISIBLE = 160, 0.3
-"""Longer side of the render that tells where in the picture the model is, pixels, and the opacity that counts."""
-SURROUNDINGS = 0.15
-"""Margin around it, in its longer side: the camera is not quite right yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +123,11 @@ def look_closer(model: GaussianModel, grey: Float32, camera: Camera) -> Hypothes
     keypoints do.
 
     They are sought where the render shows the model, and around: those of what lies behind would outnumber its own.
+    Nothing is sought where, at a glance, the two have nothing in common.
     """
     found = None
     for factors in (GUIDED_FAR, GUIDED):  # the second time from where the first ended, which looks more alike
-        near = look_near(model, grey, camera)
+        near = look_near(model, grey, camera, LEAST_RESEMBLANCE)
         if near is None:
             return found
         look, part, window = near
@@ -141,71 +139,29 @@ def look_closer(model: GaussianModel, grey: Float32, camera: Camera) -> Hypothes
     return found
 
 
-def look_near(model: GaussianModel, grey: Float32, camera: Camera) -> tuple[Look, Camera, Window] | None:
+def look_near(
+    model: GaussianModel, grey: Float32, camera: Camera, least: float = -1.0
+) -> tuple[Look, Camera, Window] | None:
     """The part of a picture's brightness (H, W) in which a camera shows the model, to be held against a render from
-    there; that part's camera; and where it lies. None where there is nothing to see."""
-    window = Window.around(model, camera)
-    if window is None:
+    there; that part's camera; and where it lies. None where there is nothing to see, or it resembles the render less
+    than `least`."""
+    window = Window.around(model, camera, grey)
+    if window is None or window.resemblance < least:
         return None
     near = window.of(camera)
     part = resized(grey[window.rows, window.columns], near.width, near.height)
     bank = make_landmarks(model, [near.with_side(CLOSER_SIZE)])
-    seen = keypoints_of(part, window.shown)
+    seen = keypoints_of(part, window.shown, CLOSER_SIZE)
     return (Look(seen, bank, (near.width, near.height), ()), near, window) if len(bank) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
-    """The part of a picture that shows a model and its surroundings, and by how much it is enlarged."""
-
-    rows: slice
-    columns: slice
-    picture: Camera  # of the whole
-    factor: float
-    shown: Bool  # (h, w) of the part, much reduced: the model, and what is near
-
-    @classmethod
-    def around(cls, model: GaussianModel, camera: Camera) -> Window | None:
-        """Where a camera sees the model; None where it does not."""
-        import cv2
-
-        small = camera.with_side(GLANCE)
-        seen = render_depth(model, small)[1] > VISIBLE
-        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
-        if not len(rows):
-            return None
-        low, high = np.array([rows[0], columns[0]]), np.array([rows[-1], columns[-1]]) + 1
-        margin = int(np.ceil(SURROUNDINGS * (high - low).max()))
-        near = cv2.dilate(seen.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
-        low, high = np.maximum(low - margin, 0), np.minimum(high + margin, seen.shape)
-        shown = near[low[0] : high[0], low[1] : high[1]]
-        scale = np.array([camera.height / small.height, camera.width / small.width])
-        (top, left), (bottom, right) = np.floor(low * scale).astype(int), np.ceil(high * scale).astype(int)
-        factor = max(1.0, CLOSER_SIZE / max(bottom - top, right - left))
-        return cls(slice(int(top), int(bottom)), slice(int(left), int(right)), camera, float(factor), shown)
-
-    def of(self, camera: Camera) -> Camera:
-        """The camera of this part of its picture."""
-        K = camera.K.copy()
-        K[:2, 2] -= self.columns.start, self.rows.start
-        K[:2] *= self.factor
-        width, height = (round(self.factor * (part.stop - part.start)) for part in (self.columns, self.rows))
-        return Camera(camera.viewmat, K, width, height)
-
-    def back(self, camera: Camera) -> Camera:
-        """The camera of the whole picture, of this part's."""
-        K = camera.K / self.factor
-        K[:2, 2] += self.columns.start, self.rows.start
-        K[2, 2] = 1.0
-        return Camera(camera.viewmat, K, self.picture.width, self.picture.height)
-
-
-def keypoints_of(grey: Float32, shown: Bool | None = None) -> Keypoints:
-    """Keypoints of a picture's brightness (H, W), 0..1, of any size; `shown` (h, w) of any size allows them."""
+def keypoints_of(grey: Float32, shown: Bool | None = None, size: int = DETECTION_SIZE) -> Keypoints:
+    """Keypoints of a picture's brightness (H, W), 0..1, reduced to a longer side of `size` pixels where it is larger;
+    `shown` (h, w) of any size allows them."""
     import cv2
 
     height, width = grey.shape
-    shrink = min(1.0, DETECTION_SIZE / max(height, width))
+    shrink = min(1.0, size / max(height, width))
     small = resized(grey, max(1, round(width * shrink)), max(1, round(height * shrink)))
     mask = None
     if shown is not None:

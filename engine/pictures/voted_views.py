@@ -23,8 +23,6 @@ NEAREST = 8
 """Landmarks that a keypoint speaks for; the next one is the yardstick."""
 AROUND = 1.5
 """Votes count as agreeing so many times as far as those that were counted: what they agree on is a rough map."""
-CHUNK = 256
-"""Keypoints compared at a time: 256 rows of 20,000 distances are 20 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +64,14 @@ def vote_for_views(
 
 def _neighbours(queries: Float32, targets: Float32) -> tuple[Int64, Float64]:
     """The NEAREST of each query, one behind the other, and how much nearer each is than the next one, 0 to 1."""
-    squares = np.einsum("ij,ij->i", targets, targets)
-    found, gains = [], []
-    for low in range(0, len(queries), CHUNK):
-        part = queries[low : low + CHUNK]
-        distance = squares - 2.0 * (part @ targets.T) + np.einsum("ij,ij->i", part, part)[:, None]
-        near = np.argpartition(distance, NEAREST, axis=1)[:, : NEAREST + 1]
-        away = np.sqrt(np.maximum(np.take_along_axis(distance, near, axis=1), 0.0, dtype=np.float64))
-        order = np.argsort(away, axis=1, kind="stable")
-        near, away = np.take_along_axis(near, order, axis=1), np.take_along_axis(away, order, axis=1)
-        found.append(near[:, :NEAREST])
-        gains.append(1.0 - away[:, :NEAREST] / np.maximum(away[:, NEAREST:], 1e-12))
-    return np.concatenate(found).reshape(-1).astype(np.int64), np.concatenate(gains).reshape(-1)
+    import faiss
+
+    index = faiss.IndexFlatL2(targets.shape[1])
+    index.add(targets)
+    distance, near = index.search(queries, NEAREST + 1)
+    away = np.sqrt(distance, dtype=np.float64)
+    gains = 1.0 - away[:, :NEAREST] / np.maximum(away[:, NEAREST:], 1e-12)
+    return near[:, :NEAREST].reshape(-1), gains.reshape(-1)
 
 
 def _camera(view: Camera, carried: Float64, size: tuple[int, int]) -> Camera:

@@ -7,11 +7,15 @@ import pytest
 from skimage import data
 
 from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.resampling import smooth
 from engine.pictures.camera_motion import moved, project
 from engine.pictures.features import luma
-from engine.pictures.keypoint_cameras import Window, look_closer
+from engine.pictures.keypoint_cameras import LEAST_RESEMBLANCE, look_closer, look_near
+from engine.pictures.windows import Window
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
+
+OFF = np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03, 0.0, 0.0])
 
 
 def small_view(model: GaussianModel, zoom: float) -> Camera:
@@ -24,13 +28,17 @@ def small_view(model: GaussianModel, zoom: float) -> Camera:
 def busy(model: GaussianModel, camera: Camera) -> Float32:
     """(H, W) the view over a wall of bricks, whose keypoints are the stronger ones."""
     image, alpha, _ = render_depth(model, camera)
-    bricks = np.tile(data.brick().astype(np.float32) / np.float32(255.0), (2, 2))[: camera.height, : camera.width]
-    return luma(image) + (1.0 - alpha) * bricks
+    return luma(image) + (1.0 - alpha) * wall(camera)
+
+
+def wall(camera: Camera) -> Float32:
+    """(H, W) the bricks alone."""
+    return np.tile(data.brick().astype(np.float32) / np.float32(255.0), (2, 2))[: camera.height, : camera.width]
 
 
 def test_the_window_holds_the_model_and_goes_back(plant: GaussianModel) -> None:
     camera = small_view(plant, 0.4)
-    window = Window.around(plant, camera)
+    window = Window.around(plant, camera, busy(plant, camera))
     assert window is not None
     _, alpha, _ = render_depth(plant, camera)
     rows, columns = np.nonzero(alpha > 0.6)
@@ -48,7 +56,7 @@ def test_the_window_holds_the_model_and_goes_back(plant: GaussianModel) -> None:
 def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
     camera = small_view(plant, 1.0)
     away = moved(camera, np.array([0.0, np.pi, *np.zeros(7)]), 1.0)
-    assert Window.around(plant, away) is None
+    assert Window.around(plant, away, busy(plant, camera)) is None
     assert look_closer(plant, busy(plant, camera), away) is None
 
 
@@ -56,9 +64,30 @@ def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
 def test_a_small_model_among_other_things_is_found_from_nearly_there(plant: GaussianModel, zoom: float) -> None:
     true = small_view(plant, zoom)
     grey = busy(plant, true)
-    rough = moved(true, np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03, 0.0, 0.0]), 2.0)
+    rough = moved(true, OFF, 2.0)
     found = look_closer(plant, grey, rough)
     assert found is not None
     assert found.support >= 30
     points = plant.means[::500].astype(np.float64)
     assert np.median(np.linalg.norm(project(points, found.camera) - project(points, true), axis=1)) < 1.0
+
+
+def test_a_glance_tells_what_is_worth_a_look(plant: GaussianModel) -> None:
+    true = small_view(plant, 0.55)
+    rough = moved(true, OFF, 2.0)
+    image, alpha, _ = render_depth(plant, true)
+    seen, nothing = luma(image), 1.0 - alpha
+    like = {
+        "over bricks": busy(plant, true),
+        "light and dark exchanged": alpha - seen + 0.5 * nothing,
+        "steps washed out": smooth(seen, 30.0),
+        "over white": seen + nothing,
+    }
+    for name, grey in like.items():
+        window = Window.around(plant, rough, grey)
+        assert window is not None, name
+        assert window.resemblance > 0.6, name
+    for other in (wall(true), busy(plant, true)[:, ::-1]):
+        assert look_near(plant, other, rough) is not None
+        assert look_near(plant, other, rough, LEAST_RESEMBLANCE) is None
+        assert look_closer(plant, other, rough) is None
