@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from engine.model import Camera
-from engine.pictures.camera_trial import Picture
+from engine.pictures.camera_trial import THUMBNAIL, Picture
 from engine.pictures.features import Keypoints
 from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of
@@ -28,8 +28,6 @@ SUPPORTED, ENOUGH = 30, 60
 render from nearly there, so that no further view is tried."""
 QUICK_ITERATIONS, QUICK_STEP = 8, 0.05
 """Renders at most of a level of the refinement before the last, and the step at which it ends, pixels."""
-THUMBNAIL = 128
-"""Longer side of the picture on which candidates without keypoints are refined first, pixels."""
 CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
 """Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
 VOTED = 4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
@@ -13,9 +15,15 @@ from engine.pictures.features import luma
 from engine.pictures.found_camera import OWN
 from engine.pictures.keypoint_cameras import look_closer
 from engine.pictures.pose_refinement import Refined, refine_level
+from engine.pictures.view_search import thinned
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["Picture"]
+__all__ = ["MOST_SEEN", "THUMBNAIL", "Picture"]
+
+THUMBNAIL = 128
+"""Longer side of the picture on which candidates without keypoints are refined first, pixels."""
+MOST_SEEN = 30_000
+"""Gaussians that are enough to look at a model from afar."""
 
 _EDGE = 0.05
 """Steps of brightness from which an edge counts in full."""
@@ -29,6 +37,10 @@ class Picture:
         grey = luma(image)
         self.greys = (grey, np.ascontiguousarray(grey[:, ::-1]))  # as it is, and turned over
         self.size = grey.shape[1], grey.shape[0]
+
+    @cached_property
+    def _afar(self) -> GaussianModel:
+        return thinned(self.model, MOST_SEEN)
 
     def turned(self, mirrored: bool) -> Float32:
         """The picture (h, w, 3), turned over if it is mirrored."""
@@ -52,7 +64,8 @@ class Picture:
         grey = self.greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))
         picture = resized(grey, small.width, small.height)
-        return refine_level(self.model, picture, small, iterations, step, drawn, free=free)
+        model = self.model if size > THUMBNAIL else self._afar
+        return refine_level(model, picture, small, iterations, step, drawn, free=free)
 
     def full(self, camera: Camera) -> Camera:
         """The same camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
@@ -65,7 +78,8 @@ class Picture:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""
         camera = refined.camera
         picture = resized(self.greys[mirrored], camera.width, camera.height)
-        image, alpha, _ = render_depth(self.model, camera)
+        model = self.model if max(camera.width, camera.height) > THUMBNAIL else self._afar
+        image, alpha, _ = render_depth(model, camera)
         behind = fill_background(picture, alpha)
         composed = luma(image) + (0.0 if behind is None else (1.0 - alpha) * behind)
         shown, seen = (_edges(smooth(np.asarray(each, dtype=np.float32), 1.0)) for each in (composed, picture))

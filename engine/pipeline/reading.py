@@ -12,6 +12,7 @@ from engine.numerics.similarity import mirror_model
 from engine.pictures.alignment import align_either_hand, align_near
 from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
+from engine.pictures.camera_trial import MOST_SEEN
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_search import ViewEdges, describe_views, thinned
@@ -36,8 +37,6 @@ REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
 """Views in which a picture without keypoints is sought, and their shape."""
-MOST_SEEN = 30_000
-"""Gaussians that are enough to look at a model from afar."""
 
 
 @dataclass(frozen=True, eq=False)
