@@ -17,7 +17,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Bool, Float32, Float64
 from engine.numerics.resampling import map_points, smooth, warp
-from engine.pictures.brightness_fit import Fit, fit_warp
+from engine.pictures.brightness_fit import Fit, fit_warp, still_rms
 from engine.pictures.features import detect_keypoints, luma, match_within
 from engine.pictures.light import predict_brightness
 
@@ -38,8 +38,9 @@ WELL_CORRELATION = 0.95
 """Correlation below which a picture may be a mirror image: rivals that look alike came to 0.92."""
 PERSPECTIVE_GAIN = 0.97
 """A homography must lower the residual to this fraction of the similarity's."""
-SNAP_PIXELS = 0.06
-"""A fitted motion smaller than this everywhere is none: the picture is used without resampling."""
+SNAP_PIXELS, SNAP_FAR = 0.06, 0.3
+"""A fitted motion smaller than this everywhere is none: the picture is used without resampling. So is a larger one, up
+to the second, that does not lower the residual to `PERSPECTIVE_GAIN` of it: coarse JPEG makes such motions up."""
 MARGIN = 3
 """Pixels by which the mask is eroded."""
 SUSPICIOUS = 0.005
@@ -87,7 +88,7 @@ def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
     if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
         fit = bent
     matrix = fit.matrix
-    if grey.shape == suspect_grey.shape and _largest_motion(matrix, *grey.shape) < SNAP_PIXELS:
+    if grey.shape == suspect_grey.shape and _is_still(grey, suspect_grey, fit):
         matrix = np.eye(3)
     warped, inside = _resample(suspect, matrix, *grey.shape)
     mask = _evidence_mask(grey, luma(warped), inside, fit)
@@ -154,6 +155,13 @@ def _sift_hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
     # Eight numbers explain more than four by themselves; only a clear majority counts.
     if bent is not None and inliers is not None and inliers.sum() > 1.3 * agreed + LEAST_MATCHES:
         yield np.asarray(bent, dtype=np.float64)
+
+
+def _is_still(grey: Float32, suspect: Float32, fit: Fit) -> bool:
+    largest = _largest_motion(fit.matrix, *grey.shape)
+    if largest < SNAP_PIXELS:
+        return True
+    return largest < SNAP_FAR and fit.rms > PERSPECTIVE_GAIN * still_rms(grey, suspect, fit)
 
 
 def _largest_motion(matrix: Float64, height: int, width: int) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from engine.model import Float32, Float64
 from engine.numerics.resampling import map_points, sample, smooth
 
-__all__ = ["Fit", "fit_warp", "robust_line", "robust_scale"]
+__all__ = ["Fit", "fit_warp", "robust_line", "robust_scale", "still_rms"]
 
 _SAMPLES = 120_000
 """Most pixels used on one level; those with the steepest gradients."""
@@ -99,6 +99,14 @@ def _fit_level(reference: Float32, suspect: Float32, matrix: Float64, level: int
     both = np.std(r) * np.std(w)
     correlation = float(np.mean((r - r.mean()) * (w - w.mean())) / both) if both > 1e-12 else 0.0
     return Fit(matrix, gain, offset, int(inlying.sum()), spread, correlation)
+
+
+def still_rms(reference: Float32, suspect: Float32, fit: Fit) -> float:
+    """Robust residual, image units, of a fit of two images of one size (H, W) whose motion is left out."""
+    points, values, _ = _steepest(smooth(reference, 0.7), 1, False)
+    seen = sample(smooth(suspect, 0.7), points)
+    usable = np.isfinite(seen) & (seen < _CLIPPED)
+    return robust_scale(seen[usable] - fit.gain * values[usable] - fit.offset) if usable.any() else np.inf
 
 
 def robust_line(r: Float32, w: Float32) -> tuple[float, float]:
