@@ -15,15 +15,13 @@ from engine.pictures.features import luma
 from engine.pictures.found_camera import OWN
 from engine.pictures.keypoint_cameras import look_closer
 from engine.pictures.pose_refinement import Refined, refine_level
-from engine.pictures.view_search import thinned
+from engine.pictures.view_search import MOST_SEEN, thinned
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["MOST_SEEN", "THUMBNAIL", "Picture"]
+__all__ = ["THUMBNAIL", "Picture"]
 
 THUMBNAIL = 128
 """Longer side of the picture on which candidates without keypoints are refined first, pixels."""
-MOST_SEEN = 30_000
-"""Gaussians that are enough to look at a model from afar."""
 
 _EDGE = 0.05
 """Steps of brightness from which an edge counts in full."""

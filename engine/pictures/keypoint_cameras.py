@@ -20,8 +20,8 @@ from engine.pictures.windows import CLOSER_SIZE, Window
 __all__ = ["Look", "keypoints_of", "look_closer", "look_near"]
 
 LEAST_RESEMBLANCE = 0.15
-"""Of a picture and the render from a view nearby, at a glance: of 52 looks that found enough keypoints, two that led
-nowhere else but to what others found had less; of 425 others a half."""
+"""Of a picture and the render from a view nearby, at a glance: of 52 looks that found enough keypoints two had less, of
+425 others a half."""
 KEYPOINTS = 2000
 """SIFT keypoints of the picture."""
 DETECTION_SIZE = 1000

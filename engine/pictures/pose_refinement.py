@@ -25,7 +25,7 @@ from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved
 from engine.pictures.features import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
+__all__ = ["LEAST_CORRELATION", "Refined", "correlation", "refine_level"]
 
 _KERNEL_VERSION = 3
 BLUR = 0.8
@@ -193,8 +193,8 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
-    correlation = _correlation(toned[used], seen[used])
-    return Refined(camera, spread, correlation, _detail(toned, seen, cover, used, camera), step, int(used.sum()))
+    alike = correlation(toned[used], seen[used])
+    return Refined(camera, spread, alike, _detail(toned, seen, cover, used, camera), step, int(used.sum()))
 
 
 class Acceleration:
@@ -241,7 +241,8 @@ def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
 
 
-def _correlation(a: Float32, b: Float32) -> float:
+def correlation(a: Float32, b: Float32) -> float:
+    """Of two arrays of one size, -1 to 1; 0 where one says nothing."""
     a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
     both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
     return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
@@ -260,7 +261,7 @@ def _detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: C
     fine, coarse = (share * max(small.width, small.height) for share in DETAIL)
     around = smooth(inside, fine)[shown], smooth(inside, coarse)[shown]
     a, b, c = (smooth(each, fine)[shown] / around[0] - smooth(each, coarse)[shown] / around[1] for each in planes)
-    return _correlation(_beyond(a, c), _beyond(b, c))
+    return correlation(_beyond(a, c), _beyond(b, c))
 
 
 def _beyond(values: Float32, cover: Float32) -> Float32:

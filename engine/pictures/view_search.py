@@ -21,7 +21,7 @@ from engine.pictures.camera_motion import swung
 from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views
 from engine.raster import render_depth
 
-__all__ = ["ViewEdges", "describe_views", "search_views", "thinned"]
+__all__ = ["MOST_SEEN", "ViewEdges", "describe_views", "search_views", "thinned"]
 
 POINTS = 72
 """Points of a view: half on its silhouette, half inside."""
@@ -37,6 +37,9 @@ AGAIN = 1500
 """Finds that are looked at again, in finer steps of roll, size and place."""
 _SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
 """Radians, share of the size, and pixels within which two finds of a view are one."""
+
+MOST_SEEN = 30_000
+"""Gaussians that are enough to look at a model from afar."""
 
 
 @dataclass(frozen=True, eq=False)

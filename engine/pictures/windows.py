@@ -9,6 +9,7 @@ import numpy as np
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
 from engine.pictures.features import luma
+from engine.pictures.pose_refinement import correlation
 from engine.raster import render_depth
 
 __all__ = ["CLOSER_SIZE", "Window"]
@@ -83,9 +84,4 @@ def _resemblance(seen: Float32, drawn: Float32, alpha: Float32) -> float:
     behind = float(np.median(seen[~around])) if not around.all() else 0.0
     seen, drawn = (smooth(each, SOFT) for each in (seen, drawn + (1.0 - alpha) * np.float32(behind)))
     steps = (np.hypot(*np.gradient(each))[around] for each in (seen, drawn))
-    return max(_correlation(seen[inside], drawn[inside]), _correlation(*steps))
-
-
-def _correlation(a: Float32, b: Float32) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    return float((a * b).sum()) / max(float(np.sqrt(np.square(a).sum() * np.square(b).sum())), 1e-9)
+    return max(correlation(seen[inside], drawn[inside]), correlation(*steps))

@@ -12,10 +12,9 @@ from engine.numerics.similarity import mirror_model
 from engine.pictures.alignment import align_either_hand, align_near
 from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
-from engine.pictures.camera_trial import MOST_SEEN
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
-from engine.pictures.view_search import ViewEdges, describe_views, thinned
+from engine.pictures.view_search import MOST_SEEN, ViewEdges, describe_views, thinned
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock

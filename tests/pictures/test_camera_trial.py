@@ -10,7 +10,8 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.pictures import camera_trial
-from engine.pictures.camera_trial import MOST_SEEN, THUMBNAIL, Picture
+from engine.pictures.camera_trial import THUMBNAIL, Picture
+from engine.pictures.view_search import MOST_SEEN
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
 
