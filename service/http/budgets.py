@@ -1,39 +1,53 @@
-"""Budgets: how often a subject may do something within one window of time."""
+"""Budgets: how often a subject may do something within a span of time."""
 
 from datetime import UTC, datetime, timedelta
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
-from service.db import Database
+from service.db import Database, alone
 from service.db.schema import usage
 from service.problems import Problem
 
+PARTS = 24
+"""Uses are counted by parts of the span, so that it may end at any moment: counted by the day, twice as much as was
+allowed went through around midnight."""
+
 
 def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None:
-    """Count one use; budget-exceeded with Retry-After, once `limit` uses fell into the present window."""
-    window, left = _window(hours)
-    insert = (sqlite.insert if db.is_sqlite else postgresql.insert)(usage)
-    statement = insert.values(subject=subject, window=window, count=1).on_conflict_do_update(
-        index_elements=["subject", "window"], set_={"count": usage.c.count + 1}, where=usage.c.count < limit
-    )
+    """Count one use; budget-exceeded with Retry-After where `limit` uses fell into the last `hours`.
+
+    The part of which only the end lies within them counts whole: never are there more than `limit` in so long a time.
+    """
+    part = timedelta(hours=hours) / PARTS
+    moment = _now()
+    reach = timedelta(hours=hours) + part  # from when a part begins until it no longer counts
+    present = moment - (moment - datetime.min.replace(tzinfo=UTC)) % part
+    mine = usage.c.subject == subject
+    counted = sa.select(sa.func.sum(usage.c.count), sa.func.min(usage.c.window))
     with db.write() as connection:
-        if connection.execute(statement).rowcount == 0:
+        alone(connection)
+        used, oldest = connection.execute(counted.where(mine & (usage.c.window > _name(moment - reach)))).one()
+        if (used or 0) >= limit:
+            began = oldest.partition("/")[0]  # 0.9 counted by the day and by the hour, and wrote "/24" or "/1" behind
+            left = datetime.fromisoformat(began) + reach - moment
             text = f"{what}: at most {limit} in {hours} h"
-            raise Problem("budget-exceeded", text, headers={"Retry-After": str(left)})
+            raise Problem("budget-exceeded", text, headers={"Retry-After": str(int(left.total_seconds()) + 1)})
+        here = mine & (usage.c.window == _name(present))
+        more = sa.update(usage).where(here).values(count=usage.c.count + 1)
+        if connection.execute(more).rowcount == 0:
+            connection.execute(sa.insert(usage).values(subject=subject, window=_name(present), count=1))
 
 
 def forget(db: Database) -> None:
-    """Drop the counts of windows long past."""
-    limit = (datetime.now(UTC) - timedelta(days=2)).isoformat(timespec="hours")
+    """Drop the counts of days long past."""
     with db.write() as connection:
-        connection.execute(sa.delete(usage).where(usage.c.window < limit))
+        connection.execute(sa.delete(usage).where(usage.c.window < _name(_now() - timedelta(days=2))))
 
 
-def _window(hours: int) -> tuple[str, int]:
-    """Name of the present window, and seconds until the next."""
-    moment = datetime.now(UTC)
-    began = moment.replace(minute=0, second=0, microsecond=0)
-    began -= timedelta(hours=began.hour % hours)
-    left = began + timedelta(hours=hours) - moment
-    return f"{began.isoformat(timespec='hours')}/{hours}", int(left.total_seconds()) + 1
+def _now() -> datetime:
+    return datetime.now(UTC)
+
+
+def _name(moment: datetime) -> str:
+    """Of the part that begins then: in the order of time."""
+    return moment.isoformat(timespec="seconds")
