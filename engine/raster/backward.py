@@ -45,7 +45,7 @@ WEIGHT_SUMS = 4
 
 def pair_width(channels: int) -> int:
     """Numbers a pair takes in the output, a divisor of 16."""
-    return 1 if channels == 1 else 4 if channels <= 4 else 8 if channels <= 8 else 16
+    return 1 if channels == 1 else 4
 
 
 def backward_scratch(fields: int, width: int) -> int:

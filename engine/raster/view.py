@@ -24,9 +24,9 @@ from engine.raster.workspace import Workspace, borrow_workspace
 
 __all__ = ["View", "blend_colors", "prepare_view"]
 
-_WIDTHS = (1, 3, 4, 8, 16)
-"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 16 go in
-groups."""
+_WIDTHS = (1, 3, 4)
+"""Numbers of channels that kernels are compiled for; others are padded to the next, more than 4 go in groups: wider
+kernels took 20 s each to compile, for what nobody draws."""
 
 
 def channel_groups(channels: int) -> list[tuple[int, int, int]]:

@@ -21,7 +21,7 @@ def weights() -> np.ndarray:
         return twin.rasterize(twin.parameters(MODEL, camera()), 53, 47)[2].numpy()
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 16, 18])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 9])
 def test_backward_colors(weights: np.ndarray, channels: int) -> None:
     cotangent = np.random.default_rng(channels).normal(size=(47, 53, channels)).astype(np.float32)
     expected = np.einsum("nyx,yxc->nc", weights, cotangent)
