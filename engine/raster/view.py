@@ -26,7 +26,7 @@ __all__ = ["View", "blend_colors", "prepare_view"]
 
 _WIDTHS = (1, 3, 4)
 """Numbers of channels that kernels are compiled for; others are padded to the next, more than 4 go in groups: wider
-kernels took 20 s each to compile, for what nobody draws."""
+kernels are long to compile, and nothing here draws more than five (LiDAR: colours, depth and its square)."""
 
 
 def channel_groups(channels: int) -> list[tuple[int, int, int]]:

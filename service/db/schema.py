@@ -179,5 +179,5 @@ webhooks = Table(
 # What webhooks are still to be told: written by the transaction that ends a job, gone once delivered or given up.
 deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
 
-# How much of a budget a subject has used in one window of time.
+# How much of a budget a subject has used in the part of its span that begins at `window`.
 usage = Table("usage", metadata, *_key("subject", "window"), _number("count"))

@@ -28,7 +28,7 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
         alone(connection)
         used, oldest = connection.execute(counted.where(mine & (usage.c.window > _name(moment - reach)))).one()
         if (used or 0) >= limit:
-            began = oldest.partition("/")[0]  # 0.9 counted by the day and by the hour, and wrote "/24" or "/1" behind
+            began = oldest.partition("/")[0]  # counted by the day or the hour, it had "/24" or "/1" behind
             left = datetime.fromisoformat(began) + reach - moment
             text = f"{what}: at most {limit} in {hours} h"
             raise Problem("budget-exceeded", text, headers={"Retry-After": str(int(left.total_seconds()) + 1)})
