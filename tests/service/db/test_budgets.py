@@ -48,12 +48,14 @@ def spend(db: Database, hours: int = 24, subject: str = "one") -> int | None:
     return None
 
 
+@pytest.mark.parametrize("late", [0.0, 0.8])
 @pytest.mark.parametrize("hours", [1, 24])
-def test_no_span_of_time_holds_more_than_the_limit(db: Database, clock: Clock, hours: int) -> None:
-    """Somebody who asks all the time, around every hour and day."""
+def test_no_span_of_time_holds_more_than_the_limit(db: Database, clock: Clock, hours: int, late: float) -> None:
+    """Somebody who asks all the time, around every hour and day, first at the begin or the end of a part."""
     span, passed = timedelta(hours=hours), []
+    begin = MIDNIGHT - span + late * span / budgets.PARTS
     for step in range(250):
-        clock.moment = MIDNIGHT - span + step * span / 77
+        clock.moment = begin + step * span / 77
         if spend(db, hours) is None:
             passed.append(clock.moment)
     for first, later in zip(passed, passed[LIMIT:], strict=False):
