@@ -70,7 +70,23 @@ def test_view(view: str, browser: Browser, served: Served, stocked: dict[str, st
         found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
         said = [(rule["id"], [node["html"][:120] for node in rule["nodes"]]) for rule in found]
         assert said == [], name
+        if view in ("asset", "claim"):
+            _no_hole_in_the_facts(page)
         page.context.close()
+
+
+def _no_hole_in_the_facts(page: Page) -> None:
+    """Cells fill their table at any width: what they leave free shows as grey."""
+    for width in (360, 600, 760, 960, 1280):
+        page.set_viewport_size({"width": width, "height": 740})
+        empty = page.evaluate(
+            """[...document.querySelectorAll("main > section:not([hidden]) .facts")].map((list) => {
+                 const area = (e) => e.clientWidth * e.clientHeight;
+                 return 1 - [...list.children].reduce((sum, cell) => sum + area(cell), 0) / area(list);
+               })"""
+        )
+        assert empty, "no facts are shown"
+        assert max(empty) < 0.03, f"{width} pixels wide: {empty}"
 
 
 def test_axe_sees_what_it_looks_for(browser: Browser, served: Served) -> None:
