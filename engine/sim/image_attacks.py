@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.errors import InputError
 from engine.model import Float32
 from engine.sim.attack import Attacks
 from engine.sim.views.encoders import still
@@ -57,6 +58,19 @@ def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, e
     from skimage.transform import rotate
 
     return np.asarray(rotate(image, strength, resize=expand, order=1, mode="constant", cval=0.0))
+
+
+@ATTACKS.add(
+    "turn the picture over, as front cameras and re-posters do",
+    "what changes places: left-right, up-down or, over the diagonal, both",
+    "left-right",
+    ("left-right", "up-down", "diagonal"),
+)
+def mirror_image(image: Float32, strength: str, rng: np.random.Generator) -> Picture:
+    over = {"left-right": image[:, ::-1], "up-down": image[::-1], "diagonal": image.swapaxes(0, 1)}
+    if strength not in over:
+        raise InputError(f"mirror_image: {strength!r} is none of {', '.join(over)}")
+    return over[strength]
 
 
 @ATTACKS.as_code("rotate_image", "largest angle, degrees", 30.0, (1, 10, 30, 90), "[0, inf)")

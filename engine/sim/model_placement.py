@@ -6,14 +6,18 @@ alike: quaternions and SH turn with the centres.
 
 import numpy as np
 
+from engine.errors import InputError
 from engine.model import ATTRIBUTES, Float64, GaussianModel
-from engine.numerics.similarity import quaternion_to_rotation, transform_model
+from engine.numerics.similarity import MIRROR, mirror_model, quaternion_to_rotation, transform_model
 from engine.pipeline.rigs import measure_extent
 from engine.sim.attack import Attacks
 
 __all__ = ["ATTACKS", "join", "random_rotation", "unit"]
 
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
+
+# What turns the mirror image in the plane x = 0 into that of another axis: half a turn about the third.
+_FROM_X = {"x": np.eye(3), "y": np.diag([-1.0, -1.0, 1.0]), "z": np.diag([-1.0, 1.0, -1.0])}
 
 
 @ATTACKS.add(
@@ -74,6 +78,15 @@ def similarity(model: GaussianModel, strength: float, rng: np.random.Generator) 
     limit = np.log(strength)
     factor = float(np.exp(rng.uniform(-limit, limit)))
     return _move(model, factor, random_rotation(rng), rng.standard_normal(3))
+
+
+@ATTACKS.add("turn one axis over, as wrong handedness does", "axis through the centre: x, y or z", "x", ("x", "y", "z"))
+def mirror(model: GaussianModel, strength: str, rng: np.random.Generator) -> GaussianModel:
+    if strength not in _FROM_X:
+        raise InputError(f"mirror: no axis is called {strength!r}; there are {', '.join(_FROM_X)}")
+    extent, image = measure_extent(model), mirror_model(model)
+    turn = _FROM_X[strength]
+    return transform_model(image, 1.0, turn, extent.center - turn @ (extent.center * MIRROR))
 
 
 @ATTACKS.add("write the Gaussians in another order", "share of Gaussians moved", 1.0, (0.01, 0.1, 0.5, 1.0), "[0, 1]")

@@ -17,6 +17,7 @@ MODEL_NAMES = [
     "scale",
     "translate",
     "similarity",
+    "mirror",
     "shuffle",
     "crop",
     "prune_random",
@@ -77,7 +78,7 @@ VIEW_NAMES = [
     "mpeg4",
 ]
 IMAGE_NAMES = [
-    *["jpeg", "noise_image", "blur", "rotate_image", "scale_image", "crop_image", "brightness"],
+    *["jpeg", "noise_image", "blur", "rotate_image", "mirror_image", "scale_image", "crop_image", "brightness"],
     *VIEW_NAMES,
     *["median", "bilateral", "denoise_nonlocal", "denoise_wavelet"],
 ]

@@ -95,6 +95,12 @@ def test_rotation_as_code_draws_the_angle(image: Float32) -> None:
     np.testing.assert_array_equal(run("rotate_image", image, 30.0, seed=3, reading="as_code"), expected)
 
 
+def test_mirrored_pictures(image: Float32) -> None:
+    np.testing.assert_array_equal(run("mirror_image", image), image[:, ::-1])
+    np.testing.assert_array_equal(run("mirror_image", image, "up-down"), image[::-1])
+    np.testing.assert_array_equal(run("mirror_image", image, "diagonal"), image.transpose(1, 0, 2))
+
+
 def test_scale_changes_both_sides_and_averages(image: Float32) -> None:
     half = run("scale_image", image, 0.5)
     blocks = image.reshape(36, 2, 48, 2, 3).mean(axis=(1, 3))

@@ -57,6 +57,22 @@ def test_a_moved_model_looks_the_same_from_the_moved_camera(
         assert psnr(before, render(moved.with_(quats=model.quats), followed)) < 45
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_mirrored_model_looks_mirrored_from_the_other_side(
+    axis: int, model: GaussianModel, camera: Camera, before: Float32
+) -> None:
+    center = measure_extent(model).center
+    mirrored = model_attack("mirror").apply(model, "xyz"[axis])
+    over = np.ones(3)
+    over[axis] = -1
+    np.testing.assert_allclose(mirrored.means - center, (model.means - center) * over, atol=2e-3)
+    eye = center + over * (camera.position - center)
+    other_side = look_at(eye, center, over * (0, -1, 0), 110.0, 112, 96)
+    seen = np.flip(render(mirrored, other_side), 1)
+    assert psnr(before, seen) > 60
+    assert psnr(before, render(mirrored, camera)) < 30
+
+
 def test_another_order_looks_the_same(model: GaussianModel, camera: Camera, before: Float32) -> None:
     assert psnr(before, render(model_attack("shuffle").apply(model), camera)) > 90
 

@@ -18,12 +18,14 @@ from engine.pipeline.profiles import profile as named_profile
 from engine.pipeline.rigs import make_rig, measure_extent
 from engine.pipeline.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.raster import render
+from engine.sim.attack import Strength
 from engine.sim.attacks import image_attack
 from engine.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
 
-MODEL_BARS: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = (
+MODEL_BARS: tuple[tuple[str, tuple[tuple[str, Strength], ...]], ...] = (
     ("none", ()),
     ("similarity x10 + shuffle", (("similarity", 10.0), ("shuffle", 1.0))),
+    ("mirrored", (("mirror", "x"),)),
     ("clone 50 %", (("clone", 0.5),)),
     ("prune random 20 %", (("prune_random", 0.2),)),
     ("prune random 50 %", (("prune_random", 0.5),)),
@@ -43,10 +45,11 @@ MODEL_BARS: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = (
     ),
 )
 """The bars on models: name and chain of attacks."""
-IMAGE_BARS: tuple[tuple[str, str, float], ...] = (
+IMAGE_BARS: tuple[tuple[str, str, Strength], ...] = (
     ("JPEG 10", "jpeg", 10),
     ("noise std 0.1", "noise_image", 0.1),
     ("rotation 30 deg", "rotate_image", 30.0),
+    ("mirrored", "mirror_image", "left-right"),
     ("scale 0.75", "scale_image", 0.75),
     ("crop 40 % of the area", "crop_image", 0.4),
     ("blur sigma 1", "blur", 1.0),

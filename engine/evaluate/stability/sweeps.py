@@ -42,6 +42,7 @@ UNCHANGED_DB = 80.0
 """Stands for this PSNR and all above, infinity included."""
 MOVES_ONLY = {
     "crop_image",
+    "mirror_image",
     "rotate_image",
     "scale_image",
     "lens_radial",
