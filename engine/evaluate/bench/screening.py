@@ -15,20 +15,18 @@ import numpy as np
 from engine.catalogue.catalogue import Catalogue
 from engine.catalogue.entry import Entry
 from engine.catalogue.screening import Likeness, screen_model, screen_pictures
+from engine.evaluate.bench.posting import posted_pictures
 from engine.evaluate.strangers import RELATIVES, entry_of, make_stranger, stranger_entries
 from engine.evaluate.study import Row
 from engine.formats import read_model
-from engine.model import Float32, GaussianModel, look_at
+from engine.model import GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pipeline.rigs import UP, direction, measure_extent
-from engine.raster import render_depth
 from engine.registration.sketch import SuspectIndex
-from engine.sim.attacks import image_attack, model_attack
+from engine.sim.attacks import model_attack
 from engine.sim.model_placement import join
 
 PICTURES, PIECES = 20, 5
 """Of each scene."""
-SIZES = ((1280, 720), (960, 760), (540, 960))
 INSERTED = 0.5
 """Radius of a piece put into a stranger, in the stranger's."""
 
@@ -64,7 +62,7 @@ def measure_screening(scenes: Sequence[str], seed: int, assets: int) -> list[Row
             rng = np.random.default_rng(seed)
             for kind, suspect in _models(model, rng):
                 rows.append(_asked(name, kind, partial(_ask, catalogue, suspect)))
-            for number, picture in enumerate(_pictures(model, rng)):
+            for number, picture in enumerate(posted_pictures(model, PICTURES, rng)):
                 told = _asked(name, "picture", partial(screen_pictures, catalogue, [picture]))
                 rows.append({**told, "number": number})
     return rows
@@ -120,26 +118,3 @@ def _inserted(piece: GaussianModel, host: GaussianModel, rng: np.random.Generato
     size = np.float32(INSERTED / np.quantile(np.linalg.norm(piece.means - middle, axis=1), 0.9))
     means = (piece.means - middle) * size + rng.normal(size=3).astype(np.float32)
     return join(host, piece.with_(means=means, log_scales=piece.log_scales + np.log(size), sh=piece.sh[:, :1]))
-
-
-def _pictures(model: GaussianModel, rng: np.random.Generator) -> Iterator[Float32]:
-    """JPEG 80 files of any view, roll and background, a quarter of them mirrored."""
-    extent = measure_extent(model)
-    flat = extent.axes[1] <= 0.2 * max(extent.axes[0], extent.axes[2])  # seen from the air, as it was captured
-    for _ in range(PICTURES):
-        width, height = SIZES[int(rng.integers(len(SIZES)))]
-        lens = np.radians(rng.uniform(30.0, 75.0))
-        toward = direction(
-            rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(20.0, 75.0) if flat else rng.uniform(-5.0, 60.0))
-        )
-        distance = extent.radius / np.sin(0.5 * lens) / np.exp(rng.uniform(np.log(0.6), np.log(2.0)))
-        target = extent.center + 0.2 * extent.radius * rng.normal(size=3)
-        roll = rng.uniform(-np.pi, np.pi)
-        up = UP * np.cos(roll) + np.cross(toward, UP) * np.sin(roll)
-        focal = 0.5 * min(width, height) / np.tan(0.5 * lens)
-        camera = look_at(target + distance * toward, target, up, focal, width, height)
-        image, alpha, _ = render_depth(model, camera)
-        behind = rng.uniform(0, 1, 3) * rng.uniform(0.3, 1.0, (height, 1, 1))
-        picture = np.clip(image + (1.0 - alpha[..., None]) * behind, 0.0, 1.0).astype(np.float32)
-        picture = picture[:, ::-1] if rng.random() < 0.25 else picture
-        yield image_attack("jpeg").apply(np.ascontiguousarray(picture), 80)

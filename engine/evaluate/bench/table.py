@@ -9,7 +9,15 @@ from typing import Any, Literal
 from engine.errors import InputError
 from engine.evaluate.study import Cell
 
-TRIALS = {"trials": 50, "epochs": 500, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "questions": 300}
+TRIALS = {
+    "trials": 50,
+    "epochs": 500,
+    "keys": 100_000,
+    "innocents": 10_000,
+    "assets": 1_000,
+    "questions": 300,
+    "pictures": 200,
+}
 """What `--trials` counts in different benches, and how many unless told otherwise."""
 
 
@@ -49,6 +57,12 @@ BENCHES = {
         "claims from pictures of unknown camera, and from another scene's",
         "attacks:measure_screenshots",
         ("profile", "trials"),
+        scenes="beside the next",
+    ),
+    "foreign": Bench(
+        "pictures of the unmarked asset, of another scene, of lumps and photographs: claims and recognitions",
+        "foreign:measure_foreign",
+        ("profile", "pictures"),
         scenes="beside the next",
     ),
     "finetune": Bench(
