@@ -13,10 +13,12 @@ import numpy as np
 
 from engine.compress.pruning import PruneConfig
 from engine.errors import CapacityError
-from engine.evaluate.marked_scene import bench_key, mark_scene
+from engine.evaluate.bench.attacks import other_views
+from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.evaluate.study import Row
 from engine.formats import encode_model, read_model
 from engine.model import GaussianModel
+from engine.numerics.image_metrics import psnr, ssim
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.profiles import profile as named_profile
 from engine.pipeline.rigs import make_rig
@@ -31,6 +33,8 @@ CODEBOOK_BUDGET_DB = 35.0
 """Compact3D prunes before it clusters; what is left renders this near to the original."""
 
 
+UNSEEN, UNSEEN_SIDE = 12, 800
+"""Views without the key, and their pixels a side."""
 LENGTHS = (16, 32, 48, 64, 128, 256)
 BUDGETS_DB = (40.0, 35.0, 30.0)
 FIELDS = (
@@ -45,7 +49,8 @@ FIELDS = (
 
 
 def measure_fidelity(scene: str, seed: int, profile: str) -> list[Row]:
-    """One row for each message length, for "compact", and for each pruning budget; bits read from the model."""
+    """One row for each message length, for "compact", and for each pruning budget; bits read from the model, the mark's
+    look also in views that the key does not know."""
     plain = named_profile(profile, landmark_views=0)
     cases = [(f"{bits} bits", bits, plain) for bits in LENGTHS]
     cases.append(("compact", 32, replace(plain, output="compact")))
@@ -60,11 +65,20 @@ def measure_fidelity(scene: str, seed: int, profile: str) -> list[Row]:
             continue
         claim = verify_model(made.marked, made.opened, VerifyConfig(route="model")).claim
         row |= {field: made.report[field] for field in FIELDS if field in made.report}
-        row |= {"bit_accuracy": claim.bit_accuracy, "z": claim.z}
+        row |= {"bit_accuracy": claim.bit_accuracy, "z": claim.z, **_unseen(made, seed)}
         if name == "compact":
             row["sog_bytes_per_gaussian"] = len(encode_model(made.marked, "sog")) / len(made.marked)
         rows.append(row)
     return rows
+
+
+def _unseen(made: MarkedScene, seed: int) -> Row:
+    """PSNR and SSIM of the mark, worst of views as the key views are, drawn without the key."""
+    looks = []
+    for camera in other_views(made.opened.reference, UNSEEN, UNSEEN_SIDE, (seed, 0x5EE)):
+        before, after = render(made.opened.reference, camera), render(made.marked, camera)
+        looks.append((psnr(before, after), ssim(before, after)))
+    return {"psnr_worst_unseen": min(look[0] for look in looks), "ssim_worst_unseen": min(look[1] for look in looks)}
 
 
 def measure_variants(scene: str, setting: str, seed: int) -> list[Row]:
