@@ -61,22 +61,17 @@ class Candidates:
         self._keypoints = keypoints_of(picture.greys[False])
         self._looks: dict[bool, Look] = {}  # what they match, by hand
 
-    def by_keypoints(self) -> Iterator[Candidate]:
-        """What keypoints agree on; the mirror image is asked where few do."""
-        strongest = 0
-        for mirrored in (False, True):
-            if mirrored and strongest >= SUPPORTED:
-                return
-            look = self._look(mirrored)
-            for number, start in enumerate(look.hypotheses(self._focals)):
-                strongest = max(strongest, start.support)
-                yield Candidate(start.camera, mirrored, start.support)
-                closer = self._closer(start.camera, mirrored)  # landmarks agree on cameras a little off, too
-                if closer is not None:
-                    yield closer
-                if number == 0:
-                    for other in look.at_other_focals(start, self._other_focals):
-                        yield Candidate(other.camera, mirrored, other.support)
+    def by_keypoints(self, mirrored: bool) -> Iterator[Candidate]:
+        """What keypoints of the picture as it is, or of its mirror image, agree on: most of them first."""
+        look = self._look(mirrored)
+        for number, start in enumerate(look.hypotheses(self._focals)):
+            yield Candidate(start.camera, mirrored, start.support)
+            closer = self._closer(start.camera, mirrored)  # landmarks agree on cameras a little off, too
+            if closer is not None:
+                yield closer
+            if number == 0:
+                for other in look.at_other_focals(start, self._other_focals):
+                    yield Candidate(other.camera, mirrored, other.support)
 
     def by_votes(self, bank: Sequence[Camera]) -> Iterator[Candidate]:
         """What keypoints speak for together of which hardly one stands out."""

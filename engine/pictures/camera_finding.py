@@ -1,9 +1,9 @@
 """Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
 
 1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths, then a
-   render from there matched once more. Where few agree, the same for the picture turned over left to right. Where its
-   pixels are not square (`uneven_pixels`), or a page is around what shows the model (`framing`), all begins anew
-   without that.
+   render from there matched once more. Where that does not settle it, the same for the picture turned over left to
+   right. Where its pixels are not square (`uneven_pixels`), or a page is around what shows the model (`framing`), all
+   begins anew without that.
 2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines and edges of
    many views are held against both hands (`view_search`).
 3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
@@ -81,9 +81,14 @@ def find_camera(
         raise InputError("the picture holds values that are not finite")
     picture = Picture(reference_model, np.asarray(image, dtype=np.float32))
     candidates = Candidates(picture, landmarks, config.focals, config.other_focals)
-    keypoints = candidates.by_keypoints()
-    first = next(keypoints, None)
+    hands = {mirrored: candidates.by_keypoints(mirrored) for mirrored in (False, True)}
+    first = next(hands[False], None)
     best = None if first is None else _best(picture, [first])
+    if best is None or not _settled(best):  # what is symmetric finds many keypoints that agree in the wrong hand, too
+        turned = next(hands[True], None)
+        if turned is not None:
+            best = _best(picture, [turned], best)
+            first = turned if first is None or turned.support > first.support else first
     uneven = config.uneven and (best is None or best.correlation < ALIKE)
     shape = candidates.shape(first) if uneven else None
     if shape is not None:
@@ -96,7 +101,10 @@ def find_camera(
         found = find_camera(landmarks, reference_model, part, asked, edges, bank)
         if found is not None:
             return replace(found, frame=frame)
-    best = _best(picture, keypoints, best)
+    likelier = first is not None and first.mirrored
+    best = _best(picture, hands[likelier], best)
+    if first is None or first.support < SUPPORTED:
+        best = _best(picture, hands[not likelier], best)
     if bank is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):

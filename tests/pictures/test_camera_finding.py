@@ -10,6 +10,7 @@ import pytest
 from engine.errors import InputError
 from engine.model import GaussianModel, look_at
 from engine.numerics.resampling import resized, smooth
+from engine.numerics.similarity import mirror_model
 from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
@@ -101,6 +102,30 @@ def test_a_picture_turned_over_is_found_by_its_mirror_image(
     assert not plain.mirrored
     assert plain.face(seen) is seen
     np.testing.assert_allclose(plain.camera.viewmat, found.camera.viewmat, atol=1e-4)
+
+
+def test_what_is_nearly_symmetric_is_found_in_the_right_hand(plant: GaussianModel) -> None:
+    """From the front, keypoints of half of its mirror image agree on a camera, too: a robot was read nothing from."""
+    left = plant.with_(means=plant.means - np.median(plant.means, axis=0))
+    left = left.take(np.flatnonzero(left.means[:, 0] < 0))
+    right = mirror_model(left)
+    right = right.take(np.flatnonzero(right.means[:, 1] < np.quantile(right.means[:, 1], 0.7)))
+    model = right.with_(
+        **{
+            name: np.concatenate([getattr(left, name), getattr(right, name)])
+            for name in ("means", "quats", "log_scales", "sh", "opacity_logits")
+        }
+    )
+    bank = make_landmarks(model, [around(model, 30.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(12)])
+    true = around(model, 90.0, 25.0, 1.2, 1.1)
+    picture = jpeg(render(model, true), 80)
+    for mirrored in (False, True):
+        shown = np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
+        found = find_camera(bank, model, shown)
+        assert found is not None
+        assert found.mirrored is mirrored
+        assert found.correlation > 0.99
+        assert reprojection(model, true, found.camera) < 0.05
 
 
 def test_a_picture_that_is_recognised_is_not_turned_over(
