@@ -40,8 +40,8 @@ def bench(
         typer.Option(
             "--trials",
             min=1,
-            help="Screenshots (50), foreign pictures (200), epochs (500), wrong keys (100,000), innocent copies (10,000) "
-            "or assets (1,000).",
+            help="Screenshots (50), foreign pictures (200), epochs (500), wrong keys (100,000), "
+            "innocent copies (10,000) or assets (1,000).",
         ),
     ] = None,
     size: Annotated[tuple[int, int], typer.Option("--size", metavar="W H", help="raster: pixels of the image.")] = (
