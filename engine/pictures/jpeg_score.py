@@ -8,6 +8,7 @@ residual would take all of the rounding error, known in advance from c, for nois
 
 import numpy as np
 from scipy.fft import dctn, idctn
+from scipy.ndimage import uniform_filter
 from scipy.special import log_ndtr
 
 from engine.model import Bool, Float32, Float64
@@ -37,6 +38,9 @@ LEAST_STEP = 3.0
 
 LOOKED_AT = 64
 """Rows of a picture that tell whether it was decoded from 8 bits."""
+
+NEARBY = 3
+"""Blocks a side over which a mark's strength is taken to be the same."""
 
 ROUNDING = 0.5
 """Standard deviation of a coefficient's error from 8-bit rounding before and after coding, grey levels."""
@@ -103,8 +107,14 @@ def _unclipped(picture: Float32) -> Bool:
 
 
 def block_spread(pattern: Float32) -> Float64:
-    """(8, 8) standard deviation of a mark-like pattern (H, W, 3) in each luma coefficient, grey levels."""
-    return np.asarray(np.sqrt(np.square(blocks_of(255.0 * pattern @ LUMA + 128.0)).mean(axis=(0, 1))))
+    """(by, bx, 8, 8) standard deviation of a mark-like pattern (H, W, 3) in each luma coefficient, grey levels.
+
+    The spectrum is the whole picture's, its strength that of NEARBY blocks: a mark is loud here and silent there.
+    """
+    power = np.square(blocks_of(255.0 * pattern @ LUMA + 128.0))
+    local = power.mean(axis=(2, 3))
+    loudness = np.maximum(uniform_filter(local, NEARBY), 0.0) / max(float(local.mean()), 1e-30)
+    return np.asarray(np.sqrt(power.mean(axis=(0, 1)) * loudness[:, :, None, None]))
 
 
 def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Float64, quality: int) -> Float32:
@@ -112,8 +122,9 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     the reference.
 
     `reference` is the unmarked render with the suspect's exposure (`match_exposure`), `picture` the suspect, never
-    resampled since it was compressed, both 0..1; blocks that touch pixels outside `mask` are left out; `spread` (8, 8)
-    is the mark's standard deviation in each coefficient, grey levels; `quality` comes from `find_quality`.
+    resampled since it was compressed, both 0..1; blocks that touch pixels outside `mask` are left out; `spread`, (8, 8)
+    or (by, bx, 8, 8), is the mark's standard deviation in each coefficient, grey levels; `quality` comes from
+    `find_quality`. Luma alone: coders keep little of chroma, and `image_cotangent` reads that.
     """
     observed = blocks_of(255.0 * picture @ LUMA)
     steps = luma_table(quality)

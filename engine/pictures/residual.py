@@ -53,12 +53,15 @@ _DOUBTS = 1.0
 """Standard errors by which less must survive than everything: noise leaves few details that tell."""
 
 
-def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool, toned: Toned | None = None) -> Float32:
+def image_cotangent(
+    reference_image: Float32, warped: Float32, mask: Bool, toned: Toned | None = None, *, chroma_alone: bool = False
+) -> Float32:
     """(H, W, 3) weighted residual of a picture, to be pulled back by the rasterizer's VJP; zero outside the mask.
 
     `reference_image` is the render of the unmarked reference, `warped` the picture in the same pixels, both 0..1;
     `mask` (H, W) are the pixels that carry evidence: all zeros when it holds too little to fit anything. `toned` is the
-    reference in the picture's colours, fitted here where it is not given. InputError if the shapes differ.
+    reference in the picture's colours, fitted here where it is not given; `chroma_alone` leaves brightness out.
+    InputError if the shapes differ.
     """
     if reference_image.shape != warped.shape or reference_image.shape[:2] != mask.shape:
         raise InputError(f"shapes differ: {reference_image.shape}, {warped.shape}, mask {mask.shape}")
@@ -71,9 +74,9 @@ def image_cotangent(reference_image: Float32, warped: Float32, mask: Bool, toned
         return np.zeros_like(reference)
     residual = ((warped - toned.predicted) * usable[..., None]) @ _OPPONENT.T  # (H, W, 3): Y, Cb, Cr
     expected = toned.predicted @ _OPPONENT.T
-    weighted = np.empty_like(residual)
+    weighted = np.zeros_like(residual)
     coverage = _coverage(usable)
-    for c in range(3):
+    for c in range(1 if chroma_alone else 0, 3):
         planes = [expected[..., 0]] if c == 0 else [expected[..., 0], expected[..., c]]
         clean = _take_off_shape(residual[..., c], planes, usable)
         weighted[..., c] = _whiten(clean, residual[..., c], expected[..., c], coverage)

@@ -225,7 +225,8 @@ def _reader(
             exposed = match_exposure(known, own, mask)
             if through is not None:  # the coder saw both
                 exposed = np.clip(exposed + through, 0.0, 1.0)
-            return jpeg_cotangent(exposed, warped, mask, spread, quality)
+            chroma = image_cotangent(exposed, warped, mask, Toned(exposed, np.ones_like(exposed)), chroma_alone=True)
+            return np.ascontiguousarray(jpeg_cotangent(exposed, warped, mask, spread, quality) + chroma)
         # The colours of a render that differs by a mark are the reference's: fitting them again takes half of the time.
         near = toned and Toned(toned.predicted + toned.slope * (known - reference), toned.slope)
         return image_cotangent(known, own, mask, near)

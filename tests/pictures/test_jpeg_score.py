@@ -84,6 +84,27 @@ def test_the_score_finds_a_faint_pattern_that_the_residual_loses() -> None:
     assert np.mean(score) > 1.15 * np.mean(residual)
 
 
+def test_a_mark_is_weighed_by_how_loud_it_is_nearby() -> None:
+    """Loud in a corner and a fifth of that elsewhere: one strength for all of the picture reads less."""
+    rng = np.random.default_rng(1)
+    base = picture(2, 320)
+    loud = np.full((40, 40), 0.2)
+    loud[:14, :14] = 1.0
+    local, alike = [], []
+    for _ in range(12):
+        coarse = rng.choice([-1.0, 1.0], (40, 40)) * loud * 2.0 / 255.0
+        pattern = np.kron(coarse, np.ones((8, 8)))[:, :, None].astype(np.float32) * np.ones(3, np.float32)
+        suspect = save(np.clip(base + pattern, 0, 1), 20)
+        spread = block_spread(pattern)
+        assert spread.shape == (40, 40, 8, 8)
+        everywhere = np.sqrt(np.square(spread).mean(axis=(0, 1)))
+        for read, used in ((local, spread), (alike, everywhere)):
+            image = jpeg_cotangent(base, suspect, np.ones(base.shape[:2], bool), used, 20)
+            y = (image @ LUMA).reshape(40, 8, 40, 8).sum(axis=(1, 3)) * coarse
+            read.append(y.sum() / np.sqrt((y**2).sum()))
+    assert np.mean(local) > 1.2 * np.mean(alike)
+
+
 def test_unmarked_pictures_score_nothing() -> None:
     base = picture(3, 240)
     suspect = save(base, 30)

@@ -9,8 +9,9 @@ from engine.errors import InputError
 from engine.numerics.wavelet import dwt2, idwt2
 from engine.pictures import residual
 from engine.pictures.alignment import align_image
+from engine.pictures.features import LUMA
 from engine.pictures.residual import image_cotangent
-from engine.pictures.tone_curve import fit_tone, robust_regression
+from engine.pictures.tone_curve import Toned, fit_tone, robust_regression
 from tests.pictures.image_cases import attack, marked, picture, z_score
 
 # About 70 % of what was measured, so that a lost step of the method shows; the bound at z = 10 is 1e-22.
@@ -61,6 +62,21 @@ def test_an_unmarked_picture_shows_no_mark() -> None:
         assert alignment is not None
         y = case.read(image_cotangent(case.plain, alignment.warped, alignment.mask))
         assert abs(z_score(y, case.chips)) < 4
+
+
+def test_chroma_alone_is_what_is_left_without_brightness() -> None:
+    """A cotangent's share of brightness is what it says of a change of all channels by the same."""
+    case = marked()
+    mask = np.ones(case.plain.shape[:2], dtype=bool)
+    toned = Toned(case.plain, np.ones_like(case.plain))
+    shown = case.image + np.float32(0.01) * np.random.default_rng(0).standard_normal(case.image.shape, dtype=np.float32)
+    whole = image_cotangent(case.plain, shown, mask, toned)
+    chroma = image_cotangent(case.plain, shown, mask, toned, chroma_alone=True)
+    grey = np.ones(3, np.float32)  # Y of grey is its level, Cb and Cr are nothing
+    assert np.abs(chroma @ grey).max() < 1e-4 * np.abs(whole @ grey).max()
+    rest = whole - chroma
+    np.testing.assert_allclose(rest, (rest @ grey)[..., None] * LUMA, atol=1e-4 * np.abs(whole).max())
+    assert np.abs(chroma).max() > 0.05 * np.abs(whole).max()
 
 
 def test_nothing_comes_from_outside_the_mask() -> None:

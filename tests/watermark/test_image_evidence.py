@@ -92,6 +92,13 @@ def test_the_quantiser_of_a_jpeg_is_made_use_of(ball: Ball, monkeypatch: pytest.
     assert not qualities
 
 
+def test_chroma_of_a_jpeg_says_something_too(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = jpeg(marked_picture(ball, 0), 80)
+    both = z(ball, read(ball, picture))
+    monkeypatch.setattr(image_evidence, "image_cotangent", lambda known, *_, **__: np.zeros_like(known))
+    assert both > 1.03 * z(ball, read(ball, picture)) > 2.5
+
+
 def test_exposure_of_a_jpeg_is_taken_out(ball: Ball) -> None:
     """A picture a fifth darker reads nearly as well: the difference is no mark."""
     plain, darker = (z(ball, read(ball, jpeg(gain * marked_picture(ball, 0), 80))) for gain in (1.0, 0.8))
