@@ -21,16 +21,19 @@ pytestmark = pytest.mark.slow
 
 DIGEST = "44" * 32
 ALLOWED = 33.0
+BITS = 16
+STRIDE = 6
+"""So many Gaussians are left that the pruned model shows a third more than is wanted; where less, other tests look."""
 
 
 @pytest.fixture(scope="module")
 def rough(plant: GaussianModel) -> GaussianModel:
     """A few of the plant's Gaussians, with harmonics that few pictures show."""
-    few = plant.take(np.arange(0, len(plant), 12))
+    few = plant.take(np.arange(0, len(plant), STRIDE))
     sh = np.zeros((len(few), 4, 3), np.float32)
     sh[:, :1] = few.sh
     sh[:, 1:] = np.random.default_rng(0).normal(scale=0.004, size=(len(few), 3, 3))
-    return few.with_(sh=sh, log_scales=few.log_scales + np.float32(np.log(12) / 2))
+    return few.with_(sh=sh, log_scales=few.log_scales + np.float32(np.log(STRIDE) / 2))
 
 
 def asked(allowed: float = ALLOWED, **more: object) -> Auto:
@@ -39,7 +42,7 @@ def asked(allowed: float = ALLOWED, **more: object) -> Auto:
 
 
 def chosen(model: GaussianModel, auto: Auto) -> Choice:
-    return choose(model, bench_key(1), 16, auto, DIGEST)
+    return choose(model, bench_key(1), BITS, auto, DIGEST)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +59,7 @@ def test_the_smallest_file_that_shows_the_mark_is_taken(rough: GaussianModel, ch
     assert spent.ways[0].bytes == len(encode_model(choice.delivery.model, "ply")) < spent.bytes_whole
     assert spent.ways[0].gaussians == len(choice.delivery.model)
     assert [way.predicted_z is None for way in spent.ways] == [False, True], "the first did"
-    assert choice.rehearsal.predicted_z >= min(choice.wanted_z, 1.0)
+    assert choice.rehearsal.predicted_z >= 1.2 * choice.wanted_z, "else the processor decides this test"
     assert spent.bytes_whole == len(encode_model(rough, "ply"))
 
 
@@ -118,8 +121,8 @@ def test_where_evidence_is_short_a_tenth_of_it_may_go(rough: GaussianModel, monk
 @pytest.mark.long
 def test_chosen_and_named_are_the_same_bytes(rough: GaussianModel, choice: Choice) -> None:
     key = bench_key(1)
-    left_open = embed(rough, key, original_sha256=DIGEST, bits=16, config=asked())
-    named = embed(rough, key, original_sha256=DIGEST, bits=16, config=choice.config)
+    left_open = embed(rough, key, original_sha256=DIGEST, bits=BITS, config=asked())
+    named = embed(rough, key, original_sha256=DIGEST, bits=BITS, config=choice.config)
     assert left_open.record.to_bytes(key) == named.record.to_bytes(key)
     np.testing.assert_array_equal(left_open.model.means, named.model.means)
     assert left_open.report["choice"]["spent"]["sh_degree"] == 0
