@@ -10,15 +10,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from engine.model import Camera
-from engine.pictures.camera_trial import THUMBNAIL, Picture
+from engine.pictures.camera_trial import Picture
 from engine.pictures.features import Keypoints
 from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import Landmarks
+from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pixel_shape import PixelShape
 from engine.pictures.pose_refinement import LEAST_CORRELATION
 from engine.pictures.uneven_pixels import find_shape, refine_shape
-from engine.pictures.view_search import ViewEdges, search_views
+from engine.pictures.view_climb import Climbed, climb
+from engine.pictures.view_points import ViewPoints
+from engine.pictures.view_search import search_views
 from engine.pictures.voted_views import vote_for_views
 
 __all__ = ["ENOUGH", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
@@ -28,8 +31,8 @@ SUPPORTED, ENOUGH = 30, 60
 render from nearly there, so that no further view is tried."""
 QUICK_ITERATIONS, QUICK_STEP = 8, 0.05
 """Renders at most of a level of the refinement before the last, and the step at which it ends, pixels."""
-CANDIDATES, CLOSER, FINALISTS = 12, 5, 3
-"""Candidates of the search over views; how many are rendered to be matched to the picture; and how many go on."""
+CANDIDATES = 12
+"""Of the search over views, from which cameras climb."""
 VOTED = 4
 """Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
 
@@ -87,34 +90,19 @@ class Candidates:
             if closer is not None:
                 yield closer
 
-    def by_edges(self, edges: ViewEdges) -> list[Candidate]:
-        """What outlines and edges speak for, refined on a thumbnail."""
-        found = []
-        for mirrored in (False, True):
-            found += [
-                (score, mirrored, camera)
-                for score, camera in search_views(edges, self._picture.turned(mirrored), CANDIDATES)
-            ]
-        found.sort(key=lambda each: -each[0])
-        tried = []
-        for _, mirrored, camera in found[:CLOSER]:
+    def by_edges(self, views: Sequence[ViewPoints]) -> Iterator[Candidate]:
+        """What outlines, edges and colours speak for, from the search over views on."""
+        pictures = [PictureEdges.of(self._picture.turned(mirrored)) for mirrored in (False, True)]
+        found = [
+            Climbed(score, camera, hand)
+            for hand, picture in enumerate(pictures)
+            for score, camera in search_views(views, picture, CANDIDATES)
+        ]
+        found.sort(key=lambda each: -each.score)
+        for each in climb(self._picture.afar, pictures, found[:CANDIDATES]):
+            camera, mirrored = self._picture.full(each.camera), bool(each.picture)
             closer = self._closer(camera, mirrored)
-            if closer is not None:
-                tried.append(closer)
-                if closer.support >= ENOUGH:
-                    return tried
-        for _, mirrored, camera in found[:CANDIDATES]:
-            refined = self._picture.refined(camera, mirrored, THUMBNAIL, QUICK_ITERATIONS, QUICK_STEP)
-            if refined is not None:
-                worth = self._picture.worth(refined, mirrored)
-                tried.append(Candidate(self._picture.full(refined.camera), mirrored, 0, worth))
-        tried.sort(key=lambda candidate: (-candidate.support, -candidate.worth))
-        finalists = tried[:FINALISTS]
-        for rough in finalists:  # once refined, a view may look alike enough
-            closer = self._closer(rough.camera, rough.mirrored) if not rough.support else None
-            if closer is not None:
-                finalists = [*finalists, closer]
-        return finalists
+            yield Candidate(camera, mirrored, 0) if closer is None else closer
 
     def _closer(self, camera: Camera, mirrored: bool) -> Candidate | None:
         """What the picture and a render from this camera agree on."""

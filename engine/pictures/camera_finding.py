@@ -28,7 +28,7 @@ from engine.pictures.camera_motion import PARAMETERS
 from engine.pictures.camera_trial import Picture
 from engine.pictures.found_camera import OWN, FoundCamera
 from engine.pictures.landmarks import Landmarks
-from engine.pictures.view_search import ViewEdges
+from engine.pictures.view_points import ViewPoints
 from engine.raster import RasterSettings
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera"]
@@ -66,7 +66,7 @@ def find_camera(
     reference_model: GaussianModel,
     image: Float32,
     config: CameraConfig = CameraConfig(),
-    edges: Callable[[], ViewEdges] | None = None,
+    edges: Callable[[], Sequence[ViewPoints]] | None = None,
     bank: Callable[[], Sequence[Camera]] | None = None,
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
@@ -119,9 +119,9 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
         # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
         for size in SIZES[candidate.support >= SUPPORTED : 2]:
             refined = picture.refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
-            if refined is not None:  # of what is thin or small, too little may be left in the smaller one
+            if refined is not None and refined.alike:  # of what is thin or small, too little is left in the smaller one
                 break
-        else:
+        if refined is None:
             continue
         worth = picture.worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
         if best is None or worth > best.worth:

@@ -15,13 +15,10 @@ from engine.pictures.features import luma
 from engine.pictures.found_camera import OWN
 from engine.pictures.keypoint_cameras import look_closer
 from engine.pictures.pose_refinement import Refined, refine_level
-from engine.pictures.view_search import MOST_SEEN, thinned
+from engine.pictures.view_points import MOST_SEEN, thinned
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["THUMBNAIL", "Picture"]
-
-THUMBNAIL = 128
-"""Longer side of the picture on which candidates without keypoints are refined first, pixels."""
+__all__ = ["Picture"]
 
 _EDGE = 0.05
 """Steps of brightness from which an edge counts in full."""
@@ -37,7 +34,8 @@ class Picture:
         self.size = grey.shape[1], grey.shape[0]
 
     @cached_property
-    def _afar(self) -> GaussianModel:
+    def afar(self) -> GaussianModel:
+        """The model as it looks in a small picture."""
         return thinned(self.model, MOST_SEEN)
 
     def turned(self, mirrored: bool) -> Float32:
@@ -62,8 +60,7 @@ class Picture:
         grey = self.greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))
         picture = resized(grey, small.width, small.height)
-        model = self.model if size > THUMBNAIL else self._afar
-        return refine_level(model, picture, small, iterations, step, drawn, free=free)
+        return refine_level(self.model, picture, small, iterations, step, drawn, free=free)
 
     def full(self, camera: Camera) -> Camera:
         """The same camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
@@ -76,8 +73,7 @@ class Picture:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""
         camera = refined.camera
         picture = resized(self.greys[mirrored], camera.width, camera.height)
-        model = self.model if max(camera.width, camera.height) > THUMBNAIL else self._afar
-        image, alpha, _ = render_depth(model, camera)
+        image, alpha, _ = render_depth(self.model, camera)
         behind = fill_background(picture, alpha)
         composed = luma(image) + (0.0 if behind is None else (1.0 - alpha) * behind)
         shown, seen = (_edges(smooth(np.asarray(each, dtype=np.float32), 1.0)) for each in (composed, picture))

@@ -14,7 +14,8 @@ from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
-from engine.pictures.view_search import MOST_SEEN, ViewEdges, describe_views, thinned
+from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
+from engine.pictures.view_search import describe_views
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.progress import Clock
@@ -216,7 +217,10 @@ def _bank_views(opened: OpenedRecord) -> list[Camera]:
 
 
 def _find(
-    image: Float32, opened: OpenedRecord, edges: Callable[[], ViewEdges], bank: Callable[[], Sequence[Camera]]
+    image: Float32,
+    opened: OpenedRecord,
+    edges: Callable[[], Sequence[ViewPoints]],
+    bank: Callable[[], Sequence[Camera]],
 ) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")

@@ -19,6 +19,7 @@ from engine.pictures.alignment import align_image
 from engine.pictures.features import luma
 from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import make_landmarks
+from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_agreement import agreement_of_views
 from engine.pictures.view_search import describe_views, search_views
@@ -91,7 +92,7 @@ def _alignment() -> None:
     seen = np.clip(raster.render(model, camera), 0.0, 1.0)
     # The parts of `find_camera`: whole, it would look for this picture everywhere, for three seconds.
     Look.of(keypoints_of(luma(seen)), make_landmarks(model, [camera]), (96, 96)).guided(camera)
-    search_views(describe_views(model, [camera]), seen, 1)
+    search_views(describe_views(model, [camera]), PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
 

@@ -17,7 +17,8 @@ from engine.pictures.camera_motion import normalized, project
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pose_refinement import refine_level
-from engine.pictures.view_search import describe_views, thinned
+from engine.pictures.view_points import thinned
+from engine.pictures.view_search import describe_views
 from engine.raster import RasterSettings, render, render_depth
 from tests.pictures.plant_views import UP, around, jpeg, reprojection
 from tests.pictures.rolling import rolled

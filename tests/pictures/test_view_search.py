@@ -9,10 +9,12 @@ import pytest
 
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pictures import view_search
+from engine.pictures import picture_edges
 from engine.pictures.camera_motion import project
+from engine.pictures.picture_edges import PictureEdges
+from engine.pictures.view_points import thinned
 from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views
-from engine.pictures.view_search import RADII, describe_views, search_views, thinned
+from engine.pictures.view_search import RADII, describe_views, search_views
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
@@ -29,8 +31,8 @@ def plant() -> GaussianModel:
 def test_kernels_say_what_their_twin_says() -> None:
     rng = np.random.default_rng(0)
     picture = rng.random((60, SIDE, 3)).astype(np.float32)
-    maps, inside = view_search._responses(picture, 2)
-    whole, within = view_search._whole(maps, inside)
+    maps, inside = picture_edges._responses(picture, 2)
+    whole, within = picture_edges.whole(maps, inside)
     assert within.sum() == 60 * SIDE
     responses = whole[:, PAD : PAD + 60, PAD : PAD + SIDE]
     np.testing.assert_allclose(responses.mean(axis=(1, 2)), 0.0, atol=1e-4)
@@ -66,19 +68,19 @@ def test_the_view_is_found_over_white(plant: GaussianModel, roll: float) -> None
     true = rolled(make_rig(plant, 1, 640, 480, jitter=np.array([[0.3, 0.6, 0.4, 0.5]]))[0], np.radians(roll))
     image, alpha, _ = render_depth(plant, true)
     picture = np.clip(image + 1.0 - alpha[..., None], 0.0, 1.0)
-    found = search_views(describe_views(plant, rig), picture, 5)
+    found = search_views(describe_views(plant, rig), PictureEdges.of(picture), 5)
+    true = true.with_side(SIDE)
     points = plant.means[plant.opacities > 0.9][:500].astype(np.float64)
     errors = [np.median(np.linalg.norm(project(points, camera) - project(points, true), axis=1)) for _, camera in found]
-    assert min(errors) < 0.06 * 640
+    assert min(errors) < 0.06 * SIDE
     assert [score for score, _ in found] == sorted((score for score, _ in found), reverse=True)
-    assert all((camera.width, camera.height) == (640, 480) for _, camera in found)
+    assert all((camera.width, camera.height) == (96, 72) for _, camera in found)
 
 
 def test_nothing_to_see_is_no_view(plant: GaussianModel) -> None:
     away = [rolled(camera, 0.0) for camera in make_rig(plant.with_(means=plant.means + 1000.0), 2, 64, 48)]
-    edges = describe_views(plant, away)
-    assert edges.cameras == ()
-    assert search_views(edges, np.zeros((48, 64, 3), np.float32), 3) == []
+    assert describe_views(plant, away) == []
+    assert search_views([], PictureEdges.of(np.zeros((48, 64, 3), np.float32)), 3) == []
 
 
 def test_a_thinned_model_covers_what_the_whole_one_did(plant: GaussianModel) -> None:

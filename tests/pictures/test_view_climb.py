@@ -1,0 +1,125 @@
+"""Colours of a view's points, and the way from about the right view to the right one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from engine.formats import read_model
+from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.pictures.picture_edges import COLORED, PictureEdges
+from engine.pictures.view_climb import ROUNDS, Climbed, _distinct, climb
+from engine.pictures.view_points import ViewPoints, describe_view, thinned
+from engine.pictures.view_scores import SIDE
+from engine.raster import render_depth
+from tests.pictures.rolling import rolled
+
+PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
+UP = (0.0, -1.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def plant() -> GaussianModel:
+    return thinned(read_model(PLANT).model, 20_000)
+
+
+def around(model: GaussianModel, azimuth: float, elevation: float, away: float, lens: float = 1.0) -> Camera:
+    a, e = np.radians([azimuth, elevation])
+    center = np.median(model.means, axis=0)
+    radius = float(np.median(np.linalg.norm(model.means - center, axis=1)))
+    toward = np.array([np.cos(e) * np.sin(a), -np.sin(e), np.cos(e) * np.cos(a)])
+    return look_at(center + away * radius * toward, center, UP, lens * 200.0, 320, 240)
+
+
+def photographed(model: GaussianModel, camera: Camera, tone: float = 1.0) -> Float32:
+    """Over a pattern of many edges, in other tones."""
+    image, alpha, _ = render_depth(model, camera)
+    tiles = np.random.default_rng(0).random((12, 16, 1)).astype(np.float32)
+    behind = np.kron(tiles, np.ones((20, 20, 3), np.float32))
+    return np.clip(image, 0.0, 1.0) ** np.float32(tone) + (1.0 - alpha[..., None]) * behind
+
+
+def off(a: Camera, b: Camera) -> float:
+    """Degrees between two cameras."""
+    return float(np.degrees(Rotation.from_matrix(a.viewmat[:3, :3] @ b.viewmat[:3, :3].T).magnitude()))
+
+
+def standing(view: ViewPoints) -> np.ndarray:
+    return np.array([[0.0, view.spread, *(view.middle - 0.5)]])
+
+
+def test_the_right_camera_is_climbed_to(plant: GaussianModel) -> None:
+    """Fifteen degrees off, too near, and among others that are wrong; and the mirror image is the mirror image's."""
+    true = around(plant, 40.0, 25.0, 6.0)
+    picture = photographed(plant, true, 0.7)
+    pictures = [PictureEdges.of(picture), PictureEdges.of(np.ascontiguousarray(picture[:, ::-1]))]
+    away = [around(plant, azimuth, elevation, 5.0, 5.0 / 6.0) for azimuth, elevation in ((56.0, 15.0), (160.0, 20.0))]
+    starts = [Climbed(0.0, camera.with_side(SIDE), hand) for camera in away for hand in (0, 1)]
+    found = climb(plant, pictures, starts)
+    assert found[0].picture == 0
+    assert off(found[0].camera, true) < 5.0 < 15.0 < off(away[0], true)
+    assert [each.score for each in found] == sorted((each.score for each in found), reverse=True)
+    assert (found[0].camera.width, found[0].camera.height) == (96, 72)
+
+
+def test_who_sees_nothing_is_given_up(plant: GaussianModel) -> None:
+    true = around(plant, 40.0, 25.0, 6.0)
+    picture = PictureEdges.of(photographed(plant, true))
+    turned = Camera(np.diag([-1.0, 1.0, -1.0, 1.0]) @ true.viewmat, true.K, true.width, true.height).with_side(SIDE)
+    assert climb(plant, [picture], [Climbed(9.0, turned, 0)]) == []
+    assert len(climb(plant, [picture], [Climbed(9.0, turned, 0), Climbed(0.0, true.with_side(SIDE), 0)])) == 1
+
+
+def test_cameras_that_are_nearly_one_are_one(plant: GaussianModel) -> None:
+    camera = around(plant, 40.0, 25.0, 6.0)
+    near, far = rolled(camera, np.radians(3.0)), rolled(camera, np.radians(8.0))
+    each = [Climbed(float(k), one, 0) for k, one in enumerate((far, near, camera))]
+    assert [found.score for found in _distinct(each, 3)] == [2.0, 0.0]
+    assert [found.score for found in _distinct([*each, Climbed(1.5, near, 1)], 2)] == [2.0, 1.5], "another picture's"
+    assert sorted(kept for *_, kept in ROUNDS) == [kept for *_, kept in reversed(ROUNDS)], "never more than before"
+
+
+def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:
+    """The same edges in a picture whose colours are shuffled; a tone curve hardly matters."""
+    camera = around(plant, 40.0, 25.0, 6.0).with_side(SIDE)
+    view = describe_view(plant, camera)
+    assert view is not None
+    picture = photographed(plant, camera.with_side(320))
+    shades = {"own": picture, "toned": np.clip(0.1 + 0.7 * picture**0.6, 0.0, 1.0), "inverted": 1.0 - picture}
+    told = {
+        name: PictureEdges.of(shade).scored([view], np.zeros(1, int), standing(view)) for name, shade in shades.items()
+    }
+    score = {name: float(scores[0]) for name, (scores, _) in told.items()}
+    assert score["own"] - score["inverted"] > 2.0 * COLORED
+    assert score["own"] - score["toned"] < 0.5 * COLORED
+
+
+def test_colours_are_correlated_point_by_point(plant: GaussianModel) -> None:
+    """As a plain loop says, also where the view reaches beyond the picture."""
+    camera = around(plant, 40.0, 25.0, 6.0).with_side(SIDE)
+    view = describe_view(plant, camera)
+    assert view is not None
+    picture = PictureEdges.of(photographed(plant, camera.with_side(320)))
+    poses = np.array(
+        [[0.0, view.spread, *(view.middle - 0.5)], [0.7, 1.2 * view.spread, 80.0, 60.0], [0.0, 5.0, 500.0, 0.0]]
+    )
+    said = picture._colored([view], np.zeros(3, int), poses)
+    height, width = picture.small.shape[:2]
+    for pose, answer in zip(poses, said, strict=True):
+        seen, drawn = [], []
+        for point, color in zip(view.inner.astype(np.float64), view.colors, strict=True):
+            turn, size, x, y = pose
+            column = int(np.floor(size * (np.cos(turn) * point[0] - np.sin(turn) * point[1]) + x + 0.5))
+            row = int(np.floor(size * (np.sin(turn) * point[0] + np.cos(turn) * point[1]) + y + 0.5))
+            if 0 <= column < width and 0 <= row < height:
+                seen.append(picture._soft[row, column])
+                drawn.append(color)
+        if len(seen) < 20:
+            assert answer == 0.0
+            continue
+        a, b = (np.array(each) - np.mean(each, axis=0) for each in (seen, drawn))
+        alike = (a * b).sum() / np.sqrt((a**2).sum() * (b**2).sum())
+        assert answer == pytest.approx(np.arctanh(min(alike, 0.99)), abs=1e-3)
