@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,11 +12,13 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, read_bytes
+from engine.cli.files import are_pictures, check_folder, read_bytes
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.regions import region_lines, write_regions
 from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
+from engine.errors import InputError
 
 MOVING = "moving"
 """Name of a record's commitment to a clip, see `engine.sim.variants.moving`."""
@@ -62,6 +64,23 @@ def verify(
         Path | None,
         typer.Option("--original", help="Unmarked clip, of a record of a scene that moves: moments are looked for."),
     ] = None,
+    regions: Annotated[
+        Path | None,
+        typer.Option(
+            "--regions",
+            metavar="FOLDER",
+            help="New folder for where the mark is: regions.png, .json (pieces, each with its transform, and regions)"
+            " and .npz (piece, region and state of every Gaussian of the suspect). Keep it like the record.",
+        ),
+    ] = None,
+    false_discovery_rate: Annotated[
+        float,
+        typer.Option(
+            "--false-discovery-rate",
+            metavar="Q",
+            help="Of the regions called marked, the largest expected share that is not.",
+        ),
+    ] = 0.01,
     decoder: Annotated[
         str, typer.Option("--decoder", metavar="ours|paper", help="How bits are read; the claim is the same.")
     ] = "ours",
@@ -84,20 +103,28 @@ def verify(
       mark3dgs verify suspect.ply --record my.record --key owner.key
       mark3dgs verify a.png b.jpg --record my.record --key owner.key
       mark3dgs verify suspect.spz --record my.record --key owner.key --json
+      mark3dgs verify scene.ply --record my.record --key owner.key --regions where
     """
     console = Console(json)
     began = time.perf_counter()
     pictures = are_pictures(suspects, cameras)
+    if regions is not None:
+        check_folder(regions)
+        if original is not None:
+            raise InputError("--regions needs a scene that stands still: leave --original out")
 
     from engine.pipeline.attesting import open_attested
+    from engine.pipeline.locating_mark import locate_mark
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
     from engine.records.attestation import attach
     from engine.sim.variants.clips import is_clip, verify_in_motion
     from engine.watermark.keys import OwnerKey
     from engine.watermark.numerals import PLAIN
+    from engine.watermark.regions import RegionConfig
     from engine.watermark.wording import words_of
 
+    asked = RegionConfig(false_discoveries=false_discovery_rate)
     config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
     trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
     owner = OwnerKey.read(key)
@@ -115,7 +142,16 @@ def verify(
             found = verify_in_motion(suspect, opened, original, config)
         else:
             found = search_for(suspect, opened, config, progress)
+        located = None
+        if regions is not None:
+            started = time.perf_counter()
+            progress("locate", 0.0)
+            located = locate_mark(suspect, opened, found, asked)
+            write_regions(regions, located, suspect, opened, found)
+            found = replace(found, seconds_by_stage=found.seconds_by_stage | {"locate": time.perf_counter() - started})
     report = claim_report(found, opened)
+    if located is not None:
+        report["regions"] = located.summary() | {"folder": str(regions)}
     if original is None and MOVING in opened.commitments and report["verdict"] != "marked":
         report["notes"] += [WITHOUT_ORIGINAL]
     report["notes"] += unheard
@@ -132,6 +168,8 @@ def verify(
     }
     words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=len(suspects) if pictures else 0)
     for line in claim_lines(words):
+        console.say(line)
+    for line in region_lines(located, str(regions)) if located is not None else ():
         console.say(line)
     console.emit(report)
     return VERDICT_CODES[report["verdict"]]

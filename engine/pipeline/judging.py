@@ -16,8 +16,6 @@ from engine.watermark.rates import AppliedRate, Attested, applicable_rate
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
 ROUTES = ("auto", "model", "render", "image")
-LEAST_PIECE = 64
-"""Gaussians below which a suspect is too small to be searched again: as few as a mark itself needs."""
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,7 @@ class Verification:
     seconds: float
     seconds_by_stage: dict[str, float]
     cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
+    reading: Reading | None = None  # that reading: where it was found, and by what
 
     def report(self) -> dict[str, Any]:
         """Plain values for `verify --json`."""
@@ -185,7 +186,7 @@ def verify(
         found = reading.registration is not None and reading.registration.found
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
         if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
-            best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras)
+            best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras, reading)
         if claim.verdict is not Verdict.INCONCLUSIVE and found:  # so near the original, renders show no more
             break
     assert best is not None

@@ -28,7 +28,7 @@ def of_what_was_found(reply: Mapping[str, Any]) -> dict[str, Any]:
         return told
     text = f"None of {reply['searched']['assets']} registered assets was recognised; records compared: {len(tried)}"
     text += f", of which {unreadable} could not be opened." if unreadable else "."
-    nobody = dict.fromkeys(("asset", "claim", "attested", "registered_message"))
+    nobody = dict.fromkeys(("asset", "claim", "attested", "registered_message", "regions"))
     kept = {name: digest for name, digest in reply["kept"].items() if name == "suspect"}  # the others show an asset
     return told | nobody | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
@@ -73,6 +73,7 @@ def build_document(
         "tries": reply["tries"],
         "checks": [{name: check[name] for name in ("code", "ok", "text")} for check in reply["checks"]],
         "pictures": dict(pictures),
+        "regions": reply.get("regions"),  # replies of before have none
         **(_found(claim, reply["registered_message"]) if claim is not None else _NOTHING),
     }
     if claim is None and reply["searched"]["compared"] > reply["searched"]["unreadable"]:

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.pipeline.pages import templates
 from engine.watermark.numerals import PLAIN, when
 from service.claims.document import document_words
-from service.claims.report import CAPTIONS, timeline
+from service.claims.report import captions_of, timeline
 from service.claims.told import Told
 from service.problems import Problem
 
@@ -32,7 +32,6 @@ NAMES = {
 PANEL, GAP, CAPTION = (480, 480), 8, 26
 """Largest picture in the comparison, and what lies between and above them, pixels."""
 WIDTH = 110
-MAP = "Orange speaks for the mark, blue against it, grey says nothing. Each patch sums many secret positions."
 _SINCE = (1980, 1, 1, 0, 0, 0)
 """Of every file in the ZIP: the first time that the format can say."""
 
@@ -65,7 +64,7 @@ def make_pack(
         "shown": list(pictures),
         "same_camera": "difference" in pictures,
         "names": NAMES,
-        "captions": CAPTIONS | {"heatmap": MAP},
+        "captions": captions_of(document),
         "digests": [(name, digests[name]) for name in pictures],
         "told": told,
         "note": [part for line in told.note.splitlines() for part in textwrap.wrap(line, WIDTH - 4) or [""]],

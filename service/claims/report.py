@@ -30,17 +30,29 @@ CAPTIONS = {
     "reference": "The registered original, without the mark.",  # in claims of before; no pack holds it
     "difference": "Suspect less registered model, five times as large, about grey; white was not compared.",
     "heatmap": (
-        "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says"
-        " nothing. Each patch sums many secret positions, so none can be read off."
+        "Where on the registered model the mark was found, by region: orange carries it; blue is there without it; grey"
+        " was seen, but says too little; hatched was not seen. The legend says how many orange regions may be wrong. No"
+        " region shows fewer than 30 secret positions, so none can be read off."
     ),
 }
+
+BEFORE = (
+    "Where on the registered model the mark was found: orange speaks for the mark, blue against it, grey says nothing."
+    " Each patch sums many secret positions, so none can be read off."
+)
+"""Of the map in claims of before, which knew no regions."""
+
+
+def captions_of(document: Mapping[str, Any]) -> dict[str, str]:
+    """What is said under each picture of a claim."""
+    return CAPTIONS if document.get("regions") is not None else CAPTIONS | {"heatmap": BEFORE}
 
 
 def report_html(
     document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None = None
 ) -> str:
     """One self-contained HTML page; pictures: PNG bytes, as `document["pictures"]` names them; timestamp: RFC 3161."""
-    words = document_words(document)
+    words, captions = document_words(document), captions_of(document)
     return _template().render(
         claim=document,
         words=words,
@@ -50,8 +62,8 @@ def report_html(
         bits=_bit_lines(document["message"]) if document["message"] else None,
         scale=_bound_scale(document["log10_false_claim"], words.limits),
         pictures=[
-            (name, CAPTIONS.get(name, name), base64.b64encode(pictures[name]).decode())
-            for name in (*CAPTIONS, *sorted(set(pictures) - set(CAPTIONS)))
+            (name, captions.get(name, name), base64.b64encode(pictures[name]).decode())
+            for name in (*captions, *sorted(set(pictures) - set(captions)))
             if name in pictures
         ],
         evidence=[(ROUTES.get(one["route"], one["route"]), one) for one in document["evidence"]],

@@ -96,6 +96,22 @@ class Evidence(_Part):
     change: float | None = Field(None, description="Size of what was measured, in sizes of the mark.")
 
 
+class RegionCounts(_Part):
+    """In how many regions of the registered model the mark was found; over all pieces of it that the suspect holds."""
+
+    false_discovery_rate: float = Field(
+        gt=0.0, lt=1.0, description="Largest expected share of regions without the mark among those called marked."
+    )
+    pieces: int = Field(ge=0, description="Pieces of the registered model found; pictures are one.")
+    marked: int = Field(ge=0, description="Regions that carry the mark, at that rate.")
+    altered: int = Field(ge=0, description="Regions that are there and whose mark would have shown, and does not.")
+    unclear: int = Field(ge=0, description="Regions that were seen, and say too little.")
+    unseen: int = Field(ge=0, description="Regions that the suspect does not show.")
+    share: dict[Literal["marked", "altered", "unclear", "unseen"], float] = Field(
+        description="Of the registered model's Gaussians, by what is known of where they are."
+    )
+
+
 class Derivation(_Part):
     """Whether the suspect was made from the asset; stands whatever became of the mark."""
 
@@ -200,6 +216,7 @@ class ClaimDocument(_Part):
         description="z of each layer of the mark by itself and of both; of pictures, also as read by the scatter"
         " of like chips. The claim rests on the strongest.",
     )
+    regions: RegionCounts | None = Field(None, description="Where on the registered model it was found, as the map.")
     checks: list[Check]
     missing: str = Field(description="What an inconclusive answer lacks.")
     notes: list[str]

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from engine.pipeline.locating_mark import locate_mark
 from engine.pipeline.searching import Outcome, Search, Suspect, search
 from engine.pipeline.verification import VerifyConfig
 from engine.watermark.checks import NO_RECORD, checks_of
@@ -41,7 +42,9 @@ def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress)
     started = time.perf_counter()
     if best is not None and best.opened is not None and best.found is not None:
         progress("picture", 0.0)
-        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect)
+        regions = locate_mark(suspect, best.opened, best.found)
+        reply["regions"] = regions.summary()
+        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect, regions)
     return reply | {
         "subject": subject,
         "tried": [_brief(outcome) for outcome in found.outcomes],
@@ -79,7 +82,7 @@ def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:
 def _report(found: Search[Candidate]) -> dict[str, Any]:
     """The part of the reply that speaks of the best candidate."""
     names = ("asset", "claim", "record", "attested", "registered_message")
-    nothing: dict[str, Any] = dict.fromkeys(names) | {"files": {}}
+    nothing: dict[str, Any] = dict.fromkeys(names) | {"files": {}, "regions": None}
     best = found.best
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}

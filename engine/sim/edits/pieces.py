@@ -14,18 +14,13 @@ from engine.pipeline.reading import read_gaussians
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.searching import count_tries
 from engine.registration.index import ReferenceIndex
-from engine.registration.registering import Registration, RegistrationConfig, register
+from engine.registration.pieces import MOST_PIECES, RIGID
+from engine.registration.pieces import register_pieces as register_each
+from engine.registration.registering import LEAST_REST, Registration, register
 from engine.sim.edits.objects import FlatScene
 from engine.watermark.claim import Claim
 
 __all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "verify_pieces"]
-
-LEAST_PIECE = 64  # Gaussians below which no further piece is looked for, or believed: embedding asks for as many
-
-RIGID = RegistrationConfig(merged=False, deformed=False)
-"""Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""
-
-MOST_PIECES = 8  # pieces looked for where the caller does not say
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,33 +39,16 @@ class Pieces:
 def register_pieces(
     reference: GaussianModel, suspect: GaussianModel, *, most: int = MOST_PIECES, seed: int = 0
 ) -> Pieces:
-    """Register what the registration before left over, until nothing more is found.
-
-    A piece may be a part of the asset that was moved, or a copy of a part that is still in place. No chip
-    enters. At most `most` pieces are looked for.
-    """
-    if most < 1:
-        raise InputError(f"at least one piece is looked for, got {most}")
-    index = ReferenceIndex(reference)
-    first = register(index, suspect, seed=seed, config=RIGID)
-    matches, quality = first.matches.copy(), first.match_quality.copy()
-    piece = np.where(matches >= 0, 0, -1).astype(np.int32)
-    placements = [first.similarity] if first.found else []
-    mirrored = [first.mirrored] if first.found else []
-    while placements and len(placements) < most:
-        left = np.flatnonzero(piece < 0)
-        if len(left) < LEAST_PIECE:
-            break
-        found = register(index, suspect.take(left), seed=seed, config=RIGID)
-        hit = np.flatnonzero(found.matches >= 0)
-        if not found.found or len(hit) < LEAST_PIECE:
-            break
-        rows = left[hit]
-        matches[rows], quality[rows] = found.matches[hit], found.match_quality[hit]
-        piece[rows] = len(placements)
-        placements.append(found.similarity)
-        mirrored.append(found.mirrored)
-    return Pieces(first, matches, quality, piece, tuple(placements), tuple(mirrored))
+    """At most so many pieces of the asset in one suspect, see `registration.pieces`."""
+    each = register_each(reference, suspect, most=most, seed=seed)
+    matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+    piece = np.full(len(suspect), -1, np.int32)
+    found = [one for one in each if one.found]
+    for number, one in enumerate(found):
+        rows = np.flatnonzero(one.matches >= 0)
+        matches[rows], quality[rows], piece[rows] = one.matches[rows], one.match_quality[rows], number
+    placed = tuple(one.similarity for one in found), tuple(one.mirrored for one in found)
+    return Pieces(each[0], matches, quality, piece, *placed)
 
 
 def verify_pieces(
@@ -156,7 +134,7 @@ def verify_objects(
                 ObjectFinding(name, instance, claim, rows, *shares, placement, found.mirrored, low, high, objects)
             )
             left = left[found.matches < 0]
-            if not found.found or len(left) < LEAST_PIECE:
+            if not found.found or len(left) < LEAST_REST:
                 break
     return findings
 

@@ -1,0 +1,152 @@
+"""Where the mark is: the parts of a real scene that carry it, those that lost it, those that are not there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from engine.evaluate.marked_scene import MarkedScene
+from engine.model import ATTRIBUTES, GaussianModel
+from engine.numerics.similarity import mirror_model, transform_model
+from engine.pipeline.locating_mark import RegionReport, describe, locate_mark
+from engine.pipeline.region_pictures import COLORS, add_legend, draw_report
+from engine.pipeline.rigs import make_rig
+from engine.pipeline.searching import Suspect, Verification, verify
+from engine.raster import render
+from engine.watermark.keys import OwnerKey
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.regions import RegionConfig, State
+from engine.watermark.spreading import grain_key, spread
+
+
+def located(scene: MarkedScene, model: GaussianModel) -> tuple[RegionReport, Verification]:
+    found = verify(Suspect(model), scene.opened)
+    return locate_mark(Suspect(model), scene.opened, found), found
+
+
+def left_half(scene: MarkedScene) -> np.ndarray:
+    x = scene.opened.reference.means[:, 0]
+    return np.asarray(x < np.median(x))
+
+
+def half_original(scene: MarkedScene) -> GaussianModel:
+    left = left_half(scene)
+    return scene.marked.with_(
+        **{
+            name: np.where(left.reshape(-1, *[1] * (ours.ndim - 1)), ours, theirs)
+            for name in ATTRIBUTES
+            for ours, theirs in [(getattr(scene.marked, name), getattr(scene.original, name))]
+        }
+    )
+
+
+def test_half_taken_from_the_original_is_altered_the_other_marked(scene: MarkedScene) -> None:
+    report, _ = located(scene, half_original(scene))
+    (piece,) = report.pieces
+    regions, left = piece.regions, left_half(scene)
+    share = np.bincount(regions.partition.of_gaussians, left) / np.bincount(regions.partition.of_gaussians)
+    assert (share == 1).sum() > 50
+    assert (share == 0).sum() > 50
+    assert (regions.state[share == 1] == State.MARKED).all()
+    assert (regions.state[share == 0] == State.ALTERED).mean() > 0.98  # 1 % may be called marked
+    said = report.summary()
+    assert said["marked"] + said["altered"] + said["unclear"] == regions.asked == regions.partition.count
+    assert said["unclear"] < 5
+    assert report.claimed
+
+
+def test_a_moved_piece_in_a_foreign_scene_is_named_by_its_rows(scene: MarkedScene, small_plant: GaussianModel) -> None:
+    """And a mirrored one beside it: each with its own transform."""
+    left = left_half(scene)
+    pieces = scene.marked.take(np.flatnonzero(left)[::12]), scene.marked.take(np.flatnonzero(~left)[::12])
+    few = small_plant.take(np.arange(0, len(small_plant), 12))
+    foreign = few.with_(means=few.means[::-1] * np.float32(1.3) + 4, sh=few.sh[::-1].copy())
+    parts = (
+        foreign,
+        transform_model(pieces[0], 0.5, np.eye(3), np.array([3.0, 0, 0])),
+        transform_model(mirror_model(pieces[1]), 0.8, np.eye(3), np.array([-3.0, 0, 0])),
+    )
+    suspect = foreign.with_(**{name: np.concatenate([getattr(m, name) for m in parts]) for name in ATTRIBUTES})
+    report, found = located(scene, suspect)
+    hands = {piece.registration.mirrored: piece for piece in report.pieces if piece.registration is not None}
+    assert len(report.pieces) == 2
+    assert hands[False].registration.scale == pytest.approx(2.0, rel=1e-3)
+    assert hands[True].registration.scale == pytest.approx(1.25, rel=1e-3)
+    piece, region, state = report.of_suspect
+    ends = np.cumsum([0, *map(len, parts)])
+    theirs = [piece[ends[k] : ends[k + 1]] for k in range(3)]
+    assert (theirs[0] >= 0).mean() < 0.001
+    for rows in theirs[1:]:
+        assert (rows == np.bincount(rows[rows >= 0]).argmax()).mean() > 0.98
+    assert (state[ends[1] :] == State.MARKED).mean() > 0.97
+    np.testing.assert_array_equal(region >= 0, piece >= 0)
+    tries = found.claim.tries * 2
+    for one in report.pieces:
+        assert one.log10_false_claim == pytest.approx(np.log10(tries) - one.z**2 / 2 / np.log(10))
+    told = json.loads(json.dumps(describe(report, scene.opened)))
+    assert {one["transform"]["mirrored"] for one in told["found"]} == {False, True}
+    marked = [each for each in told["found"][0]["regions"] if each["state"] == "marked"]
+    inside = scene.opened.reference.means
+    assert all((inside.min(axis=0) <= each["center"]).all() for each in marked)
+    assert all(each["z"] == round(each["z"], 1) for each in marked), "more digits would tell signs"
+
+
+def test_an_unmarked_model_and_wrong_keys_discover_nothing(scene: MarkedScene) -> None:
+    report, _ = located(scene, scene.original)
+    assert report.summary()["marked"] == 0
+    assert not report.claimed
+    found = verify(Suspect(scene.marked), scene.opened)
+    for seed in range(5):
+        key, context = OwnerKey(bytes(range(seed, seed + 32))), scene.opened.header.chip_context()
+        spreading = spread(key, context, scene.opened.layout.codes, 3, len(scene.opened.message))
+        wrong = replace(scene.opened, spreading=spreading, grain_key=grain_key(key, context))
+        assert locate_mark(Suspect(scene.marked), wrong, found).summary()["marked"] == 0
+
+
+def test_a_picture_shows_one_side(scene: MarkedScene) -> None:
+    camera = make_rig(scene.marked, 1, 480, 360, jitter=np.random.default_rng(3).random((1, 4)))[0]
+    suspect = Suspect(None, [np.clip(render(scene.marked, camera), 0, 1)], [camera])
+    found = verify(suspect, scene.opened)
+    report = locate_mark(suspect, scene.opened, found)
+    (piece,) = report.pieces
+    assert piece.registration is None
+    assert report.summary()["marked"] >= 8
+    assert report.summary()["altered"] == 0
+    assert 0.05 < report.summary()["share"]["unseen"] < 0.95
+    sheet = np.asarray(draw_report(report, suspect, scene.opened, found))
+    assert orange(sheet) > 0.05
+    loose = locate_mark(suspect, scene.opened, found, RegionConfig(most=4))
+    assert loose.pieces[0].regions.partition.count <= 4
+
+
+def orange(picture: np.ndarray) -> float:
+    colors = picture.astype(np.int64)
+    return float((colors[..., 0] > 2 * colors[..., 2] + 20).mean())
+
+
+def test_the_map_is_orange_where_the_mark_is_and_says_when_nothing_is_claimed(scene: MarkedScene) -> None:
+    report, found = located(scene, half_original(scene))
+    sheet = draw_report(report, Suspect(half_original(scene)), scene.opened, found)
+    colors = np.asarray(sheet).astype(np.int64)
+    assert 0.02 < orange(colors) < 0.5
+    assert (colors[..., 2] > 2 * colors[..., 0] + 20).mean() > 0.02
+    assert COLORS.keys() == set(State)
+    plain = Image.new("RGB", (480, 10))
+    assert add_legend(plain, replace(report, claimed=False)).height > add_legend(plain, report).height
+
+
+def test_nothing_found_is_an_empty_report(scene: MarkedScene) -> None:
+    nothing = Evidence(*np.zeros((3, scene.opened.layout.chips)))
+    found = verify(Suspect(scene.marked), scene.opened)
+    assert found.reading is not None
+    report = locate_mark(
+        Suspect(scene.marked), scene.opened, replace(found, reading=replace(found.reading, evidence=nothing))
+    )
+    assert report.pieces == ()
+    assert report.summary()["share"]["unseen"] == 1.0
+    assert not report.states.any()
+    assert not report.claimed
