@@ -41,6 +41,8 @@ PANEL = (480, 400)
 AIR, AROUND, ALL = 0.85, 0.5, 0.95
 """Focal length, in that of a view that a model fills, at which all of it is seen, and at which a piece is seen in the
 scene that it lies in; and the share of a suspect from which on that scene is the piece."""
+MOST_SHOWN = 2
+"""Pieces of a suspect that a sheet shows; regions.json has all."""
 _BLUR = 1.5
 """Pixels: single Gaussians do not speckle the map."""
 _HATCH = 9
@@ -79,6 +81,8 @@ def add_legend(picture: Image.Image, report: RegionReport, shown: Sequence[State
     ]
     if summary["marked"]:
         about += ["A region of which a part carries the mark is orange, too."]
+    if not report.suspect_rows and summary["marked"]:
+        about += ["Regions reach behind what a picture shows: of a picture they say where, not how much, is marked."]
     if State.ALTERED in shown and summary["altered"]:
         about += ["Blue is measured, not proven: a mark of half its strength would have shown there."]
     if not report.claimed:
@@ -118,12 +122,7 @@ def draw_report(report: RegionReport, suspect: Suspect, opened: OpenedRecord, fo
     else:
         cameras = [("The asset, from there", camera.with_side(min(PANEL[0], max(camera.width, camera.height))))]
     if suspect.model is not None and is_drawable(suspect.model):
-        piece, _, state = report.of_suspect
-        here = np.flatnonzero(piece >= 0)
-        foreign = 0 < len(here) < ALL * len(piece)
-        view = choose_view(suspect.model.take(here) if foreign else suspect.model, *PANEL)
-        drawn = _panel(suspect.model, state, _wider(view, AROUND if foreign else AIR), hatched=False)
-        panels.append(("The suspect" + (" (pale: nothing of the asset)" if foreign else ""), drawn))
+        panels += _of_suspect(suspect.model, report)
     for number, (picture, seen) in enumerate(zip(suspect.pictures, found.cameras, strict=False)):
         if seen is not None:
             small = seen.with_side(min(PANEL[0], max(seen.width, seen.height)))
@@ -131,6 +130,27 @@ def draw_report(report: RegionReport, suspect: Suspect, opened: OpenedRecord, fo
                 panels.append((f"Picture {number + 1}, as it lies on the asset", laid))
     panels += [(name, _panel(asset, states, each)) for name, each in cameras]
     return add_legend(_side_by_side(panels), report)
+
+
+def _of_suspect(model: GaussianModel, report: RegionReport) -> list[tuple[str, Image.Image]]:
+    """The suspect, seen so that each of its pieces of the asset fills a good part of a picture."""
+    piece, _, state = report.of_suspect
+    shown = min(MOST_SHOWN, len(report.pieces))
+    if not (piece >= 0).any() or (shown == 1 and (piece == 0).mean() > ALL):
+        camera = _wider(choose_view(model, *PANEL), AIR)
+        return [("The suspect", _panel(model, state, camera, hatched=False))]
+    panels = []
+    for number in range(shown):
+        camera = _wider(choose_view(model.take(np.flatnonzero(piece == number)), *PANEL), AROUND)
+        name = (
+            "In the suspect"
+            if len(report.pieces) == 1
+            else f"Piece {number + 1} of {len(report.pieces)} in the suspect"
+        )
+        placed = report.pieces[number].registration
+        name += ", mirrored" if placed is not None and placed.mirrored else ""
+        panels.append((f"{name} (pale: not of the asset)", _panel(model, state, camera, hatched=False)))
+    return panels
 
 
 def _wider(camera: Camera, factor: float) -> Camera:

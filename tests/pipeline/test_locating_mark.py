@@ -13,10 +13,12 @@ from engine.evaluate.marked_scene import MarkedScene
 from engine.model import ATTRIBUTES, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.pipeline.locating_mark import RegionReport, describe, locate_mark
+from engine.pipeline.reading import read_gaussians
 from engine.pipeline.region_pictures import COLORS, add_legend, draw_report
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.searching import Suspect, Verification, verify
 from engine.raster import render
+from engine.registration.registering import Registration
 from engine.watermark.keys import OwnerKey
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.regions import RegionConfig, State
@@ -59,30 +61,35 @@ def test_half_taken_from_the_original_is_altered_the_other_marked(scene: MarkedS
     assert report.claimed
 
 
-def test_a_moved_piece_in_a_foreign_scene_is_named_by_its_rows(scene: MarkedScene, small_plant: GaussianModel) -> None:
-    """And a mirrored one beside it: each with its own transform."""
-    left = left_half(scene)
-    pieces = scene.marked.take(np.flatnonzero(left)[::12]), scene.marked.take(np.flatnonzero(~left)[::12])
-    few = small_plant.take(np.arange(0, len(small_plant), 12))
-    foreign = few.with_(means=few.means[::-1] * np.float32(1.3) + 4, sh=few.sh[::-1].copy())
-    parts = (
-        foreign,
-        transform_model(pieces[0], 0.5, np.eye(3), np.array([3.0, 0, 0])),
-        transform_model(mirror_model(pieces[1]), 0.8, np.eye(3), np.array([-3.0, 0, 0])),
-    )
+def test_pieces_are_named_by_their_rows_and_have_their_own_transforms(scene: MarkedScene) -> None:
+    """The left half where it was, something foreign, and a part of the right half, mirrored and moved."""
+    left, reference = left_half(scene), scene.opened.reference
+    half = np.flatnonzero(left).astype(np.int32)
+    foreign = scene.marked.take(np.arange(50)).with_(means=np.full((50, 3), 9.0, np.float32))
+    moved = mirror_model(scene.marked.take(np.flatnonzero(~left)[::8]))
+    parts = scene.marked.take(half), foreign, transform_model(moved, 0.8, np.eye(3), np.array([-3.0, 0, 0]))
     suspect = foreign.with_(**{name: np.concatenate([getattr(m, name) for m in parts]) for name in ATTRIBUTES})
-    report, found = located(scene, suspect)
-    hands = {piece.registration.mirrored: piece for piece in report.pieces if piece.registration is not None}
-    assert len(report.pieces) == 2
-    assert hands[False].registration.scale == pytest.approx(2.0, rel=1e-3)
-    assert hands[True].registration.scale == pytest.approx(1.25, rel=1e-3)
+    matches = np.full(len(suspect), -1, np.int32)
+    matches[: len(half)] = half
+    quality = (matches >= 0).astype(np.float32)
+    home = Registration(1.0, np.eye(3), np.zeros(3), matches, quality, len(half) / len(reference), True, 1)
+    found = verify(Suspect(scene.marked), scene.opened)
+    assert found.reading is not None
+    evidence = read_gaussians(suspect, scene.opened, home)
+    found = replace(found, reading=replace(found.reading, registration=home, evidence=evidence))
+    report = locate_mark(Suspect(suspect), scene.opened, found)
+
+    assert [piece.registration.mirrored for piece in report.pieces if piece.registration] == [False, True]
+    assert report.pieces[1].registration is not None
+    assert report.pieces[1].registration.scale == pytest.approx(1.25, rel=1e-3)
     piece, region, state = report.of_suspect
     ends = np.cumsum([0, *map(len, parts)])
     theirs = [piece[ends[k] : ends[k + 1]] for k in range(3)]
-    assert (theirs[0] >= 0).mean() < 0.001
-    for rows in theirs[1:]:
-        assert (rows == np.bincount(rows[rows >= 0]).argmax()).mean() > 0.98
-    assert (state[ends[1] :] == State.MARKED).mean() > 0.97
+    assert (theirs[0] == 0).all()
+    assert (theirs[1] == -1).all()
+    assert (theirs[2] == 1).mean() > 0.97
+    assert (state[piece >= 0] == State.MARKED).mean() > 0.97
+    assert (report.states[left] == State.MARKED).mean() > 0.97
     np.testing.assert_array_equal(region >= 0, piece >= 0)
     tries = found.claim.tries * 2
     for one in report.pieces:
