@@ -86,6 +86,34 @@ def seen_half() -> np.ndarray:
     return np.repeat(LEAVES.of_codes < LEAVES.count // 2, len(LAYOUT.directions[0]))
 
 
+def test_what_speaks_against_the_mark_discovers_nothing() -> None:
+    """Both layers turned round: z far below 0."""
+    chips = LAYOUT.chips + 6 * len(BALL.model)
+    signs = np.where(np.random.default_rng(1).random(chips) < 0.5, 1, -1).astype(np.int8)
+    said = Evidence(-1.0 * signs, np.ones(chips), np.ones(chips))
+    found = judge_regions([said], signs, LEAVES, LAYOUT.chips, tries=3, found=ALL)
+    assert found.z.max() < -3
+    assert not found.log10_p.any()
+    assert State.MARKED not in found.state
+
+
+def test_a_suspicious_region_is_neither_marked_nor_altered() -> None:
+    """Between the bar of one test (3.4) and that of one among many (3.8)."""
+    said = evidence(0.0, marked=False)
+    y = 0.05 * LAYOUT.amplitudes * SIGNS * np.where(np.arange(LAYOUT.chips) % 2, 1, -1)
+    first = judged(replace(said, y=y)).partition
+    inside = np.flatnonzero(np.repeat(first.of_codes == 0, len(LAYOUT.directions[0])))
+    aim, c = 3.6, np.abs(y[inside])
+    for k in range(len(inside)):  # chips turned in favour of the mark until z is there
+        y[inside[: k + 1]] = c[: k + 1] * SIGNS[inside[: k + 1]]
+        if (y[inside] * SIGNS[inside]).sum() / np.sqrt((c**2).sum()) > aim:
+            break
+    found = judged(replace(said, y=y))
+    assert aim < found.z[0] < 3.75
+    assert found.state[0] == State.UNCLEAR
+    assert set(found.state[1:]) == {State.ALTERED}
+
+
 def test_a_worn_mark_is_not_called_altered() -> None:
     """At half its strength, over noise as large as the mark: what `altered_rate` speaks of."""
     said = evidence(1.0)

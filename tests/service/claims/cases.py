@@ -14,6 +14,12 @@ from engine.watermark.messages import message_hex
 from engine.watermark.rates import Attested, applicable_rate
 from service.db.schema import assets
 
+REGIONS = {
+    "false_discovery_rate": 0.01,
+    "pieces": 1,
+    **{"marked": 41, "altered": 2, "unclear": 3, "unseen": 4},
+    "share": {"marked": 0.8, "altered": 0.1, "unclear": 0.05, "unseen": 0.05},
+}
 KINDS = ("marked", "not_marked", "inconclusive")
 CHIPS = 8192
 ATTESTED = Attested("2026-11-03T09:14:07.123456+00:00", "the log of this service", drawn=True)
@@ -59,13 +65,14 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
             {"code": "record_intact", "ok": True, "text": "The record is whole and unaltered."},
             {"code": "mark", "ok": {"marked": True, "not_marked": False}.get(kind), "text": "About the mark."},
         ],
+        "regions": REGIONS,
     } | changes
 
 
 def nothing() -> dict[str, Any]:
     """A reply where no record could be compared."""
     check = {"code": "record_intact", "ok": False, "text": "The record cannot be used."}
-    unknown = dict.fromkeys(("asset", "claim", "attested", "registered_message"))
+    unknown = dict.fromkeys(("asset", "claim", "attested", "registered_message", "regions"))
     searched = {"scope": "all", "assets": 2, "compared": 0, "unreadable": 0, "recognised": False}
     return reply() | unknown | {"tries": 0, "checks": [check], "searched": searched}
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from service.claims.report import report_html
-from tests.service.claims.cases import KINDS, PICTURES, nothing, reply
+from tests.service.claims.cases import KINDS, PICTURES, REGIONS, nothing, reply
 from tests.service.claims.conftest import Registry
 
 
@@ -92,3 +92,11 @@ def test_the_page_fits_a_phone_and_asks_for_nothing(registry: Registry, tmp_path
         browser.close()
     assert (width, loaded, said) == (360, True, [])
     assert set(asked) <= {"file:", "data:"}
+
+
+def test_the_map_of_regions_is_explained_and_that_of_before_as_it_was(registry: Registry) -> None:
+    assert registry.issue().document["regions"] == REGIONS
+    assert "hatched was not seen" in page(registry)
+    before = page(registry, reply(regions=None), job="job_2")
+    assert "hatched" not in before
+    assert "blue against it" in before

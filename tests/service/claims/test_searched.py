@@ -46,6 +46,8 @@ def test_of_all_one_that_was_not_recognised_is_not_named(registry: Registry) -> 
     assert document["audit"]["registration"] is None
     assert document["evidence"] == []
     assert set(of_what_was_found(unrelated())["kept"]) == {"suspect"}, "the others show an asset"
+    assert unrelated()["regions"] is not None
+    assert of_what_was_found(unrelated())["regions"] is None
     expected = {"scope": "all", "assets": 41, "compared": 2, "unreadable": 0, "recognised": False}
     assert document["searched"] == expected
     words = document_words(document)
