@@ -81,6 +81,8 @@ def add_legend(picture: Image.Image, report: RegionReport, shown: Sequence[State
     ]
     if summary["marked"]:
         about += ["A region of which a part carries the mark is orange, too."]
+    if len(report.pieces) > 1:
+        about += [f"Counted over {len(report.pieces)} pieces; the asset is drawn by what tells most of them."]
     if not report.suspect_rows and summary["marked"]:
         about += ["Regions reach behind what a picture shows: of a picture they say where, not how much, is marked."]
     if State.ALTERED in shown and summary["altered"]:
