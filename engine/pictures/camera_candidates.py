@@ -22,7 +22,7 @@ from engine.pictures.uneven_pixels import find_shape, refine_shape
 from engine.pictures.view_climb import Climbed, climb
 from engine.pictures.view_points import ViewPoints
 from engine.pictures.view_search import search_views
-from engine.pictures.voted_views import vote_for_views
+from engine.pictures.voted_views import VotedView, vote_for_views
 
 __all__ = ["ENOUGH", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
 
@@ -33,8 +33,9 @@ QUICK_ITERATIONS, QUICK_STEP = 8, 0.05
 """Renders at most of a level of the refinement before the last, and the step at which it ends, pixels."""
 CANDIDATES = 12
 """Of the search over views, from which cameras climb."""
-VOTED = 4
-"""Views that keypoints vote for, the loudest, that are rendered to be matched to the picture."""
+VOTED, LOUD = 4, 1.3
+"""Views that keypoints vote for, the loudest, that are rendered to be matched to the picture; and how loud they must
+be: of pictures that keypoints alone do not find, the right view has 1.9 and more, the loudest wrong one 0.8 to 1.3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Candidates:
         self._picture, self._landmarks, self._focals, self._other_focals = picture, landmarks, focals, other_focals
         self._keypoints = keypoints_of(picture.greys[False])
         self._looks: dict[bool, Look] = {}  # what they match, by hand
+        self._voted: list[tuple[VotedView, bool]] = []
 
     def by_keypoints(self, mirrored: bool) -> Iterator[Candidate]:
         """What keypoints of the picture as it is, or of its mirror image, agree on: most of them first."""
@@ -81,9 +83,10 @@ class Candidates:
         found = []
         for mirrored in (False, True):
             voted = vote_for_views(self._seen(mirrored), self._landmarks, bank, self._picture.size)
-            found += [(view, mirrored) for view in voted[:VOTED]]
+            found += [(view, mirrored) for view in voted[:VOTED] if view.loudness > LOUD]
         found.sort(key=lambda each: -each[0].loudness)
-        for view, mirrored in found[:VOTED]:
+        self._voted = found[:VOTED]
+        for view, mirrored in self._voted:
             look = Look(self._seen(mirrored), self._landmarks, self._picture.size, ())
             agreed = look.agreed(view.keypoints, view.landmarks, self._focals)
             closer = self._closer(view.camera if agreed is None else agreed.camera, mirrored)
@@ -91,7 +94,7 @@ class Candidates:
                 yield closer
 
     def by_edges(self, views: Sequence[ViewPoints]) -> Iterator[Candidate]:
-        """What outlines, edges and colours speak for, from the search over views on."""
+        """What outlines, edges and colours speak for, from the search over views on, and from what was voted for."""
         pictures = [PictureEdges.of(self._picture.turned(mirrored)) for mirrored in (False, True)]
         found = [
             Climbed(score, camera, hand)
@@ -99,7 +102,11 @@ class Candidates:
             for score, camera in search_views(views, picture, CANDIDATES)
         ]
         found.sort(key=lambda each: -each.score)
-        for each in climb(self._picture.afar, pictures, found[:CANDIDATES]):
+        starts = found[:CANDIDATES]
+        for view, mirrored in self._voted:
+            height, width = pictures[mirrored].small.shape[:2]
+            starts.append(Climbed(0.0, view.camera.resized(width, height), int(mirrored)))
+        for each in climb(self._picture.afar, pictures, starts):
             camera, mirrored = self._picture.full(each.camera), bool(each.picture)
             closer = self._closer(camera, mirrored)
             yield Candidate(camera, mirrored, 0) if closer is None else closer

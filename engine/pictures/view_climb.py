@@ -51,17 +51,13 @@ def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequen
     """
     climbing = list(starts)
     for degrees, farther, kept in ROUNDS:
-        best = [step for start in climbing if (step := _step(model, pictures, start, degrees, farther)) is not None]
-        climbing = _distinct(best, kept)
+        gone = [step for start in climbing if (step := _step(model, pictures, start, degrees, farther)) is not None]
+        climbing = _distinct(gone, kept)
     return climbing
 
 
 def _step(
-    model: GaussianModel,
-    pictures: Sequence[PictureEdges],
-    start: Climbed,
-    degrees: float,
-    farther: Sequence[float],
+    model: GaussianModel, pictures: Sequence[PictureEdges], start: Climbed, degrees: float, farther: Sequence[float]
 ) -> Climbed | None:
     """The best camera near the start's, itself among them; None where nothing is seen from it."""
     here = describe_view(model, start.camera)
