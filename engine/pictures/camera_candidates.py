@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from engine.model import Camera
 from engine.pictures.camera_trial import Picture
 from engine.pictures.features import Keypoints
 from engine.pictures.framing import find_frame
-from engine.pictures.keypoint_cameras import Look, keypoints_of
+from engine.pictures.keypoint_cameras import ENOUGH, Look, keypoints_of
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pixel_shape import PixelShape
@@ -24,11 +26,10 @@ from engine.pictures.view_points import ViewPoints
 from engine.pictures.view_search import search_views
 from engine.pictures.voted_views import VotedView, vote_for_views
 
-__all__ = ["ENOUGH", "QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
+__all__ = ["QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
 
-SUPPORTED, ENOUGH = 30, 60
-"""Keypoints that agree on a camera which then needs no second opinion, if it explains the picture; and with those of a
-render from nearly there, so that no further view is tried."""
+SUPPORTED = 30
+"""Keypoints that agree on a camera which then needs no second opinion, if it explains the picture."""
 QUICK_ITERATIONS, QUICK_STEP = 8, 0.05
 """Renders at most of a level of the refinement before the last, and the step at which it ends, pixels."""
 CANDIDATES = 12
@@ -48,6 +49,7 @@ class Candidate:
     worth: float = 0.0  # how well it explains the small picture
     correlation: float = 0.0  # of render and small picture
     size: int = 0  # longer side of the picture it was refined on, pixels
+    off: float = np.inf  # at most, longer sides of the picture
 
     @property
     def sure(self) -> bool:

@@ -43,6 +43,11 @@ SIZES = (256, 640, 1600)
 """Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
 ITERATIONS, STEP = 12, 0.005
 """Renders at most of the last level, and the step at which it ends, pixels."""
+WITHIN = 4.0
+"""A refined camera is at most so many times as far off as its last step was long: what is left is slow to show."""
+SHIFTED = 0.05
+"""Pixels by which freeing the principal point must move a refined picture for it to be tried: of pictures that it
+explained 3 % better it was 0.07 and more, of those not cropped up to 0.04."""
 CLEARLY = 1.03
 """How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
 
@@ -123,11 +128,13 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
                 break
         if refined is None:
             continue
+        full, off = picture.full(refined.camera), WITHIN * refined.step / size
+        tried = replace(candidate, camera=full, correlation=refined.correlation, size=size, off=off)
+        if best is None and _settled(tried):  # nothing it need be worth more than
+            return tried
         worth = picture.worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
         if best is None or worth > best.worth:
-            best = replace(
-                candidate, camera=picture.full(refined.camera), worth=worth, correlation=refined.correlation, size=size
-            )
+            best = replace(tried, worth=worth)
             if _settled(best):
                 break
     return best
@@ -140,21 +147,26 @@ def _settled(best: Candidate) -> bool:
 def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
     """The camera refined up to the picture's own size; None where that does not look like the picture."""
     own = max(picture.size)
-    camera, refined = candidate.camera, None
+    camera, refined, off = candidate.camera, None, candidate.off
     for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
         last = size >= min(own, SIZES[-1])
         limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
-        refined = picture.refined(camera, candidate.mirrored, size, *limits)
+        refined = picture.refined(camera, candidate.mirrored, size, *limits, off=off)
         if refined is None or not refined.alike:
             return None
-        camera = picture.full(refined.camera)
+        camera, off = picture.full(refined.camera), WITHIN * refined.step / size
     assert refined is not None
-    shifted = picture.refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, free=PARAMETERS)
-    if shifted is not None and shifted.gain > CLEARLY * refined.gain:
-        refined, camera = shifted, picture.full(shifted.camera)
+    asked = candidate.mirrored, SIZES[-1], ITERATIONS, STEP
+    if refined.shift > SHIFTED:  # and then by far: without its principal point a camera is wrong in all else
+        shifted = picture.refined(camera, *asked, free=PARAMETERS)
+        if shifted is not None and shifted.gain > CLEARLY * refined.gain:
+            refined, camera = shifted, picture.full(shifted.camera)
+            off = WITHIN * refined.step / own
     drawn, otherwise = OWN, RasterSettings(antialiased=not picture.model.antialiased)
-    softer = picture.refined(camera, candidate.mirrored, SIZES[-1], ITERATIONS, STEP, otherwise)
-    if softer is not None and softer.gain > CLEARLY * refined.gain:
-        refined, drawn, camera = softer, otherwise, picture.full(softer.camera)
+    glance = picture.refined(camera, candidate.mirrored, SIZES[-1], 1, STEP, otherwise, off=off)
+    if glance is not None and glance.gain > refined.gain:  # within 1 % of what it is once refined
+        softer = picture.refined(camera, *asked, otherwise, off=off)
+        if softer is not None and softer.gain > CLEARLY * refined.gain:
+            refined, drawn, camera = softer, otherwise, picture.full(softer.camera)
     told = (refined.rms, refined.correlation, refined.step)
     return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)

@@ -55,12 +55,16 @@ class Picture:
         step: float,
         drawn: RasterSettings = OWN,
         free: int = CENTERED,
+        off: float = np.inf,
     ) -> Refined | None:
-        """The camera refined on the picture reduced to this longer side; see `refine_level`."""
+        """The camera refined on the picture reduced to this longer side; see `refine_level`. `off` is in longer sides
+        of the picture."""
         grey = self.greys[mirrored]
         small = camera.with_side(min(size, max(grey.shape)))
         picture = resized(grey, small.width, small.height)
-        return refine_level(self.model, picture, small, iterations, step, drawn, free=free)
+        return refine_level(
+            self.model, picture, small, iterations, step, drawn, free=free, off=off * max(small.width, small.height)
+        )
 
     def full(self, camera: Camera) -> Camera:
         """The same camera at the picture's size: square pixels, which rounding of a level's size may have bent."""

@@ -130,16 +130,22 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     steps = luma_table(quality)
     known = blocks_of(255.0 * reference @ LUMA)
     total = np.sqrt(spread**2 + ROUNDING**2 + _mismatch(observed, known, steps) ** 2)
+    whole = np.asarray(_tiles(mask).all(axis=(2, 3)))  # (by, bx)
+    score = np.zeros_like(known)
+    score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
+    image = np.zeros(mask.shape, dtype=np.float32)
+    _tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
+    return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
+
+
+def _score(observed: Float64, known: Float64, steps: Float64, total: Float64) -> Float64:
+    """(B, 8, 8) of blocks: how much likelier each unit of colour makes what was stored, `total` the spread of it."""
     k = _multiples(observed, known, steps)
     low, high = ((k - 0.5) * steps - known) / total, ((k + 0.5) * steps - known) / total
     score = _truncated_mean(low, high) / total
     # A coefficient many deviations from where the reference puts it is something else in the picture.
     score[(np.minimum(np.abs(low), np.abs(high)) > 4.0) & (low * high > 0)] = 0.0
-    whole = np.asarray(_tiles(mask).all(axis=(2, 3)))  # (by, bx)
-    score *= whole[:, :, None, None]
-    image = np.zeros(mask.shape, dtype=np.float32)
-    _tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
-    return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
+    return score
 
 
 def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
@@ -149,8 +155,8 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
     alike, is moved alike, so multiples are counted from there.
     """
     start = np.round(known / steps)
-    decoded = np.clip(idctn(start * steps, axes=(2, 3), norm="ortho"), -128.0, 127.0)
-    return np.asarray(start + np.round((observed - dctn(decoded, axes=(2, 3), norm="ortho")) / steps))
+    decoded = np.clip(idctn(start * steps, axes=(-2, -1), norm="ortho"), -128.0, 127.0)
+    return np.asarray(start + np.round((observed - dctn(decoded, axes=(-2, -1), norm="ortho")) / steps))
 
 
 def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:

@@ -35,6 +35,8 @@ SAME_PLACE = 0.05
 """Landmarks nearer to each other than this are one place, in radii of the bank."""
 TOLERANCE = 0.005
 """Reprojection error of an inlier, in longer sides of the picture."""
+ENOUGH = 60
+"""Keypoints that agree on a camera, for which no other is sought before that one is tried."""
 LEAST_START, LEAST_INLIERS = 6, 12
 """Matches that must agree before the camera is roughly known, and keypoints that must agree with it then."""
 GUIDED, GUIDED_FAR = (1.0, 1.0, 0.5), (4.0, 2.0, 1.0, 0.5)
@@ -64,11 +66,17 @@ class Look:
         """Reprojection error of an inlier, pixels."""
         return TOLERANCE * max(self.size)
 
-    def hypotheses(self, focals: tuple[float, ...]) -> list[Hypothesis]:
-        """The camera that most keypoints agree with, from each set of matches; by falling support. The focal lengths
-        tried are in widths of the picture."""
-        found = [guided for pairs in self.matches if (guided := self.agreed(*pairs, focals)) is not None]
-        return sorted(found, key=lambda hypothesis: -hypothesis.support)
+    def hypotheses(self, focals: tuple[float, ...]) -> Iterator[Hypothesis]:
+        """The camera that most keypoints agree with, from each set of matches; by falling support, except that one with
+        enough comes before another is sought. The focal lengths tried are in widths of the picture."""
+        found: list[Hypothesis] = []
+        for pairs in self.matches:
+            guided = self.agreed(*pairs, focals)
+            if guided is not None and guided.support >= ENOUGH:
+                yield guided
+            elif guided is not None:
+                found.append(guided)
+        yield from sorted(found, key=lambda hypothesis: -hypothesis.support)
 
     def agreed(self, keypoints: Int64, landmarks: Int64, focals: tuple[float, ...]) -> Hypothesis | None:
         """The camera that most of these pairs (indices) agree with, and then enough of all keypoints."""

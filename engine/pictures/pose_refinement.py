@@ -71,7 +71,8 @@ class Refined:
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
     used, -1..1; `detail` the same of their detail, and of what a flat colour of the render's opacity does not explain.
-    `step`: root mean square flow of the last motion, pixels of the level. `pixels`: how many were used.
+    `step`: root mean square flow of the last motion, pixels of the level; `shift`: what it would have been with the
+    principal point free. `pixels`: how many were used.
     """
 
     camera: Camera
@@ -79,6 +80,7 @@ class Refined:
     correlation: float
     detail: float
     step: float
+    shift: float
     pixels: int
 
     @property
@@ -132,15 +134,17 @@ def refine_level(
     settings: RasterSettings = RasterSettings(),
     *,
     free: int = CENTERED,
+    off: float = np.inf,
 ) -> Refined | None:
     """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
     the picture.
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
     the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders; so many
-    parameters of the motion are `free`, by default all but the principal point.
+    parameters of the motion are `free`, by default all but the principal point. A camera known to be no more than `off`
+    pixels wrong is spared the wider blurs.
     """
-    gain, offset, step, blur = 1.0, 0.0, np.inf, 2.0 * WIDEST_BLUR
+    gain, offset, step, blur = 1.0, 0.0, off, 2.0 * min(off, WIDEST_BLUR)
     memory = Acceleration()
     for iteration in range(iterations):
         image, alpha, depth = render_depth(model, camera, settings=settings)
@@ -181,7 +185,8 @@ def refine_level(
                 rows,
                 flows,
             )
-        motion, brightness = _solve(rows.sum(axis=0), free)
+        system = rows.sum(axis=0)
+        motion, brightness = _solve(system, free)
         flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
         step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
         if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
@@ -193,8 +198,10 @@ def refine_level(
         gain, offset = gain + brightness[0], offset + brightness[1]
         if step < tolerance and blur == BLUR:
             break
+    freed = _solve(system, PARAMETERS)[0]
+    shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
     alike = correlation(toned[used], seen[used])
-    return Refined(camera, spread, alike, _detail(toned, seen, cover, used, camera), step, int(used.sum()))
+    return Refined(camera, spread, alike, _detail(toned, seen, cover, used, camera), step, shift, int(used.sum()))
 
 
 class Acceleration:

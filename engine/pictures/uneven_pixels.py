@@ -64,8 +64,9 @@ def _from_ratio(look: Look, ratio: float, focals: tuple[float, ...]) -> Hypothes
     shape = PixelShape(ratio)
     keypoints = Keypoints(shape.squared(look.keypoints.points), look.keypoints.descriptors)
     width, height = look.size
-    found = replace(look, keypoints=keypoints, size=(round(width / ratio), height)).hypotheses(focals)
-    return _fitted(look, found[0].camera, shape, UNEVEN) if found else None
+    squared = replace(look, keypoints=keypoints, size=(round(width / ratio), height))
+    found = next(squared.hypotheses(focals), None)
+    return None if found is None else _fitted(look, found.camera, shape, UNEVEN)
 
 
 def _fitted(look: Look, camera: Camera, shape: PixelShape, free: int) -> Hypothesis | None:
