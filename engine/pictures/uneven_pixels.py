@@ -65,7 +65,7 @@ def _from_ratio(look: Look, ratio: float, focals: tuple[float, ...]) -> Hypothes
     keypoints = Keypoints(shape.squared(look.keypoints.points), look.keypoints.descriptors)
     width, height = look.size
     squared = replace(look, keypoints=keypoints, size=(round(width / ratio), height))
-    found = next(squared.hypotheses(focals), None)
+    found = next(iter(squared.hypotheses(focals)), None)
     return None if found is None else _fitted(look, found.camera, shape, UNEVEN)
 
 

@@ -60,18 +60,21 @@ def bank_of(
     index of many assets keeps of it. `known` is the bank, where an earlier copy has it."""
     if config.landmark_views == 0:
         return None, None
-    rig = make_rig(model, config.landmark_views, *LANDMARK_SIZE, extent=extent)
+    rig = make_rig(model, extent.fewer(config.landmark_views), *LANDMARK_SIZE, extent=extent)
     landmarks = make_landmarks(model, rig, clock.advance) if known is None else known
     return landmarks, see_points(landmarks, rig)
 
 
-def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Landmarks | None:
+def known_landmarks(earlier: Record, digest: bytes, extent: Extent, config: EmbedConfig) -> Landmarks | None:
     """The bank of an earlier copy's record, where a copy of this reference and these settings would get the same: made
-    of the same reference, from as many views, by this version."""
+    of the same reference, from as many views, by this version, which may not be released yet: views are counted."""
     header, views = earlier.header, dict(earlier.extra.get("settings", {})).get("landmark_views")
     same = (header.reference_digest, header.tool_version, views) == (
         digest.hex(),
         this_version(),
         config.landmark_views,
     )
-    return landmarks_in(earlier.plan_arrays) if same else None
+    landmarks = landmarks_in(earlier.plan_arrays) if same else None
+    if landmarks is None or not len(landmarks):
+        return landmarks
+    return landmarks if landmarks.views.max() < extent.fewer(config.landmark_views) else None

@@ -184,7 +184,7 @@ def _prepare(
         reference = encode_reference(delivered)
         digest = reference_digest(reference)
     with clock.stage("landmarks"):
-        known = None if earlier is None else known_landmarks(earlier, digest, settings)
+        known = None if earlier is None else known_landmarks(earlier, digest, original.extent, settings)
         landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
     return Asset(
         original=original,

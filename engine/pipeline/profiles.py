@@ -59,7 +59,8 @@ class EmbedConfig:
     compact_db: float = 40.0  # with "compact": least PSNR of the delivered model against the original, worst view
     views: int = 8  # key views at which the mark is shaped
     view_size: int = 800  # side of a key view, pixels
-    landmark_views: int = 48  # views of the landmark bank by which the camera of a screenshot is found; 0 leaves it out
+    # Views of the landmark bank by which the camera of a screenshot is found, fewer of flat ground; 0 leaves it out
+    landmark_views: int = 48
     # Knobs of those stages
     quantize: HvqConfig = field(default_factory=HvqConfig)
     prune: PruneConfig = field(default_factory=PruneConfig)

@@ -22,6 +22,11 @@ FIELD_OF_VIEW = 0.85
 LANDMARK_SIZE = (640, 480)
 """Pixels of a view of the landmark bank."""
 
+FLAT = 0.2
+"""Ground is lower than this share of how wide it is."""
+LOWEST, LOWEST_OF_GROUND, HIGHEST = 8.0, 25.0, 55.0
+"""Elevations of a rig's views, degrees: from below 25 ground shows next to nothing."""
+
 ROOM_EMPTINESS = 0.03
 """A model is a room when less than this share of its visible area lies within 45 % of its radius."""
 
@@ -34,6 +39,19 @@ class Extent:
     radius: float  # weighted 90 % quantile of the distance from the centre
     axes: Float64  # (3,) weighted 5 % to 95 % width along x, y, z
     is_room: bool  # the middle is empty and the walls are all around
+
+    @property
+    def lowest(self) -> float:
+        """Elevation from which the lowest views look down, degrees."""
+        return LOWEST if self.axes[1] > FLAT * max(self.axes[0], self.axes[2]) else LOWEST_OF_GROUND
+
+    def fewer(self, views: int) -> int:
+        """How many views lie as close to each other as so many do around what stands upright: ground is looked at from
+        above alone."""
+        if self.is_room or self.lowest == LOWEST:
+            return views
+        least, lowest, highest = np.sin(np.radians([LOWEST, self.lowest, HIGHEST]))
+        return int(np.ceil(views * (highest - lowest) / (highest - least)))
 
 
 def _weighted_quantile(values: Float64, weights: Float64, q: float) -> float:
@@ -87,7 +105,6 @@ def make_rig(
     u = np.full((count, 4), 0.5) if jitter is None else np.asarray(jitter, dtype=np.float64)
     focal = width / (2.0 * np.tan(FIELD_OF_VIEW / 2.0))
     azimuth = GOLDEN_ANGLE * np.arange(count) + 2 * np.pi * (u[:, 0] - 0.5) / max(count, 1)
-    lowest = 8.0 if extent.axes[1] > 0.2 * max(extent.axes[0], extent.axes[2]) else 25.0  # flat ground: from above
     cameras = []
     for k in range(count):
         shell = (k + u[k, 1]) / count  # stratified: the elevations of a rig cover their range
@@ -97,7 +114,7 @@ def make_rig(
             eye = extent.center - 0.25 * extent.radius * toward * (0.5 + u[k, 2])
             target = extent.center + extent.radius * toward
         else:
-            elevation = np.radians(lowest + (55.0 - lowest) * shell)
+            elevation = np.radians(extent.lowest + (HIGHEST - extent.lowest) * shell)
             fit = 1.06 * extent.radius / np.sin(FIELD_OF_VIEW / 2.0)
             eye = extent.center + direction(azimuth[k], elevation) * fit * (0.85 + 0.3 * u[k, 2])
             target = extent.center + 0.1 * extent.radius * (u[k, 3] - 0.5) * direction(azimuth[k] + 1.0, 0.0)

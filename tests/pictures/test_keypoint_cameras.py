@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from skimage import data
@@ -10,7 +12,16 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.camera_motion import moved, project
 from engine.pictures.features import luma
-from engine.pictures.keypoint_cameras import LEAST_RESEMBLANCE, look_closer, look_near
+from engine.pictures.keypoint_cameras import (
+    ENOUGH,
+    LEAST_INLIERS,
+    LEAST_RESEMBLANCE,
+    Look,
+    keypoints_of,
+    look_closer,
+    look_near,
+)
+from engine.pictures.landmarks import make_landmarks
 from engine.pictures.windows import Window
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
@@ -91,3 +102,24 @@ def test_a_glance_tells_what_is_worth_a_look(plant: GaussianModel) -> None:
         assert look_near(plant, other, rough) is not None
         assert look_near(plant, other, rough, LEAST_RESEMBLANCE) is None
         assert look_closer(plant, other, rough) is None
+
+
+def test_a_camera_that_enough_agree_on_is_tried_before_another_is_sought(
+    plant: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = make_rig(plant, 1, 640, 480)[0]
+    bank = make_landmarks(plant, [camera])
+    look = Look.of(keypoints_of(luma(render_depth(plant, camera)[0])), bank, (640, 480))
+    asked: list[int] = []
+    kept = Look.agreed
+
+    def counted(self: Look, *pairs: Any) -> Any:
+        asked.append(len(pairs[0]))
+        return kept(self, *pairs)
+
+    monkeypatch.setattr(Look, "agreed", counted)
+    found = look.hypotheses((1.0, 1.1))
+    assert next(found).support >= ENOUGH
+    assert len(asked) == 1
+    assert next(found).support >= LEAST_INLIERS
+    assert len(asked) == len(look.matches) == 2

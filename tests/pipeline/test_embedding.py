@@ -14,8 +14,8 @@ from engine.pictures.landmarks import Landmarks
 from engine.pipeline import asset
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.profiles import RefineConfig, profile
-from engine.pipeline.rigs import make_rig
-from engine.pipeline.sealing import open_record
+from engine.pipeline.rigs import Extent, make_rig
+from engine.pipeline.sealing import landmarks_in, open_record
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
 from engine.records.record import Record
@@ -104,6 +104,22 @@ def test_a_later_copy_takes_the_landmarks_of_an_earlier_ones_record(
     half = quick(small_plant.take(np.arange(0, len(small_plant), 2)), landmark_views=3, earlier=opened)
     assert drawn == [3]  # of another model
     assert half.seen is not None
+
+
+def test_landmarks_of_more_views_than_ground_gets_today_are_not_taken(
+    small_plant: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Records of the same version from before ground got fewer say so nowhere else."""
+    ground = small_plant.with_(means=small_plant.means * np.array([1.0, 0.05, 1.0], dtype=np.float32))
+    with monkeypatch.context() as before:
+        before.setattr(Extent, "fewer", lambda _, views: views)
+        old = quick(ground, landmark_views=3).record
+    new = quick(ground, landmark_views=3).record
+    banks = [landmarks_in(record.plan_arrays) for record in (old, new)]
+    assert [int(bank.views.max()) for bank in banks if bank is not None] == [2, 1]
+    for earlier in (old, new):
+        again = quick(ground, landmark_views=3, earlier=earlier).record
+        assert again.to_bytes(bench_key(1)) == new.to_bytes(bench_key(1))
 
 
 @pytest.mark.parametrize("bits", [16, 48, 128])

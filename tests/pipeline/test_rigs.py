@@ -107,3 +107,21 @@ def test_views_go_all_around_and_from_low_to_high(jittered: bool) -> None:
     assert (np.diff(elevation) > 0).all()
     assert elevation[0] < 14
     assert elevation[-1] > 49
+
+
+def test_ground_needs_fewer_views_that_lie_as_close_to_each_other() -> None:
+    means = np.random.default_rng(1).standard_normal((4000, 3))
+    ball, ground = (measure_extent(blank(means * shape)) for shape in ([1, 1, 1], [1, 0.05, 1]))
+    assert ball.fewer(48) == 48
+    assert ball.fewer(3) == 3
+    assert ground.fewer(48) == 28
+    assert ground.fewer(1) == 1
+    assert measure_extent(shell(4000, 5.0)).fewer(48) == 48
+    nearest = []
+    for extent, flat in ((ball, 1.0), (ground, 0.05)):
+        rig = make_rig(blank(means * [1, flat, 1]), extent.fewer(48), 64, 64, extent=extent)
+        toward = np.array([(camera.position - extent.center) for camera in rig])
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        cosine = toward @ toward.T - 2.0 * np.eye(len(toward))
+        nearest.append(float(np.median(np.arccos(cosine.max(axis=1)))))
+    assert nearest[1] == pytest.approx(nearest[0], rel=0.15)

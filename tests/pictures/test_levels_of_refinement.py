@@ -1,0 +1,62 @@
+"""What one level of a camera's refinement leaves to the next."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.model import Camera, Float32, GaussianModel
+from engine.pictures import camera_finding, pose_refinement
+from engine.pictures.camera_finding import find_camera
+from engine.pictures.camera_motion import moved
+from engine.pictures.features import luma
+from engine.pictures.landmarks import Landmarks
+from engine.pictures.pose_refinement import refine_level
+from engine.raster import RasterSettings, render
+from tests.pictures.plant_views import around, jpeg, reprojection
+
+pytestmark = pytest.mark.slow
+
+
+def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each level of a refinement that begins anew takes a render for each of the wide blurs; and what is neither
+    cropped nor drawn otherwise needs no camera for that."""
+    true = around(plant, 100.0, 25.0, 1.5, 1.4).with_side(960)
+    drawn: list[int] = []
+    kept = pose_refinement.render_depth
+
+    def counted(model: GaussianModel, camera: Camera, **settings: RasterSettings) -> tuple[Float32, Float32, Float32]:
+        drawn.append(camera.width)
+        return kept(model, camera, **settings)
+
+    monkeypatch.setattr(pose_refinement, "render_depth", counted)
+    found = find_camera(bank, plant, jpeg(render(plant, true), 80))
+    assert found is not None
+    assert reprojection(plant, true, found.camera) < 0.05
+    assert drawn.count(960) <= 4  # 12 when every level began anew
+
+
+def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) -> None:
+    true = around(plant, 100.0, 25.0, 1.5, 1.4)
+    picture = luma(render(plant, true))
+    near = moved(true, np.array([2e-4, -2e-4, 0, 0, 0, 0, 0, 0, 0]), 1.0)
+    for off, iterations in ((0.3, 2), (np.inf, 3)):  # of the blurs 3, 1.5 and 0.8 only the last ends it
+        few = refine_level(plant, picture, near, iterations, 0.5, off=off)
+        enough = refine_level(plant, picture, near, 9, 0.5, off=off)
+        assert few is not None
+        assert enough is not None
+        assert few.rms == enough.rms
+
+
+def test_what_freeing_the_middle_of_a_picture_moves_tells_whether_it_was_cropped(plant: GaussianModel) -> None:
+    true = around(plant, 100.0, 25.0, 1.5, 1.4)
+    picture = luma(render(plant, true))
+    own = refine_level(plant, picture, true, 8, 0.005)
+    K = true.K.copy()
+    K[:2, 2] += 40.0, 25.0
+    wrong = refine_level(plant, picture, Camera(true.viewmat, K, true.width, true.height), 12, 0.005)
+    assert own is not None
+    assert wrong is not None
+    assert own.shift < camera_finding.SHIFTED < wrong.shift
