@@ -74,7 +74,7 @@ def known_landmarks(earlier: Record, digest: bytes, extent: Extent, config: Embe
         this_version(),
         config.landmark_views,
     )
-    landmarks = landmarks_in(earlier.plan_arrays) if same else None
-    if landmarks is None or not len(landmarks):
-        return landmarks
-    return landmarks if landmarks.views.max() < extent.fewer(config.landmark_views) else None
+    bank = landmarks_in(earlier.plan_arrays) if same else None
+    if bank is None or not len(bank):
+        return bank
+    return bank if bank.views.max() < extent.fewer(config.landmark_views) else None
