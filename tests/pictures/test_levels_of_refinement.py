@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures import camera_finding, pose_refinement
+from engine.pictures import camera_finding, camera_trial, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import moved
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks
-from engine.pictures.pose_refinement import refine_level
+from engine.pictures.pose_refinement import Refined, refine_level
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around, jpeg, reprojection
 
@@ -24,18 +26,26 @@ def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
     """Each level of a refinement that begins anew takes a render for each of the wide blurs; and what is neither
     cropped nor drawn otherwise needs no camera for that."""
     true = around(plant, 100.0, 25.0, 1.5, 1.4).with_side(960)
+    asked: list[tuple[int, float]] = []
     drawn: list[int] = []
-    kept = pose_refinement.render_depth
+    refine, draw = camera_trial.refine_level, pose_refinement.render_depth
+
+    def noted(model: GaussianModel, picture: Float32, camera: Camera, *how: Any, **more: Any) -> Refined | None:
+        asked.append((camera.width, more["off"]))
+        return refine(model, picture, camera, *how, **more)
 
     def counted(model: GaussianModel, camera: Camera, **settings: RasterSettings) -> tuple[Float32, Float32, Float32]:
         drawn.append(camera.width)
-        return kept(model, camera, **settings)
+        return draw(model, camera, **settings)
 
+    monkeypatch.setattr(camera_trial, "refine_level", noted)
     monkeypatch.setattr(pose_refinement, "render_depth", counted)
     found = find_camera(bank, plant, jpeg(render(plant, true), 80))
     assert found is not None
     assert reprojection(plant, true, found.camera) < 0.05
-    assert drawn.count(960) <= 4  # 12 when every level began anew
+    assert [width for width, _ in asked] == [640, 960, 960]
+    assert max(off for width, off in asked if width == 960) < 1.0
+    assert drawn.count(960) <= 4  # twelve when every level began anew
 
 
 def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) -> None:
@@ -55,8 +65,8 @@ def test_what_freeing_the_middle_of_a_picture_moves_tells_whether_it_was_cropped
     picture = luma(render(plant, true))
     own = refine_level(plant, picture, true, 8, 0.005)
     K = true.K.copy()
-    K[:2, 2] += 40.0, 25.0
-    wrong = refine_level(plant, picture, Camera(true.viewmat, K, true.width, true.height), 12, 0.005)
+    K[:2, 2] += 12.0, 8.0
+    wrong = refine_level(plant, picture, Camera(true.viewmat, K, true.width, true.height), 30, 0.005)
     assert own is not None
     assert wrong is not None
-    assert own.shift < camera_finding.SHIFTED < wrong.shift
+    assert max(own.shift, own.step, wrong.step) < 0.01 < camera_finding.SHIFTED < wrong.shift
