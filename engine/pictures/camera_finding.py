@@ -47,7 +47,7 @@ WITHIN = 4.0
 """A refined camera is at most so many times as far off as its last step was long: what is left is slow to show."""
 SHIFTED = 0.05
 """Pixels by which freeing the principal point must move a refined picture for it to be tried: of pictures that it
-explained 3 % better it was 0.07 and more, of those not cropped up to 0.04."""
+explained 3 % better it was 0.07 and more, of those not cropped mostly up to 0.04."""
 CLEARLY = 1.03
 """How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
 
@@ -164,7 +164,7 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
             off = WITHIN * refined.step / own
     drawn, otherwise = OWN, RasterSettings(antialiased=not picture.model.antialiased)
     glance = picture.refined(camera, candidate.mirrored, SIZES[-1], 1, STEP, otherwise, off=off)
-    if glance is not None and glance.gain > refined.gain:  # within 1 % of what it is once refined
+    if glance is not None and glance.gain > refined.gain:  # within about 1 % of what it is once refined
         softer = picture.refined(camera, *asked, otherwise, off=off)
         if softer is not None and softer.gain > CLEARLY * refined.gain:
             refined, drawn, camera = softer, otherwise, picture.full(softer.camera)

@@ -45,7 +45,7 @@ def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
     assert reprojection(plant, true, found.camera) < 0.05
     assert [width for width, _ in asked] == [640, 960, 960]
     assert max(off for width, off in asked if width == 960) < 1.0
-    assert drawn.count(960) <= 4  # twelve when every level began anew
+    assert drawn.count(960) <= 4  # three, and one drawn otherwise
 
 
 def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) -> None:
