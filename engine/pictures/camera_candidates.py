@@ -15,7 +15,7 @@ from engine.model import Camera
 from engine.pictures.camera_trial import Picture
 from engine.pictures.features import Keypoints
 from engine.pictures.framing import find_frame
-from engine.pictures.keypoint_cameras import ENOUGH, Look, keypoints_of
+from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pixel_shape import PixelShape
