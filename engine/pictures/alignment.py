@@ -21,7 +21,7 @@ from engine.pictures.brightness_fit import Fit, fit_warp, still_rms
 from engine.pictures.features import detect_keypoints, luma, match_within
 from engine.pictures.light import predict_brightness
 
-__all__ = ["Alignment", "align_either_hand", "align_image", "align_near"]
+__all__ = ["Alignment", "align_either_hand", "align_image", "align_near", "align_upright", "near_motions"]
 
 KEYPOINTS = 2000
 """SIFT keypoints an image."""
@@ -41,6 +41,8 @@ PERSPECTIVE_GAIN = 0.97
 SNAP_PIXELS, SNAP_FAR = 0.06, 0.3
 """A fitted motion smaller than this everywhere is none: the picture is used without resampling. So is a larger one, up
 to the second, that does not lower the residual to `PERSPECTIVE_GAIN` of it: coarse JPEG makes such motions up."""
+WHOLE_PIXELS = 2.0
+"""A motion that is nearer than this to a shift by whole pixels, everywhere, may be one: coarse JPEG makes up one."""
 MARGIN = 3
 """Pixels by which the mask is eroded."""
 SUSPICIOUS = 0.005
@@ -58,6 +60,12 @@ class Alignment:
     rms: float  # robust residual of brightness after gain and offset, image units
     correlation: float  # of both images' brightness on the pixels fitted, -1..1
     mirrored: bool  # the suspect is a mirror image: the matrix turns it over, or that was done before
+    suspect: Float32  # (h, w, 3) what the matrix leads to: the suspect, turned over where that was done before
+
+    @property
+    def still(self) -> bool:
+        """Whether the suspect lies on the reference pixel on pixel, and was not resampled."""
+        return self.warped is self.suspect
 
 
 def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
@@ -87,13 +95,16 @@ def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
     bent = fit_warp(grey, suspect_grey, fit.matrix, levels=(2, 1), homography=True)
     if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
         fit = bent
-    matrix = fit.matrix
-    if grey.shape == suspect_grey.shape and _is_still(grey, suspect_grey, fit):
-        matrix = np.eye(3)
+    still = grey.shape == suspect_grey.shape and _is_still(grey, suspect_grey, fit)
+    return _resampled(reference, suspect, fit, np.eye(3) if still else fit.matrix)
+
+
+def _resampled(reference: Float32, suspect: Float32, fit: Fit, matrix: Float64) -> Alignment:
+    grey = luma(reference)
     warped, inside = _resample(suspect, matrix, *grey.shape)
     mask = _evidence_mask(grey, luma(warped), inside, fit)
     mirrored = bool(np.linalg.det(matrix[:2, :2]) < 0)
-    return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation, mirrored)
+    return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation, mirrored, suspect)
 
 
 def align_near(reference_image: Float32, suspect_image: Float32) -> Alignment | None:
@@ -101,6 +112,39 @@ def align_near(reference_image: Float32, suspect_image: Float32) -> Alignment | 
     reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
     fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
     return None if fit is None or fit.correlation < LEAST_CORRELATION else _laid_over(reference, suspect, fit)
+
+
+def align_upright(reference_image: Float32, suspect_image: Float32) -> tuple[Float64, Alignment] | None:
+    """The similarity (3, 3) by which a suspect (H, W, 3) is off the render, within a pixel or so, and its alignment as
+    it lies, which leaves that out; None as in `align_image`.
+
+    InputError if their shapes differ.
+    """
+    reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
+    if reference.shape != suspect.shape:
+        raise InputError(f"a picture of shape {suspect.shape} does not lie on a render of shape {reference.shape}")
+    fit = fit_warp(luma(reference), luma(suspect), np.eye(3), levels=(2, 1), homography=False)
+    if fit is None or fit.correlation < LEAST_CORRELATION:
+        return None
+    return fit.matrix, _resampled(reference, suspect, fit, np.eye(3))
+
+
+def near_motions(matrix: Float64, shape: tuple[int, ...]) -> list[Float64]:
+    """Simpler motions (3, 3) near one of a render of this shape: the similarity, and whole pixels where it is nearly a
+    shift by these."""
+    height, width = shape[:2]
+    corners = np.array([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
+    mapped = map_points(matrix, corners)
+    x, y = (corners - corners.mean(axis=0)).T
+    u, v = (mapped - mapped.mean(axis=0)).T
+    size = float(x @ x + y @ y)
+    a, b = float(x @ u + y @ v) / size, float(x @ v - y @ u) / size
+    similarity = np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, 1.0]])
+    similarity[:2, 2] = mapped.mean(axis=0) - similarity[:2, :2] @ corners.mean(axis=0)
+    whole = np.eye(3)
+    whole[:2, 2] = np.round((mapped - corners).mean(axis=0))
+    nearly = np.abs(map_points(whole, corners) - map_points(similarity, corners)).max() < WHOLE_PIXELS
+    return [whole, similarity] if nearly else [similarity]
 
 
 def align_either_hand(reference_image: Float32, suspect_image: Float32) -> Alignment | None:

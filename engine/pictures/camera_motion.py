@@ -10,10 +10,13 @@ import numpy as np
 
 from engine.model import Camera, Float64
 
-__all__ = ["CENTERED", "PARAMETERS", "UNEVEN", "moved", "normalized", "point_columns", "project", "swung"]
+__all__ = ["CENTERED", "PARAMETERS", "UNEVEN", "carried", "moved", "normalized", "point_columns", "project", "swung"]
 
 PARAMETERS, CENTERED, UNEVEN = 9, 7, 11
 """Of a motion; of one that leaves the principal point where it is; and with the shape of the pixels (`pixel_shape`)."""
+
+SLANT = 0.02
+"""Pixels by which a row may be off another for a picture's pixels to be upright: what a camera is found to."""
 
 
 def moved(camera: Camera, motion: Float64, depth: float) -> Camera:
@@ -46,6 +49,28 @@ def swung(view: Camera, middle: Float64, place: Float64, turn: float, scale: flo
     viewmat[:3, :3] = _between(roll @ was, now) @ roll
     K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     return Camera(viewmat @ view.viewmat, K, width, height)
+
+
+def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera | None:
+    """The camera whose picture, of this size in pixels, shows at `matrix` (3, 3) x what this camera's shows at x.
+
+    Turns, zooms and cuts of a picture are a camera's, and so are views of it from aside, but for pixels that they make
+    slant: None where these would be off by more than `SLANT`, or where the matrix turns the picture over.
+    """
+    from scipy.linalg import rq
+
+    seen = matrix @ camera.K
+    if not (np.linalg.det(seen) > 0 and np.linalg.det(matrix[:2, :2]) > 0):
+        return None
+    K, turn = rq(seen)
+    signs = np.sign(np.diagonal(K))
+    K, turn = K * signs / abs(K[2, 2]), signs[:, None] * turn
+    if abs(K[0, 1] / K[1, 1]) * height > SLANT:
+        return None
+    K[0, 1] = 0.0
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = turn
+    return Camera(viewmat @ camera.viewmat, K, width, height)
 
 
 def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:

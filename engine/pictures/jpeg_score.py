@@ -13,97 +13,17 @@ from scipy.special import log_ndtr
 
 from engine.model import Bool, Float32, Float64
 from engine.pictures.features import LUMA
+from engine.pictures.jpeg_grid import blocks_of, luma_table, tiles, unclipped
 from engine.pictures.light import fit_colors
 
 _BETTER = 0.7
 """Tone and uneven light must leave this share of what gain and offset leave."""
-
-STANDARD_LUMA_TABLE = np.array(
-    [
-        [16, 11, 10, 16, 24, 40, 51, 61],
-        [12, 12, 14, 19, 26, 58, 60, 55],
-        [14, 13, 16, 24, 40, 57, 69, 56],
-        [14, 17, 22, 29, 51, 87, 80, 62],
-        [18, 22, 37, 56, 68, 109, 103, 77],
-        [24, 35, 55, 64, 81, 104, 113, 92],
-        [49, 64, 78, 87, 103, 121, 120, 101],
-        [72, 92, 95, 98, 112, 100, 103, 99],
-    ],
-    dtype=np.float64,
-)
-"""ITU-T T.81, table K.1: what libjpeg scales by quality, and so nearly every encoder."""
-
-LEAST_STEP = 3.0
-"""Steps smaller than this hide in the rounding of the decoded picture to 8 bits."""
-
-LOOKED_AT = 64
-"""Rows of a picture that tell whether it was decoded from 8 bits."""
 
 NEARBY = 3
 """Blocks a side over which a mark's strength is taken to be the same."""
 
 ROUNDING = 0.5
 """Standard deviation of a coefficient's error from 8-bit rounding before and after coding, grey levels."""
-
-
-def luma_table(quality: int) -> Float64:
-    """(8, 8) quantisation steps of libjpeg at a quality of 1 to 100."""
-    factor = 5000 // quality if quality < 50 else 200 - 2 * quality
-    return np.clip((STANDARD_LUMA_TABLE * factor + 50) // 100, 1, 255)
-
-
-def _tiles(pixels: np.ndarray) -> np.ndarray:
-    """(by, bx, 8, 8, ...) the whole blocks of an image (H, W, ...), a view."""
-    by, bx = pixels.shape[0] // 8, pixels.shape[1] // 8
-    return pixels[: 8 * by, : 8 * bx].reshape(by, 8, bx, 8, *pixels.shape[2:]).swapaxes(1, 2)
-
-
-def blocks_of(luma: Float32 | Float64) -> Float64:
-    """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
-    return np.asarray(dctn(_tiles(luma).astype(np.float64) - 128.0, axes=(2, 3), norm="ortho"))
-
-
-def find_quality(picture: Float32) -> int | None:
-    """libjpeg quality a picture (H, W, 3), 0..1, was saved at, judged by how its coefficients sit on a table's
-    multiples.
-
-    None where no quality from 2 to 92 explains the coefficients (never compressed, resampled since, or compressed too
-    lightly to matter).
-    """
-    if not _is_decoded(picture):
-        return None
-    luma = 255.0 * picture @ LUMA
-    flat = blocks_of(luma).reshape(-1, 64)  # (B, 64)
-    flat = flat[_unclipped(picture).reshape(-1)]  # clipping moves coefficients off their multiples
-    if len(flat) < 40:
-        return None
-    flat = flat[:: max(1, len(flat) // 1500), 1:33]
-    best, least = None, 0.5
-    for quality in range(2, 93):
-        steps = luma_table(quality).reshape(-1)[1:33]
-        use = steps >= LEAST_STEP
-        multiple = flat[:, use] / steps[use]
-        loud = np.abs(multiple) > 0.6  # zeros fit every table
-        if use.sum() < 6 or (loud.sum(axis=0) > 4).sum() < 3:
-            continue
-        off = (multiple - np.round(multiple)) * steps[use]
-        # On the right table what is left is rounding noise; on a wrong one it is uniform over the step.
-        fit = float(np.mean(np.square(off[loud])) / np.mean(np.broadcast_to(steps[use] ** 2 / 12.0, off.shape)[loud]))
-        # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
-        if fit < 0.7 * least:
-            best, least = quality, fit
-    return best
-
-
-def _is_decoded(picture: Float32) -> bool:
-    """Whether all values are those of 8 bits, as any decoder writes them: a render or what was resampled is not."""
-    levels = 255.0 * picture[:: max(1, len(picture) // LOOKED_AT)]
-    return bool(np.abs(levels - np.rint(levels)).max() < 0.01)
-
-
-def _unclipped(picture: Float32) -> Bool:
-    """(by, bx) blocks without black or white values."""
-    return np.asarray(_tiles((picture > 1.5 / 255.0) & (picture < 253.5 / 255.0)).all(axis=(2, 3, 4)))
 
 
 def block_spread(pattern: Float32) -> Float64:
@@ -130,11 +50,11 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     steps = luma_table(quality)
     known = blocks_of(255.0 * reference @ LUMA)
     total = np.sqrt(spread**2 + ROUNDING**2 + _mismatch(observed, known, steps) ** 2)
-    whole = np.asarray(_tiles(mask).all(axis=(2, 3)))  # (by, bx)
+    whole = np.asarray(tiles(mask).all(axis=(2, 3)))  # (by, bx)
     score = np.zeros_like(known)
     score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
     image = np.zeros(mask.shape, dtype=np.float32)
-    _tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
+    tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
 
 
@@ -146,6 +66,23 @@ def _score(observed: Float64, known: Float64, steps: Float64, total: Float64) ->
     # A coefficient many deviations from where the reference puts it is something else in the picture.
     score[(np.minimum(np.abs(low), np.abs(high)) > 4.0) & (low * high > 0)] = 0.0
     return score
+
+
+def agreement(reference: Float32, picture: Float32, mask: Bool, quality: int) -> float:
+    """Share, 0 to 1, of a JPEG-compressed picture's multiples that its coder would have stored of the reference, too.
+
+    Of those that are not zero in both; 0 where there is none. All as in `jpeg_cotangent`.
+
+    It falls where the two are out of register by a tenth of a pixel, of which the brightness of what quality 10 left
+    tells little.
+    """
+    steps = luma_table(quality)
+    known = blocks_of(255.0 * reference @ LUMA)
+    k = _multiples(blocks_of(255.0 * picture @ LUMA), known, steps)
+    would = np.round(known / steps)
+    counted = ((k != 0) | (would != 0)) & np.asarray(tiles(mask).all(axis=(2, 3)))[:, :, None, None]
+    counted[:, :, 0, 0] = False  # the block's brightness, which hardly moves
+    return float((k == would)[counted].mean()) if counted.any() else 0.0
 
 
 def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
@@ -166,7 +103,7 @@ def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
     clearly more. All on block means: compression takes contrast from single pixels, which is no exposure, but a
     tone curve would bend to it.
     """
-    use = _unclipped(picture) & _tiles(mask).all(axis=(2, 3))
+    use = unclipped(picture) & tiles(mask).all(axis=(2, 3))
     if use.sum() < 50:
         return reference
     out = reference.copy()
@@ -197,7 +134,7 @@ def _missed(predicted: Float32, picture: Float32, use: Bool) -> float:
 
 
 def _block_means(plane: Float32) -> Float64:
-    return np.asarray(_tiles(plane).swapaxes(1, 2).mean(axis=(1, 3), dtype=np.float64))
+    return np.asarray(tiles(plane).swapaxes(1, 2).mean(axis=(1, 3), dtype=np.float64))
 
 
 def _mismatch(observed: Float64, known: Float64, steps: Float64) -> Float64:

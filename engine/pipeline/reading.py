@@ -9,8 +9,6 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pictures.alignment import align_either_hand, align_near
-from engine.pictures.background import find_background
 from engine.pictures.camera_finding import FoundCamera, find_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
@@ -18,6 +16,7 @@ from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
 from engine.pictures.view_search import describe_views
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.looking import place_by_looking
+from engine.pipeline.picture_reading import read_found, read_known
 from engine.pipeline.progress import Clock
 from engine.pipeline.reference_views import ReferenceViews
 from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
@@ -101,12 +100,12 @@ def read_renders(suspect: GaussianModel, opened: OpenedRecord, registration: Reg
         it = "its mirror image" if place.mirrored else "it"
         notes.append(f"the suspect was placed by what it looks like: {count} of {it} were recognised")
         for sighting in place.sightings:
-            said = _added(said, _read_picture(sighting.picture, sighting.found, reference)[0])
+            said = _added(said, read_known(sighting.picture, sighting.found, reference)[0])
     for number, camera in enumerate(cameras):
         picture = np.clip(render(moved, camera), 0.0, 1.0)
         refined = refine_level(opened.reference, luma(picture), camera, REFINEMENTS, REFINED)
         if refined is not None and refined.alike:
-            said = _added(said, _read_picture(picture, refined.camera, reference)[0])
+            said = _added(said, read_known(picture, refined.camera, reference)[0])
         clock.advance((number + 1) / len(cameras))
     return Seen(_evidence(said, opened), tuple(notes), said is not None, place is not None)
 
@@ -162,10 +161,10 @@ def read_pictures(
                 continue
             camera, turned = found.of_whole(image), found.mirrored
             with clock.stage("read picture"):
-                evidence = _read_found(found.face(image), found, reference)
+                evidence = read_found(found.face(image), found, reference)
         else:
             with clock.stage("read picture"):
-                evidence, turned = _read_picture(image, camera, reference)
+                evidence, turned = read_known(image, camera, reference)
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
@@ -174,34 +173,6 @@ def read_pictures(
             notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
     scattered = _nothing(opened) if said is None else said.by_scatter(opened.strength)
     return _evidence(said, opened), scattered, tuple(notes), tuple(seen)
-
-
-def _read_picture(image: Float32, camera: Camera, reference: ReferenceViews) -> tuple[PictureEvidence | None, bool]:
-    """Evidence of one picture from a known camera, None where it does not fit that camera's view; and whether it was
-    turned over to fit."""
-    view = reference.at(camera)
-    alignment = align_either_hand(view.plain, image)
-    if alignment is None:
-        return None, False
-    return view.read(alignment.warped, alignment.mask), alignment.mirrored
-
-
-def _read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
-    """Evidence of a picture whose camera was found, whatever it shows behind the model."""
-    view = reference.at(found.camera, found.drawn)
-    behind = find_background(image, view.alpha)
-    through = None if behind is None else behind.through
-    alignment = align_near(view.plain, image if through is None else image - through)
-    if alignment is None:
-        return None
-    warped, mask = alignment.warped, alignment.mask
-    if behind is not None and through is not None:
-        mask = mask & behind.trusted
-        if np.array_equal(alignment.matrix, np.eye(3)):  # as its coder saw it
-            warped = image
-        else:
-            through = None
-    return view.read(warped, mask, through)
 
 
 def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:

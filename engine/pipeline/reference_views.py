@@ -5,11 +5,12 @@ That mark has the record's cells and amplitudes and public signs: what pictures 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.model import Bool, Camera, Float32
+from engine.numerics.resampling import smooth
 from engine.pipeline.marking import displaced
 from engine.pipeline.sealing import OpenedRecord
 from engine.raster import RasterSettings, View, draw, render
@@ -56,6 +57,10 @@ class ReferenceView:
     alpha: Float32  # (H, W) its opacity
     mark: Float32  # (H, W, 3) what a mark of public signs adds
     geometry: GrainView | None
+
+    def softened(self, sigma: float) -> ReferenceView:
+        """This view as a picture shows it that was blurred by `sigma` pixels."""
+        return replace(self, plain=smooth(self.plain, sigma), mark=smooth(self.mark, sigma))
 
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""

@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from engine.model import SH_C0, Bool, Float32, Float64
-from engine.pictures.jpeg_score import block_spread, find_quality, jpeg_cotangent, match_exposure
+from engine.pictures.jpeg_grid import find_grid
+from engine.pictures.jpeg_score import block_spread, jpeg_cotangent, match_exposure
 from engine.pictures.light import fit_colors
 from engine.pictures.residual import image_cotangent
 from engine.pictures.tone_curve import Toned
@@ -214,19 +215,20 @@ def _reader(
 ) -> Callable[[Float32], Float32]:
     """Function from a render (H, W, 3) that the picture is held against, the reference or nearly, to the weighted
     residual (H, W, 3) that is to be pulled back."""
-    quality = find_quality(warped)
-    spread = block_spread(_public_pattern(layout, view)) if quality else None
+    grid = find_grid(warped)
+    spread = None if grid is None else block_spread(grid.part(_public_pattern(layout, view)))
 
     own = warped if through is None else warped - through
-    toned = fit_colors(reference, own, mask) if quality is None and mask.any() else None
+    toned = fit_colors(reference, own, mask) if grid is None and mask.any() else None
 
     def weigh(known: Float32) -> Float32:
-        if quality is not None and spread is not None:
+        if grid is not None and spread is not None:
             exposed = match_exposure(known, own, mask)
             if through is not None:  # the coder saw both
                 exposed = np.clip(exposed + through, 0.0, 1.0)
             chroma = image_cotangent(exposed, warped, mask, Toned(exposed, np.ones_like(exposed)), chroma_alone=True)
-            return np.ascontiguousarray(jpeg_cotangent(exposed, warped, mask, spread, quality) + chroma)
+            blocks = grid.part(exposed), grid.part(warped), grid.part(mask)
+            return grid.whole(jpeg_cotangent(*blocks, spread, grid.quality), exposed.shape) + chroma
         # The colours of a render that differs by a mark are the reference's: fitting them again takes half of the time.
         near = toned and Toned(toned.predicted + toned.slope * (known - reference), toned.slope)
         return image_cotangent(known, own, mask, near)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
 from engine.sim.attacks import image_attack
@@ -114,3 +116,18 @@ def attack(name: str, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         case "rotation, noise 0.1":
             return run("noise_image", run("rotate_image", image, 10.0), 0.1), turn(10.0)
     raise ValueError(name)
+
+
+def coarse_picture(seed: int = 0, size: int = 160) -> np.ndarray:
+    """A smooth, colourful picture away from black and white."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.uniform(0.2, 0.8, (size // 7, size // 7, 3))
+    big = np.asarray(Image.fromarray((coarse * 255).astype(np.uint8)).resize((size, size), Image.Resampling.BICUBIC))
+    return (big / 255.0 + 0.02 * rng.standard_normal((size, size, 3))).clip(0.05, 0.95).astype(np.float32)
+
+
+def saved(image: np.ndarray, quality: int, kind: str = "JPEG") -> np.ndarray:
+    """What a coder leaves of a picture."""
+    buffer = io.BytesIO()
+    Image.fromarray((image * 255 + 0.5).astype(np.uint8)).save(buffer, kind, quality=quality)
+    return (np.asarray(Image.open(buffer).convert("RGB")) / 255.0).astype(np.float32)

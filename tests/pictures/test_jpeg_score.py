@@ -1,59 +1,14 @@
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
-from PIL import Image
-from scipy import integrate
+from scipy import integrate, ndimage
 from scipy.stats import norm
 
-from engine.pictures.jpeg_score import (
-    LUMA,
-    _truncated_mean,
-    block_spread,
-    blocks_of,
-    find_quality,
-    jpeg_cotangent,
-    luma_table,
-)
-
-
-def picture(seed: int = 0, size: int = 160) -> np.ndarray:
-    """A smooth, colourful picture away from black and white."""
-    rng = np.random.default_rng(seed)
-    coarse = rng.uniform(0.2, 0.8, (size // 7, size // 7, 3))
-    big = np.asarray(Image.fromarray((coarse * 255).astype(np.uint8)).resize((size, size), Image.Resampling.BICUBIC))
-    return (big / 255.0 + 0.02 * rng.standard_normal((size, size, 3))).clip(0.05, 0.95).astype(np.float32)
-
-
-def save(image: np.ndarray, quality: int) -> np.ndarray:
-    buffer = io.BytesIO()
-    Image.fromarray((image * 255 + 0.5).astype(np.uint8)).save(buffer, "JPEG", quality=quality)
-    return (np.asarray(Image.open(buffer)) / 255.0).astype(np.float32)
-
-
-def test_tables_are_those_that_pillow_writes() -> None:
-    for quality in (10, 50, 75, 90):
-        buffer = io.BytesIO()
-        Image.new("RGB", (16, 16)).save(buffer, "JPEG", quality=quality)
-        written = sorted(Image.open(buffer).quantization[0])
-        assert written == sorted(luma_table(quality).reshape(-1).astype(int).tolist())
-
-
-@pytest.mark.parametrize("quality", [10, 30, 50, 75, 88])
-def test_quality_is_found(quality: int) -> None:
-    found = find_quality(save(picture(), quality))
-    assert found is not None
-    assert np.abs(luma_table(found) - luma_table(quality)).max() <= 2
-
-
-def test_uncompressed_and_shifted_pictures_have_no_quality() -> None:
-    assert find_quality(picture()) is None
-    assert find_quality((np.round(picture() * 255) / 255).astype(np.float32)) is None
-    assert find_quality(save(picture(), 30)[3:, 5:]) is None  # cropped off the 8x8 grid
-    assert find_quality(np.zeros((64, 64, 3), np.float32)) is None
-    assert find_quality(np.zeros((5, 5, 3), np.float32)) is None
+from engine.pictures.jpeg_grid import LUMA, find_quality
+from engine.pictures.jpeg_score import _truncated_mean, agreement, block_spread, jpeg_cotangent
+from tests.pictures.image_cases import coarse_picture as picture
+from tests.pictures.image_cases import saved as save
 
 
 def test_truncated_mean_against_the_integral() -> None:
@@ -130,7 +85,12 @@ def test_masked_blocks_are_left_out() -> None:
     np.testing.assert_array_equal(cotangent[80:], whole[80:])  # and say nothing about the others
 
 
-def test_blocks_are_an_orthonormal_transform() -> None:
-    luma = 255.0 * picture(5) @ LUMA
-    energy = float(((luma - 128.0) ** 2).sum())
-    assert float((blocks_of(luma) ** 2).sum()) == pytest.approx(energy, rel=1e-6)
+def test_agreement_falls_with_a_tenth_of_a_pixel() -> None:
+    base = picture(6, 240)
+    suspect = save(base, 20)
+    everywhere = np.ones(base.shape[:2], bool)
+    shifted = [ndimage.shift(base, (0, d, 0), order=3, mode="nearest") for d in (0.0, 0.1, 0.3)]
+    found = [agreement(known.astype(np.float32), suspect, everywhere, 20) for known in shifted]
+    assert found[0] > 0.97
+    assert found[0] > found[1] + 0.01 > found[2] + 0.03
+    assert agreement(base, suspect, ~everywhere, 20) == 0.0
