@@ -26,6 +26,7 @@ from engine.registration.registering import Registration
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import PictureEvidence
 from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.picture_agreement import Together
 
 __all__ = ["Seen", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
 
@@ -36,6 +37,7 @@ REFINEMENTS, REFINED = 12, 0.005
 """Renders at most to refine a view's camera, and the step that ends it, pixels: as `find_camera` does."""
 EDGE_VIEWS, EDGE_SIZE = 64, (640, 480)
 """Views in which a picture without keypoints is sought, and their shape."""
+LEFT_OUT = "left out: picture {} shows the asset, but not the mark that the other pictures agree on"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,8 @@ def read_pictures(
     images: Sequence[Float32], opened: OpenedRecord, cameras: Sequence[Camera] | None, clock: Clock
 ) -> tuple[Evidence, Evidence, tuple[str, ...], tuple[Camera | None, ...]]:
     """What pictures (h, w, 3), range 0 to 1, say about each chip, all together, read in the two ways of
-    `PictureEvidence`; why one could not be read; and from where each that was read shows the asset.
+    `PictureEvidence`; why one could not be read, or was left out since it contradicts the others; and from where each
+    that was read shows the asset.
 
     Cameras that are not given are found from the record's landmarks. The evidence is all zero where no picture could
     be read. InputError if there is no picture, the cameras are not as many, or one must be found without landmarks.
@@ -145,7 +148,7 @@ def read_pictures(
         raise InputError("no picture was given")
     if cameras is not None and len(cameras) != len(images):
         raise InputError(f"{len(images)} pictures but {len(cameras)} cameras")
-    said: PictureEvidence | None = None
+    said = Together()
     notes: list[str] = []
     seen: list[Camera | None] = [None] * len(images)
     reference = ReferenceViews(opened)
@@ -168,11 +171,14 @@ def read_pictures(
         if evidence is None:
             notes.append(f"picture {number + 1}: it could not be aligned to the view of its camera")
             continue
-        said, seen[number] = _added(said, evidence), camera
+        said.add(number, evidence)
+        seen[number] = camera
         if turned:
             notes.append(f"mirrored: picture {number + 1} was turned over before it was read")
-    scattered = _nothing(opened) if said is None else said.by_scatter(opened.strength)
-    return _evidence(said, opened), scattered, tuple(notes), tuple(seen)
+    together, odd = said.agreed()
+    notes += [LEFT_OUT.format(number + 1) for number in odd]
+    scattered = _nothing(opened) if together is None else together.by_scatter(opened.strength)
+    return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
 def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:

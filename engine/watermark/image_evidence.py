@@ -48,6 +48,11 @@ class PictureEvidence:
     held_response: Float64
     pulled: tuple[Float32, ...]  # (N, 3) of each picture: see `Evidence`
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes, without what it is pulled by."""
+        return sum(each.nbytes for each in (self.weights, self.y, self.response, self.held_y, self.held_response))
+
     def plus(self, other: "PictureEvidence") -> "PictureEvidence":
         """Those of two sets of pictures of one asset, together.
 
