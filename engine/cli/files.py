@@ -114,6 +114,17 @@ def read_bytes(path: Path, what: str) -> bytes:
         raise InputError(f"cannot read {what} {str(path)!r}: {error.strerror}") from error
 
 
+def pictures_within(suspects: Sequence[Path]) -> list[Path]:
+    """The suspects; in the place of a folder of pictures alone, such as a video's frames, these in order of name."""
+    from engine.formats.pictures import is_picture
+
+    found: list[Path] = []
+    for path in suspects:
+        within = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else []
+        found += within if within and all(is_picture(each) for each in within) else [path]
+    return found
+
+
 def are_pictures(suspects: Sequence[Path], cameras: Path | None) -> bool:
     """Whether suspects are pictures; InputError where they are neither that nor one model without cameras."""
     from engine.formats.pictures import is_picture

@@ -11,7 +11,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import are_pictures, read_bytes
+from engine.cli.files import are_pictures, pictures_within, read_bytes
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key
@@ -57,6 +57,7 @@ def trace(
     """
     console = Console(json)
     began = time.perf_counter()
+    suspects = pictures_within(suspects)
     pictures = are_pictures(suspects, cameras)
     files = _files(records)
 

@@ -12,7 +12,7 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, check_folder, read_bytes
+from engine.cli.files import are_pictures, check_folder, pictures_within, read_bytes
 from engine.cli.kernels import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key, SpzFrame
@@ -91,7 +91,7 @@ def verify(
 
     The suspect may have been moved, cropped, thinned, converted or put into
     another scene; of a picture, neither camera nor focal length need be known.
-    Several pictures are read together.
+    Several pictures, or a folder of a video's frames, are read together.
 
     A claim needs 1 in 10^9 where somebody else attests that the record is older
     than the suspect (see `mark3dgs attest`), else 1 in 2^128.
@@ -107,6 +107,7 @@ def verify(
     """
     console = Console(json)
     began = time.perf_counter()
+    suspects = pictures_within(suspects)
     pictures = are_pictures(suspects, cameras)
     if regions is not None:
         check_folder(regions)

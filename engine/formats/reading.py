@@ -20,7 +20,7 @@ _OTHERS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
     (lambda data: data[4:8] == b"ftyp" and data[8:12] in _HEIC, "is a HEIC photo: save it as JPEG or PNG"),
     (
         lambda data: data[4:8] == b"ftyp" or data[8:12] == _AVI or data.startswith(_MATROSKA),
-        "is a video: save some of its frames, unscaled, as PNG, and give those",
+        "is a video: save some of its frames, unscaled (ffmpeg -i VIDEO -vf fps=1 FRAMES/%04d.png), and give those",
     ),
     (lambda data: data.startswith(b"%PDF"), "is a PDF: save the picture in it as PNG or JPEG"),
     (

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.cli.files import refuse_same, whole_file, write_picture, write_secret
+from engine.cli.files import pictures_within, refuse_same, whole_file, write_picture, write_secret
 from engine.errors import InputError
 from engine.formats.pictures import is_picture, read_picture
 
@@ -64,3 +64,14 @@ def test_pictures_are_known_by_content_and_survive_the_trip(tmp_path: Path, name
     write_picture(image, tmp_path / "x", tmp_path / name)
     assert is_picture(tmp_path / "x")
     assert np.abs(read_picture(tmp_path / "x") - image).max() < 0.02
+
+
+def test_a_folder_of_frames_stands_for_its_pictures(tmp_path: Path) -> None:
+    frames, model = tmp_path / "frames", tmp_path / "unpacked"
+    for folder, names in ((frames, ("0002.png", "0001.png")), (model, ("means.png", "meta.json"))):
+        folder.mkdir()
+        for name in names:
+            (folder / name).write_bytes(b"{}" if name.endswith("json") else b"\x89PNG\r\n\x1a\n\0\0\0\0")
+    (frames / ".hidden").write_bytes(b"?")
+    single = tmp_path / "a.png"
+    assert pictures_within([single, frames, model]) == [single, frames / "0001.png", frames / "0002.png", model]
