@@ -97,9 +97,16 @@ def find_camera(
     uneven = config.uneven and (best is None or best.correlation < ALIKE)
     shape = candidates.shape(first) if uneven else None
     if shape is not None:
-        found = find_camera(landmarks, reference_model, shape.undo(image), replace(config, uneven=False))
-        if found is not None and (best is None or found.correlation > best.correlation):
-            return replace(found, shape=shape)
+        asked = replace(config, uneven=False)
+        bent = find_camera(landmarks, reference_model, shape.undo(image), asked)
+        # Something flat, near a wide lens, looks slanted until all of its perspective is found.
+        plain = None
+        if bent is not None and best is not None and best.sure:
+            plain = find_camera(landmarks, reference_model, image, asked)
+        if bent is not None and (plain is None or bent.correlation > plain.correlation):
+            return replace(bent, shape=shape)
+        if plain is not None:
+            return plain
     frame = candidates.frame(first) if config.framed and first is not None and first.support >= SUPPORTED else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)

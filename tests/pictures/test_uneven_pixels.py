@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
+from engine.pictures import camera_finding
+from engine.pictures.camera_candidates import Candidate, Candidates
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_hypotheses import Hypothesis, fit_camera
 from engine.pictures.camera_motion import UNEVEN, project
@@ -126,3 +131,21 @@ def test_a_whole_picture_is_square(plant: GaussianModel, bank: Landmarks) -> Non
     found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
     assert found is not None
     assert found.shape is None
+
+
+def test_a_shape_must_explain_more_than_square_pixels_do_in_the_end(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rough look at a wide lens took a guitar's perspective for a slant, which was kept: half of its evidence."""
+    kept, slanted = camera_finding._best, PixelShape(1.0, 0.02)
+
+    def rough(*asked: Any) -> Candidate | None:
+        best = kept(*asked)
+        return None if best is None else replace(best, correlation=0.8)
+
+    monkeypatch.setattr(camera_finding, "_best", rough)
+    monkeypatch.setattr(Candidates, "shape", lambda *asked: slanted)
+    found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
+    assert found is not None
+    assert found.shape is None
+    assert found.correlation > 0.97
