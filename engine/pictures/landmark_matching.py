@@ -19,9 +19,10 @@ from engine.pictures.landmarks import Landmarks
 
 __all__ = ["match_landmarks", "match_projected"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 _CHUNK = 256
 """Keypoints matched at a time: 256 rows of 20,000 distances are 20 MB."""
+_UNLIKE = 1 << 30  # a distance, squared, that no two descriptors have
 MOST_UNLIKE = 0.55 * 512.0
 """Largest distance of descriptors (of length 512) of a landmark and what lies where it projects."""
 
@@ -63,17 +64,20 @@ def _rank(products, squares, points, starts, radius, best, first, rival, in_view
 
 
 @parallel_kernel
-def _nearest_look(pixels, descriptors, places, targets, radius, best, distance):
+def _nearest_look(pixels, descriptors, places, rows, order, targets, radius, best, distance):
+    """Of each keypoint, the target that looks most like it among those whose place is near; `order` is theirs from top
+    to bottom, `rows` the y of that order."""
     for k in prange(len(pixels)):
         x, y = pixels[k, 0], pixels[k, 1]
-        nearest, low = -1, np.int64(1) << 40
-        for n in range(len(places)):
+        nearest, low = np.int64(-1), np.int32(_UNLIKE)
+        for place in range(np.searchsorted(rows, y - radius), np.searchsorted(rows, y + radius)):
+            n = order[place]
             if abs(places[n, 0] - x) < radius and abs(places[n, 1] - y) < radius:
-                total = np.int64(0)
+                total = np.int32(0)
                 for c in range(128):
-                    off = np.int64(descriptors[k, c]) - np.int64(targets[n, c])
+                    off = np.int32(descriptors[k, c]) - np.int32(targets[n, c])
                     total += off * off
-                if total < low:
+                if total < low or (total == low and n < nearest):
                     nearest, low = n, total
         best[k], distance[k] = nearest, low
 
@@ -135,6 +139,7 @@ def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, 
     places = project(landmarks.points.astype(np.float64), camera)
     size: Float64 = np.array([camera.width, camera.height], dtype=np.float64)
     inside = np.nonzero(((places > -radius) & (places < size + radius)).all(axis=1))[0]
+    order = np.argsort(places[inside, 1], kind="stable")
     best = np.empty(len(keypoints), dtype=np.int64)
     distance = np.empty(len(keypoints), dtype=np.int64)
     with parallel_section():
@@ -142,6 +147,8 @@ def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, 
             keypoints.points,
             keypoints.descriptors,
             places[inside],
+            places[inside[order], 1],
+            order,
             landmarks.descriptors[inside],
             radius,
             best,

@@ -19,6 +19,6 @@ def nearest_look(
     """Of the landmarks in the square around a pixel, the one most alike, and its squared distance."""
     near = np.nonzero((np.abs(places - pixel) < radius).all(axis=1))[0]
     if not len(near):
-        return -1, 1 << 40
+        return -1, 1 << 30
     square = ((targets[near].astype(np.int64) - descriptor.astype(np.int64)) ** 2).sum(axis=1)
     return int(near[np.argmin(square)]), int(square.min())
