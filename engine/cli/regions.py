@@ -42,7 +42,7 @@ def region_lines(report: RegionReport, folder: str) -> Iterator[str]:
     """For people."""
     summary = report.summary()
     yield ""
-    wrong = f" (at most {report.false_discoveries:.3g} of these in expectation not)" if summary["marked"] else ""
+    wrong = f" (at most {100 * report.false_discoveries:.2g} % of them expected not to be)" if summary["marked"] else ""
     others = ", ".join(f"{summary[name]} {name}" for name in ("altered", "unclear", "unseen"))
     yield f"Regions: {summary['marked']} marked{wrong}, {others}"
     for number, piece in enumerate(report.pieces):
