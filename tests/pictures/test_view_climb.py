@@ -10,10 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel, look_at
+from engine.pictures import camera_candidates
+from engine.pictures.camera_candidates import LOUD, Candidates
+from engine.pictures.camera_trial import Picture
+from engine.pictures.landmarks import Landmarks
 from engine.pictures.picture_edges import COLORED, PictureEdges
 from engine.pictures.view_climb import ROUNDS, Climbed, _distinct, climb
 from engine.pictures.view_points import ViewPoints, describe_view, thinned
 from engine.pictures.view_scores import SIDE
+from engine.pictures.voted_views import VotedView
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 
@@ -82,6 +87,25 @@ def test_cameras_that_are_nearly_one_are_one(plant: GaussianModel) -> None:
     assert sorted(kept for *_, kept in ROUNDS) == [kept for *_, kept in reversed(ROUNDS)], "never more than before"
 
 
+@pytest.mark.parametrize(("loudness", "climbed"), [(LOUD + 0.1, True), (LOUD - 0.1, False)])
+def test_what_is_voted_for_loudly_climbs(
+    plant: GaussianModel, monkeypatch: pytest.MonkeyPatch, loudness: float, climbed: bool
+) -> None:
+    """Without a single view that outlines and edges are sought in."""
+    true = around(plant, 40.0, 25.0, 6.0)
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    pairs = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    voted = VotedView(loudness, around(plant, 56.0, 15.0, 5.0, 5.0 / 6.0), *pairs)
+    monkeypatch.setattr(camera_candidates, "vote_for_views", lambda *asked: [voted])
+    monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)  # keypoints alone do not find home
+    candidates = Candidates(Picture(plant, photographed(plant, true, 0.7)), none, (), ())
+    assert list(candidates.by_votes([])) == []
+    found = list(candidates.by_edges([]))
+    assert bool(found) is climbed
+    if climbed:
+        assert min(off(each.camera, true) for each in found if not each.mirrored) < 5.0
+
+
 def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:
     """The same edges in a picture whose colours are shuffled; a tone curve hardly matters."""
     camera = around(plant, 40.0, 25.0, 6.0).with_side(SIDE)
@@ -103,11 +127,13 @@ def test_colours_are_correlated_point_by_point(plant: GaussianModel) -> None:
     view = describe_view(plant, camera)
     assert view is not None
     picture = PictureEdges.of(photographed(plant, camera.with_side(320)))
-    poses = np.array(
-        [[0.0, view.spread, *(view.middle - 0.5)], [0.7, 1.2 * view.spread, 80.0, 60.0], [0.0, 5.0, 500.0, 0.0]]
-    )
+    right = view.inner[:, 0].astype(np.float64) * view.spread
+    few = SIDE - np.sort(right)[9] - 1.0  # ten points of the view are left in the picture
+    whole = [0.0, view.spread, *(view.middle - 0.5)]
+    poses = np.array([whole, [0.7, 1.2 * view.spread, 80.0, 60.0], [0.0, view.spread, few, view.middle[1] - 0.5]])
     said = picture._colored([view], np.zeros(3, int), poses)
     height, width = picture.small.shape[:2]
+    counts = []
     for pose, answer in zip(poses, said, strict=True):
         seen, drawn = [], []
         for point, color in zip(view.inner.astype(np.float64), view.colors, strict=True):
@@ -117,9 +143,11 @@ def test_colours_are_correlated_point_by_point(plant: GaussianModel) -> None:
             if 0 <= column < width and 0 <= row < height:
                 seen.append(picture._soft[row, column])
                 drawn.append(color)
+        counts.append(len(seen))
         if len(seen) < 20:
             assert answer == 0.0
             continue
         a, b = (np.array(each) - np.mean(each, axis=0) for each in (seen, drawn))
         alike = (a * b).sum() / np.sqrt((a**2).sum() * (b**2).sum())
         assert answer == pytest.approx(np.arctanh(min(alike, 0.99)), abs=1e-3)
+    assert 0 < counts[2] < 20 < counts[1] < counts[0]
