@@ -26,10 +26,12 @@ from engine.model import Float32
 from engine.pipeline.profiles import profile
 from engine.pipeline.verification import VerifyConfig, verify_images
 from tests.viewers.shooting import VIEWERS, fetch_viewers, studio
-from tests.viewers.taking import Taken, take
+from tests.viewers.taking import COUNTS, Taken, take
 
 THUMBNAIL, ACROSS = 240, 6
 """Pixels of a picture on the contact sheet, and pictures in a row of it."""
+FOREIGN = 3
+"""Every so many pictures are held against another scene's record, too."""
 TOGETHER = 3
 """Pictures read together, as somebody has who took more than one."""
 
@@ -40,6 +42,9 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", type=Path, required=True)
     parser.add_argument("--pictures", type=int, default=20, help="of each scene (default 20)")
     parser.add_argument("--viewer", choices=[name for name in VIEWERS if name != "three"], default="supersplat")
+    parser.add_argument(
+        "--counting", action="store_true", help="only pictures that count"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="folder for results.json and failures.png")
     options = parser.parse_args()
@@ -56,9 +61,10 @@ def main() -> None:
         taken: list[Taken] = []
         with studio(options.out) as booth:
             for number in range(options.pictures):
-                taken.append(take(booth, marked.marked, file, (options.seed, number), options.viewer))
+                least = {"least": COUNTS} if options.counting else {}
+                taken.append(take(booth, marked.marked, file, (options.seed, number), options.viewer, **least))
                 row = {"scene": scene.name, **_told(taken[-1]), **_read(marked, [taken[-1].picture])}
-                if before is not None:  # the picture of another scene
+                if before is not None and number % FOREIGN == 0:  # the picture of another scene
                     row["foreign"] = _read(before, [taken[-1].picture])
                 rows.append(row)
                 sys.stdout.write(json.dumps(row) + "\n")

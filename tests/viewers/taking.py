@@ -25,6 +25,8 @@ BACKGROUNDS = ("black", "grey", "white", "gradient", "photo")
 TONES = ("none", "none", "aces", "filmic", "neutral")
 ROLLS = ("upright", "upright", "tilted", "quarter", "over")
 """Turned by up to 15 degrees, by a quarter left or right, or by half a turn."""
+COUNTS = 0.2
+"""Share of the asset that a picture shows, and of itself that it fills, from which on it counts."""
 FILES = ("png", "jpeg 80", "webp 75", "recorded")
 """Recorded: a frame of a film of it (H.264, as OBS records)."""
 
@@ -42,7 +44,7 @@ class Taken:
     @property
     def counts(self) -> bool:
         """Whether at least a fifth of the asset fills at least a fifth of the picture."""
-        return self.seen >= 0.2 and self.filled >= 0.2
+        return min(self.seen, self.filled) >= COUNTS
 
 
 def random_camera(
@@ -82,8 +84,16 @@ def coverage(model: GaussianModel, camera: Camera) -> tuple[float, float]:
     return float((weight * inside).sum() / weight.sum()), float((alpha > 0.5).mean())
 
 
-def take(studio: Studio, model: GaussianModel, file: str, seed: tuple[int, int], kind: str = "supersplat") -> Taken:
-    """One picture of a model file in the studio's folder, everything drawn from the seed."""
+def take(
+    studio: Studio,
+    model: GaussianModel,
+    file: str,
+    seed: tuple[int, int],
+    kind: str = "supersplat",
+    least: float = 0.05,
+) -> Taken:
+    """One picture of a model file in the studio's folder, everything drawn from the seed; at `least` this share of the
+    asset is seen, and fills the picture, where a camera of 50 does that."""
     rng = np.random.default_rng(seed)
     tags = {
         "viewer": kind,
@@ -97,10 +107,10 @@ def take(studio: Studio, model: GaussianModel, file: str, seed: tuple[int, int],
         "hand": str(rng.choice(["right", "right", "right", "mirrored"])),
     }
     size = SIZES[tags["size"]]
-    for _ in range(50):  # what shows nothing of it is no picture of it
+    for _ in range(50):
         camera, distance = random_camera(model, rng, size, tags["roll"])
         seen, filled = coverage(model, camera)
-        if seen >= 0.05 and filled >= 0.05:
+        if min(seen, filled) >= least:
             break
     options = {"tone": tags["tone"], "ui": tags["interface"] == "with", "aa": tags["antialiasing"] == "on"}
     with studio.viewer(kind, file, size, **options) as viewer:
