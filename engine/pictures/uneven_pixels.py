@@ -33,12 +33,12 @@ def find_shape(look: Look, start: Camera | None, focals: tuple[float, ...]) -> H
     """Camera, and shape of a picture's pixels, on which its keypoints agree better than on square ones, how many by
     their error; None where they do not. What is flat looks nearly the same from aside: how it looks must decide.
 
-    `start` is the best camera with square pixels; other shapes begin at every other of these focal lengths, in widths
+    `start` is the best camera with square pixels; other shapes begin at each of these focal lengths, in widths
     of the picture.
     """
     plain = None if start is None else _fitted(look, start, SQUARE, PARAMETERS)
     tried = [] if start is None else [_fitted(look, start, SQUARE, UNEVEN)]
-    tried += [_from_ratio(look, ratio, focals[::2]) for ratio in RATIOS]
+    tried += [_from_ratio(look, ratio, focals) for ratio in RATIOS]
     best = max(tried, key=_worth, default=None)
     if best is None or best.support < SUPPORTED or _worth(best) < _worth(plain):
         return None
