@@ -73,6 +73,14 @@ def carried(camera: Camera, matrix: Float64, width: int, height: int) -> Camera 
     return Camera(viewmat @ camera.viewmat, K, width, height)
 
 
+def farther(camera: Camera, depth: float, factor: float) -> Camera:
+    """A camera so many times as far from what it sees at a depth (scene units), behind a lens as much longer."""
+    motion = np.eye(4)
+    motion[2, 3] = depth * (factor - 1.0)
+    K = camera.K * np.array([[factor, 1.0, 1.0], [1.0, factor, 1.0], [1.0, 1.0, 1.0]])
+    return Camera(motion @ camera.viewmat, K, camera.width, camera.height)
+
+
 def normalized(points: Float64, camera: Camera) -> tuple[Float64, Float64]:
     """Image coordinates (P, 2) for focal length 1, and depths (P,), of world points (P, 3)."""
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from engine.model import Camera, GaussianModel
+from engine.pictures.camera_motion import farther
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.view_points import ViewPoints, describe_view
 
@@ -50,20 +51,20 @@ def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequen
     image.
     """
     climbing = list(starts)
-    for degrees, farther, kept in ROUNDS:
-        gone = [step for start in climbing if (step := _step(model, pictures, start, degrees, farther)) is not None]
+    for degrees, away, kept in ROUNDS:
+        gone = [step for start in climbing if (step := _step(model, pictures, start, degrees, away)) is not None]
         climbing = _distinct(gone, kept)
     return climbing
 
 
 def _step(
-    model: GaussianModel, pictures: Sequence[PictureEdges], start: Climbed, degrees: float, farther: Sequence[float]
+    model: GaussianModel, pictures: Sequence[PictureEdges], start: Climbed, degrees: float, away: Sequence[float]
 ) -> Climbed | None:
     """The best camera near the start's, itself among them; None where nothing is seen from it."""
     here = describe_view(model, start.camera)
     if here is None:
         return None
-    near = [view for camera in _around(here, degrees, farther) if (view := describe_view(model, camera)) is not None]
+    near = [view for camera in _around(here, degrees, away) if (view := describe_view(model, camera)) is not None]
     views, picture = [here, *near], pictures[start.picture]
     poses = np.array([(0.0, view.spread, *(view.middle - 0.5)) for view in views])
     scores, poses = picture.scored(views, np.arange(len(views)), poses)
@@ -71,7 +72,7 @@ def _step(
     return Climbed(float(scores[best]), picture.camera(views[best], poses[best]), start.picture)
 
 
-def _around(view: ViewPoints, degrees: float, farther: Sequence[float]) -> Iterator[Camera]:
+def _around(view: ViewPoints, degrees: float, away: Sequence[float]) -> Iterator[Camera]:
     """Cameras a step up, down, left and right of a view's, around what it shows; nearer and farther, other lenses."""
     camera, angle = view.camera, np.radians(degrees)
     pivot = view.depth * np.linalg.solve(camera.K, np.array([*view.middle, 1.0]))
@@ -80,11 +81,8 @@ def _around(view: ViewPoints, degrees: float, farther: Sequence[float]) -> Itera
         motion[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
         motion[:3, 3] = pivot - motion[:3, :3] @ pivot
         yield Camera(motion @ camera.viewmat, camera.K, camera.width, camera.height)
-    for factor in farther:
-        motion = np.eye(4)
-        motion[2, 3] = view.depth * (factor - 1.0)
-        K = camera.K * np.array([[factor, 1.0, 1.0], [1.0, factor, 1.0], [1.0, 1.0, 1.0]])
-        yield Camera(motion @ camera.viewmat, K, camera.width, camera.height)
+    for factor in away:
+        yield farther(camera, view.depth, factor)
 
 
 def _distinct(found: Sequence[Climbed], count: int) -> list[Climbed]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from engine.model import Camera, Float32, Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_section
+from engine.pictures.camera_motion import farther
 from engine.pictures.picture_edges import PictureEdges, stacked
 from engine.pictures.view_points import ViewPoints, describe_view
 from engine.pictures.view_scores import ROLLS, SIDE, score_views
@@ -25,14 +26,20 @@ RADII = tuple(0.125 * SIDE * 1.25**k for k in range(11))
 """Sizes tried: how far, root mean square, the points lie from their middle, pixels."""
 AGAIN = 1500
 """Finds that are looked at again, in finer steps of roll, size and place."""
+NEAR = 0.5
+"""The distance, in that of the views given, from which they are taken again: through a wide lens what is near has
+another shape, to which no search from afar leads (of three pictures that it missed two are found)."""
 _SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
 """Radians, share of the size, and pixels within which two finds of a view are one."""
 
 
 def describe_views(model: GaussianModel, cameras: Sequence[Camera]) -> list[ViewPoints]:
-    """Points of renders from these cameras, reduced to `SIDE` pixels; views without edges are left out."""
-    described = (describe_view(model, camera.with_side(SIDE)) for camera in cameras)
-    return [view for view in described if view is not None]
+    """Points of renders from these cameras, reduced to `SIDE` pixels, and from `NEAR`; views without edges are left
+    out."""
+    described = [describe_view(model, camera.with_side(SIDE)) for camera in cameras]
+    away = [view for view in described if view is not None]
+    near = (describe_view(model, farther(view.camera, view.depth, NEAR)) for view in away)
+    return [*away, *(view for view in near if view is not None)]
 
 
 def search_views(views: Sequence[ViewPoints], picture: PictureEdges, count: int) -> list[tuple[float, Camera]]:

@@ -91,3 +91,14 @@ def test_a_thinned_model_covers_what_the_whole_one_did(plant: GaussianModel) -> 
     (whole, alpha, _), (rough, covered, _) = (render_depth(model, camera) for model in (plant, few))
     assert covered.sum() == pytest.approx(alpha.sum(), rel=0.2)
     assert np.corrcoef(whole.ravel(), rough.ravel())[0, 1] > 0.9
+
+
+def test_views_are_taken_from_near_too(plant: GaussianModel) -> None:
+    """At half the distance, of the same size: what bulges towards the lens looks larger."""
+    rig = make_rig(plant, 3, 640, 480)
+    views = describe_views(plant, rig)
+    assert len(views) == 6
+    for away, near in zip(views[:3], views[3:], strict=True):
+        assert near.depth == pytest.approx(0.5 * away.depth, rel=0.15)
+        assert near.spread == pytest.approx(away.spread, rel=0.35)
+        assert np.abs(near.edges - away.edges).max() > 0.05

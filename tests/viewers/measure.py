@@ -42,9 +42,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", type=Path, required=True)
     parser.add_argument("--pictures", type=int, default=20, help="of each scene (default 20)")
     parser.add_argument("--viewer", choices=[name for name in VIEWERS if name != "three"], default="supersplat")
-    parser.add_argument(
-        "--counting", action="store_true", help="only pictures that count"
-    )
+    parser.add_argument("--counting", action="store_true", help="only pictures that count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="folder for results.json and failures.png")
     options = parser.parse_args()
