@@ -1,5 +1,5 @@
 """What one picture says: laid over the reference's view from its camera, and read there; or, where a coder's blocks lie
-in it, in its own pixels.
+in it, in its own pixels; or, where the model was bent, part by part.
 
 A block's coefficients say more than the pixels they decode to, but only where nothing was resampled: then it is not
 the picture that is carried to the camera's view, but the camera to the picture.
@@ -18,6 +18,7 @@ from engine.pictures.camera_finding import FoundCamera
 from engine.pictures.camera_motion import carried
 from engine.pictures.jpeg_grid import JpegGrid, find_grid
 from engine.pictures.jpeg_score import agreement, match_exposure
+from engine.pictures.local_alignment import align_locally
 from engine.pipeline.reference_views import ReferenceView, ReferenceViews
 from engine.raster import RasterSettings
 from engine.watermark.image_evidence import PictureEvidence
@@ -52,8 +53,13 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> tup
 
 
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
-    """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model."""
-    laid = _lay_over_background(reference.at(found.camera, found.drawn), image)
+    """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
+    was bent, part by part."""
+    view = reference.at(found.camera, found.drawn)
+    bent = align_locally(view.plain, view.alpha, image)
+    if bent is not None:  # no camera says where it is clear, and so what lies behind
+        return view.read(bent.warped, bent.mask)
+    laid = _lay_over_background(view, image)
     if laid is None:
         return None
     laid = _carried(laid, image, reference, found.drawn, True)
