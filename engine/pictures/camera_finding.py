@@ -31,7 +31,7 @@ from engine.pictures.landmarks import Landmarks
 from engine.pictures.view_points import ViewPoints
 from engine.raster import RasterSettings
 
-__all__ = ["CameraConfig", "FoundCamera", "find_camera"]
+__all__ = ["CameraConfig", "FoundCamera", "find_camera", "follow_camera"]
 
 LEAST_SIDE = 16  # of a picture, pixels
 SURE_CORRELATION = 0.9
@@ -122,6 +122,25 @@ def find_camera(
     if edges is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_edges(edges()), best)
     return None if best is None else _finish(picture, best)
+
+
+def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
+    """Camera of a picture (h, w, 3), 0..1, that was taken soon after the one `last` was found in, as the frames of a
+    video are; None where it is not near that one, or explains this picture less well than a found one must.
+
+    It starts from there and is refined as every found camera is, so it does not add up what the last was off by.
+    """
+    if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE or not np.isfinite(image).all():
+        return None  # the search says what is wrong with it
+    face = last.face(np.asarray(image, dtype=np.float32))
+    if face.shape != (last.camera.height, last.camera.width, 3):
+        return None
+    picture = Picture(reference_model, face)
+    near = _best(picture, [Candidate(last.camera, False, 0)])
+    found = None if near is None else _finish(picture, near)
+    if found is None or found.correlation < min(SURE_CORRELATION, last.correlation):
+        return None
+    return replace(found, mirrored=last.mirrored, shape=last.shape, frame=last.frame)
 
 
 def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | None = None) -> Candidate | None:

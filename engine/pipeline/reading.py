@@ -9,7 +9,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pictures.camera_finding import FoundCamera, find_camera
+from engine.pictures.camera_finding import FoundCamera, find_camera, follow_camera
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
@@ -151,6 +151,7 @@ def read_pictures(
     said = Together()
     notes: list[str] = []
     seen: list[Camera | None] = [None] * len(images)
+    last: FoundCamera | None = None
     reference = ReferenceViews(opened)
     edges = cache(lambda: describe_views(*_many_views(opened.reference)))
     bank = cache(lambda: _bank_views(opened))
@@ -158,11 +159,12 @@ def read_pictures(
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
-                found = _find(image, opened, edges, bank)
+                found = None if last is None else follow_camera(opened.reference, image, last)
+                found = found or _find(image, opened, edges, bank)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
-            camera, turned = found.of_whole(image), found.mirrored
+            last, camera, turned = found, found.of_whole(image), found.mirrored
             with clock.stage("read picture"):
                 evidence = read_found(found.face(image), found, reference)
         else:
