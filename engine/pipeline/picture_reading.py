@@ -56,9 +56,17 @@ def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) ->
     """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
     view = reference.at(found.camera, found.drawn)
-    bent = align_locally(view.plain, view.alpha, image)
-    if bent is not None:  # no camera says where it is clear, and so what lies behind
-        return view.read(bent.warped, bent.mask)
+    whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
+    if bent is None:
+        return whole
+    # No camera says where it is clear, and so what lies behind.
+    parts = view.read(bent.warped, bent.mask)
+    return parts if whole is None or parts.promise > whole.promise else whole
+
+
+def _read_whole(
+    view: ReferenceView, image: Float32, found: FoundCamera, reference: ReferenceViews
+) -> PictureEvidence | None:
     laid = _lay_over_background(view, image)
     if laid is None:
         return None

@@ -53,6 +53,11 @@ class PictureEvidence:
         """Bytes that it takes, without what it is pulled by."""
         return sum(each.nbytes for each in (self.weights, self.y, self.response, self.held_y, self.held_response))
 
+    @property
+    def promise(self) -> float:
+        """Z that a mark would come to by its responses: of the pictures and the reference alone, blind to signs."""
+        return _promise(self.evidence())[0]
+
     def plus(self, other: "PictureEvidence") -> "PictureEvidence":
         """Those of two sets of pictures of one asset, together.
 

@@ -9,6 +9,7 @@ from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.found_camera import FoundCamera
+from engine.pictures.local_alignment import LocalAlignment
 from engine.pipeline import picture_reading, reading
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.verification import Verification, verify_images
@@ -46,6 +47,22 @@ def test_a_bent_model_is_read_part_by_part(scene: MarkedScene, camera: Camera, b
 
 def test_the_bent_original_stays_unmarked(scene: MarkedScene, camera: Camera) -> None:
     assert abs(read(scene, shot(bend(scene.original, 8.0), camera)).claim.z) < 4.0
+
+
+def test_the_way_that_promises_less_is_not_taken(
+    scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of what fits as it is, the upper half says less than all."""
+    picture = to_8_bit(render(scene.marked, camera))
+    said = read(scene, picture).evidence
+    corner = np.zeros((SIDE, SIDE), dtype=bool)
+    corner[: SIDE // 2] = True
+    monkeypatch.setattr(
+        picture_reading,
+        "align_locally",
+        lambda _, __, image: LocalAlignment(image, corner, np.zeros((SIDE, SIDE, 2), np.float32)),
+    )
+    assert said.y.tobytes() == read(scene, picture).evidence.y.tobytes()
 
 
 def test_what_is_not_bent_is_read_as_ever(scene: MarkedScene, camera: Camera, monkeypatch: pytest.MonkeyPatch) -> None:
