@@ -27,8 +27,8 @@ __all__ = ["LocalAlignment", "align_locally"]
 OPAQUE = 0.5
 """Opacity of the reference below which a pixel does not say where the model is."""
 AROUND = 8.0
-"""Blur of the windows in which correlation is measured and the flow is refined, pixels: half as wide read bent models
-2 % worse."""
+"""Blur of the windows in which correlation is measured and the flow is refined, pixels: with 5, four pictures read
+between the same and 3 % worse."""
 FITS = 0.9
 """Correlation of a neighbourhood from which it fits."""
 WELL = 0.85
