@@ -73,7 +73,8 @@ class PictureEdges:
         sharp, inside = self._near
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
         with parallel_section():
-            look_again(sharp, inside, edges, directions, which, starts, scores, poses)
+            # One kernel for a column of finds and for views in a row.
+            look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
         scores *= (poses[:, 1] / SIDE).astype(np.float32) ** LARGER
         return scores + np.float32(COLORED) * self._colored(views, which, poses), poses
 
