@@ -14,6 +14,7 @@ from engine import raster
 from engine.compress.cells import split_cells
 from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
+from engine.numerics.resampling import remap
 from engine.numerics.similarity import transform_model
 from engine.pictures.alignment import align_image
 from engine.pictures.features import luma
@@ -84,6 +85,7 @@ def _alignment() -> None:
     rng = np.random.default_rng(0)
     picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
     align_image(picture, picture[3:, 5:])
+    remap(picture, np.zeros((8, 8, 2)))
     n = 300
     centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
