@@ -4,8 +4,8 @@
    render from there matched once more. Where that does not settle it, the same for the picture turned over left to
    right. Where its pixels are not square (`uneven_pixels`), or a page is around what shows the model (`framing`), all
    begins anew without that.
-2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines and edges of
-   many views are held against both hands (`view_search`).
+2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines, edges and
+   colours of many views are held against both hands (`view_search`), and cameras climb from the best (`view_climb`).
 3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
 4. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
 
