@@ -36,7 +36,7 @@ CANDIDATES = 12
 """Of the search over views, from which cameras climb."""
 VOTED, LOUD = 4, 1.3
 """Views that keypoints vote for, the loudest, that are rendered to be matched to the picture; and how loud they must
-be: of pictures that keypoints alone do not find, the right view has 1.9 and more, the loudest wrong one 0.8 to 1.3."""
+be: of five pictures that keypoints alone do not find, three right views have 1.9 and more, wrong ones up to 1.2."""
 
 
 @dataclass(frozen=True, eq=False)

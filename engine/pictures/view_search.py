@@ -28,7 +28,7 @@ AGAIN = 1500
 """Finds that are looked at again, in finer steps of roll, size and place."""
 NEAR = 0.5
 """The distance, in that of the views given, from which they are taken again: through a wide lens what is near has
-another shape, to which no search from afar leads (of three pictures that it missed two are found)."""
+another shape, to which no search from afar leads (of five pictures that were missed two are found)."""
 _SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
 """Radians, share of the size, and pixels within which two finds of a view are one."""
 
