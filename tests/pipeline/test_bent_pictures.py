@@ -22,6 +22,11 @@ LEAST = 15.0, 9.0
 """Z of it before black and before grey; read by its camera alone it came to 7.8 and 6.8."""
 
 
+@pytest.fixture(scope="module")
+def scene(whole_scene: MarkedScene) -> MarkedScene:
+    return whole_scene
+
+
 @pytest.fixture
 def camera(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> Camera:
     camera = make_rig(scene.original, 6, SIDE, SIDE, jitter=np.random.default_rng(0).random((6, 4)))[0]

@@ -47,7 +47,8 @@ def quick(model: GaussianModel, **changes: object) -> Embedding:
     )
 
 
-def test_fidelity_is_kept_in_the_key_views(scene: MarkedScene) -> None:
+def test_fidelity_is_kept_in_the_key_views(whole_scene: MarkedScene) -> None:
+    scene = whole_scene
     worst_psnr, worst_ssim = np.inf, 1.0
     for camera in scene.opened.cameras:
         plain, marked = render(scene.original, camera), render(scene.marked, camera)

@@ -24,6 +24,10 @@ SIDE = 512
 
 @pytest.fixture(scope="module")
 def cameras(scene: MarkedScene) -> list[Camera]:
+    return seen_from(scene)
+
+
+def seen_from(scene: MarkedScene) -> list[Camera]:
     jitter = np.random.default_rng(0).random((6, 4))
     return make_rig(scene.original, 6, SIDE, SIDE, jitter=jitter)[::2]
 
@@ -43,7 +47,8 @@ def test_both_layers_are_read_from_one_picture(scene: MarkedScene, cameras: list
     assert 0.4 * claim.z < claim.expected_z < 1.5 * claim.z
 
 
-def test_what_washing_left_is_read_by_its_scatter(scene: MarkedScene, cameras: list[Camera]) -> None:
+def test_what_washing_left_is_read_by_its_scatter(whole_scene: MarkedScene) -> None:
+    scene, cameras = whole_scene, seen_from(whole_scene)
     layout = scene.opened.layout
     size = float(np.sqrt(np.square(layout.displace(layout.amplitudes)).mean()))
     washed = wash(scene.marked, 8.0, size)
