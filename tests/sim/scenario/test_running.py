@@ -46,6 +46,7 @@ at = [0, 0, 2]
 [[steps]]
 do = "pictures"
 known_cameras = true
+size = [256, 192]
 on = "plant"
 attacks = [["jpeg", 50]]
 [[steps]]
