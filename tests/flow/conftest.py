@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from engine.cli.app import run
+from tests.scenes import sparse_plant
 
 DATA = Path(__file__).parents[1] / "data"
 SCENE = DATA / "plant.splat"
@@ -20,6 +21,7 @@ class Marked:
     """Files of one embedding, and what `embed --json` said."""
 
     folder: Path
+    scene: Path
     key: Path
     record: Path
     model: Path
@@ -45,9 +47,11 @@ def ask(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 @pytest.fixture(scope="session")
 def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
-    """The shipped scene, marked with the fast profile through the command line."""
+    """A third of the shipped scene, marked with the fast profile through the command line; its landmarks are few."""
     folder = tmp_path_factory.mktemp("marked")
-    key, record, model, said = (folder / n for n in ("owner.key", "plant.record", "marked.ply", "said.json"))
+    names = ("plant.splat", "owner.key", "plant.record", "marked.ply", "said.json")
+    scene, key, record, model, said = (folder / name for name in names)
+    scene.write_bytes(sparse_plant(every=3))
     assert run(["keygen", str(key)]) == 0
     # A session fixture has no capsys: the report is taken from a stand-in for stdout.
     import contextlib
@@ -57,7 +61,7 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
         code = run(
             [
                 "embed",
-                str(SCENE),
+                str(scene),
                 str(model),
                 "--key",
                 str(key),
@@ -65,6 +69,8 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
                 str(record),
                 "--profile",
                 "fast",
+                "--set",
+                "landmark_views=12",
                 "--copy",
                 "acme",
                 "--message",
@@ -74,4 +80,4 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
         )
     said.write_text(out.getvalue())
     assert code == 0, out.getvalue()
-    return Marked(folder, key, record, model, json.loads(out.getvalue()))
+    return Marked(folder, scene, key, record, model, json.loads(out.getvalue()))

@@ -32,6 +32,8 @@ def test_auto_says_what_it_chose_and_verifies(
         "44",
         "--bits",
         "16",
+        "--set",
+        "landmark_views=0",
     )
     assert code == 0
     choice = said["choice"]

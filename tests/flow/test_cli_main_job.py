@@ -53,7 +53,7 @@ def test_embed_reports_what_it_promised(marked: Marked) -> None:
     report = marked.report
     assert report.keys() >= EMBED_KEYS
     assert (report["message"], report["bits"], report["copy"]) == ("c0ffee42", 32, "acme")
-    assert report["gaussians_in"] == report["gaussians_out"] == 113_648
+    assert report["gaussians_in"] == report["gaussians_out"] == 37_883
     assert report["psnr_worst_view"] >= 47.0
     assert report["ssim_worst_view"] >= 0.998
     assert report["bytes_out"] == marked.model.stat().st_size
@@ -78,7 +78,7 @@ def test_marked_is_exit_code_0(marked: Marked, capsys: Capsys) -> None:
 
 
 def test_unmarked_is_exit_code_3(marked: Marked, capsys: Capsys) -> None:
-    code, claim = marked.verify(capsys, SCENE)
+    code, claim = marked.verify(capsys, marked.scene)
     assert (code, claim["verdict"], claim["derived"]) == (3, "not_marked", True)
 
 

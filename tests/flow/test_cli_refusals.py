@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.flow.conftest import DATA, SCENE, Marked, ask
+from tests.scenes import sparse_plant
 
 Capsys = pytest.CaptureFixture[str]
 SMALL = DATA / "train_1000.ply"
@@ -62,6 +63,8 @@ def test_interrupted_at_the_last_moment(
         "16",
         "--profile",
         "fast",
+        "--set",
+        "landmark_views=0",
         "--psnr",
         "40",
     )
@@ -70,9 +73,10 @@ def test_interrupted_at_the_last_moment(
 
 
 def test_ctrl_c_in_the_middle(key: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+    out, scene = tmp_path / "out", tmp_path / "plant.splat"
     out.mkdir()
-    arguments = ["embed", SCENE, out / "m.ply", "--key", key, "--record", out / "m.record", "--profile", "strong"]
+    scene.write_bytes(sparse_plant())
+    arguments = ["embed", scene, out / "m.ply", "--key", key, "--record", out / "m.record", "--profile", "fast"]
     # A shell that starts the tests in the background hands on SIGINT as ignored, and Python leaves it so.
     program = """
 import signal, sys

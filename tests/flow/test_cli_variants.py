@@ -22,7 +22,7 @@ from tests.flow.conftest import SCENE, ask
 from tests.formats.models import names_of, ply_of, rows_for
 
 Capsys = pytest.CaptureFixture[str]
-QUICK = ("--profile", "fast", "--set", "views=4", "--set", "view_size=256")
+QUICK = ("--profile", "fast", "--set", "views=4", "--set", "view_size=256", "--set", "landmark_views=0")
 
 
 def thin(every: int = 12) -> GaussianModel:
