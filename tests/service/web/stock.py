@@ -7,6 +7,7 @@ import time
 import urllib.request
 from typing import TYPE_CHECKING, Any
 
+from tests.scenes import sparse_plant
 from tests.service.web.journey import PLANT
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def stock(served: Served) -> tuple[str, str]:
     """An asset of its own and a claim about it, whatever other tests put there: their ids."""
     ours = f"/v1/assets?q={PLANT.name}"
     if not ask(served, ours)["items"]:
-        brought = upload(served, PLANT.name, PLANT.read_bytes())
+        brought = upload(served, PLANT.name, sparse_plant())
         key = ask(served, "/v1/keys", "POST", {"label": "Views"})["id"]
         asset = done(served, "/v1/embed", {"upload_id": brought, "key_id": key, "profile": "fast", "label": PLANT.name})
         done(served, "/v1/verify", {"upload_id": brought, "asset_id": asset["asset_id"]})
