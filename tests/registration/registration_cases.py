@@ -23,7 +23,7 @@ MOVES = {
 
 
 @cache
-def scene(seed: int, n: int = 12_000, degree: int = 1) -> GaussianModel:
+def scene(seed: int, n: int = 8_000, degree: int = 1) -> GaussianModel:
     """Clusters on a floor with walls, a colour and a size per cluster, as captured scenes have."""
     rng = np.random.default_rng(seed)
     k = 40

@@ -93,7 +93,7 @@ def test_strangers_in_an_order_are_not_matched() -> None:
 
 
 def test_sizes_that_a_format_clips_are_one_size() -> None:
-    model = scene(0)
+    model = scene(0, 12_000)
     order = shuffled(model)
     clip = float(np.quantile(model.log_scales, 0.4))
     cut = marked(model).with_(log_scales=np.maximum(model.log_scales, clip))

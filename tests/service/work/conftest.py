@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from engine.pipeline.profiles import PROFILES
 from service.work.tasks import TASKS
 from tests.scenes import sparse_plant
 
@@ -42,7 +41,7 @@ class Marked:
 
 @pytest.fixture(scope="session")
 def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
-    """The shipped scene, thinned out, marked with the fast profile on fewer and smaller views."""
+    """The shipped scene, thinned out, marked with the fast profile."""
     folder = tmp_path_factory.mktemp("marked")
     original = folder / "plant.splat"
     original.write_bytes(sparse_plant())
@@ -61,10 +60,7 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
         "spz_frame": "auto",
         "registered_at": "2026-01-02T03:04:05+00:00",
     }
-    few = replace(PROFILES["fast"], views=4, view_size=512, landmark_views=24)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PROFILES, "fast", few)
-        return Marked(folder, original, TASKS["embed"](request, folder, silent))
+    return Marked(folder, original, TASKS["embed"](request, folder, silent))
 
 
 @pytest.fixture
