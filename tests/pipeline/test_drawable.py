@@ -51,8 +51,9 @@ def test_no_number_saves_what_covers_little(plant: GaussianModel) -> None:
     check_drawable(many, make_rig(many, 2, 16, 16))
 
 
-def test_a_suspect_is_read_by_its_gaussians_and_drawn_by_nobody(scene: MarkedScene, plant: GaussianModel) -> None:
+def test_a_suspect_is_read_by_its_gaussians_and_drawn_by_nobody(whole_scene: MarkedScene) -> None:
     """Whoever hangs veils before a stolen model is found out all the same."""
+    scene = whole_scene
     veiled = screened(scene.marked, 100_000)
     assert verify_model(veiled, scene.opened).claim.verdict is Verdict.MARKED
     for route in ("auto", "render"):
