@@ -27,7 +27,7 @@ def small_plant(plant: GaussianModel) -> GaussianModel:
 
 @pytest.fixture(scope="session")
 def third(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A third of the plant's Gaussians: evidence enough for every route, in half of the time."""
+    """A third of the plant's Gaussians: evidence enough for every route, in two thirds of the time."""
     path = tmp_path_factory.mktemp("third") / "plant.splat"
     path.write_bytes(sparse_plant(every=3))
     return path
