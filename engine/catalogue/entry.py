@@ -17,8 +17,8 @@ from engine.registration.sketch import Sketch
 
 __all__ = ["Entry", "SeenPoints", "see_points"]
 
-PER_VIEW = 60
-"""Most points of a view: 48 views of 132 bytes a point make 390 kB."""
+POINTS = 2880
+"""Most points of an asset, as many of each view: 132 bytes a point make 380 kB."""
 MOST_POINTS = 1 << 16
 """More are no entry of ours."""
 
@@ -77,7 +77,8 @@ class Entry:
 
 def see_points(landmarks: Landmarks, cameras: Sequence[Camera]) -> SeenPoints:
     """The strongest landmarks of every view, where it showed them; `cameras` are those they were made from."""
-    rows = [np.flatnonzero(landmarks.views == view)[:PER_VIEW] for view in range(len(cameras))]
+    most = POINTS // max(len(cameras), 1)
+    rows = [np.flatnonzero(landmarks.views == view)[:most] for view in range(len(cameras))]
     places = [
         project(landmarks.points[mine].astype(np.float64), camera) for mine, camera in zip(rows, cameras, strict=True)
     ]

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from engine.catalogue.entry import Entry, SeenPoints, see_points
 from engine.model import SH_C0, Float32, Float64, GaussianModel
-from engine.pictures.landmarks import make_landmarks
-from engine.pipeline.rigs import make_rig
+from engine.pipeline.landmark_bank import make_bank
+from engine.pipeline.profiles import EmbedConfig
+from engine.pipeline.rigs import measure_extent
 from engine.registration.coarse import Coarse
 from engine.registration.sketch import Sketch, make_sketch
 
@@ -38,7 +39,7 @@ PHOTOS = (
     "text",
 )
 GAUSSIANS = 20_000
-VIEW, VIEWS = (640, 480), 48
+VIEWS = EmbedConfig.landmark_views
 RELATIVES = 16
 """Assets that one lump stands for, itself among them."""
 
@@ -59,8 +60,7 @@ def make_stranger(seed: int) -> GaussianModel:
 
 def entry_of(model: GaussianModel) -> Entry:
     """What the index keeps of a model, made from it alone."""
-    cameras = make_rig(model, VIEWS, *VIEW)
-    return Entry(make_sketch(model), see_points(make_landmarks(model, cameras), cameras))
+    return Entry(make_sketch(model), see_points(*make_bank(model, measure_extent(model), VIEWS)))
 
 
 def stranger_entries(seed: int) -> Iterator[Entry]:

@@ -19,8 +19,8 @@ __all__ = ["Landmarks", "make_landmarks"]
 
 PER_VIEW = 450
 """Most landmarks of one view: 48 views of 144 bytes each make 3.1 MB."""
-SURPLUS = 3.0
-"""Keypoints detected for each landmark wanted: those on edges of depth and on haze are thrown away."""
+DETECTED = 1350
+"""Keypoints detected in a view, more than are wanted: those on edges of depth and on haze are thrown away."""
 LEAST_ALPHA = 0.7
 """A pixel this opaque shows a surface, and its depth is that surface's."""
 DEPTH_EDGE = 0.05
@@ -58,11 +58,16 @@ class Landmarks:
 
 
 def make_landmarks(
-    model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None] | None = None
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    advance: Callable[[float], None] | None = None,
+    *,
+    most: int = PER_VIEW,
 ) -> Landmarks:
     """Detect landmarks in renders of the unmarked reference, in the order of the cameras, strongest first within each.
 
     The cameras cover it, about 48 of 640 x 480 pixels; `advance` is called with the fraction done, 0 to 1, after each.
+    At most `most` of a view are kept.
     """
     found: list[Future[tuple[Float32, npt.NDArray[np.uint8]]]] = []
     with ThreadPoolExecutor(max_workers=1) as detector:  # while one picture is searched, the next is drawn
@@ -70,7 +75,7 @@ def make_landmarks(
             image, alpha, depth = render_depth(model, camera)
             if number >= AHEAD:
                 found[number - AHEAD].result()
-            found.append(detector.submit(_detect, image, alpha, depth, camera))
+            found.append(detector.submit(_detect, image, alpha, depth, camera, most))
             if advance is not None:
                 advance((number + 1) / len(cameras))
         points, descriptors = zip(*(each.result() for each in found), strict=True) if found else ((), ())
@@ -80,18 +85,20 @@ def make_landmarks(
     return Landmarks(np.concatenate(points), np.concatenate(descriptors), np.concatenate(views))
 
 
-def _detect(image: Float32, alpha: Float32, depth: Float32, camera: Camera) -> tuple[Float32, npt.NDArray[np.uint8]]:
+def _detect(
+    image: Float32, alpha: Float32, depth: Float32, camera: Camera, most: int
+) -> tuple[Float32, npt.NDArray[np.uint8]]:
     """Points (P, 3) and descriptors (P, 128) of one render."""
     top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
     grey = luma(image[top:bottom, left:right])
     if min(grey.shape) < 16:
         return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
     surface = _surface(alpha, depth)  # keypoints elsewhere are not described
-    keypoints = detect_keypoints(grey, int(SURPLUS * PER_VIEW), surface[top:bottom, left:right])
+    keypoints = detect_keypoints(grey, DETECTED, surface[top:bottom, left:right])
     pixels = keypoints.points + np.array([left, top])
     column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
     row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)
-    kept = np.nonzero(surface[row, column])[0][:PER_VIEW]
+    kept = np.nonzero(surface[row, column])[0][:most]
     z = depth[row[kept], column[kept]].astype(np.float64)
     return lift(pixels[kept], z, camera).astype(np.float32), keypoints.descriptors[kept]
 

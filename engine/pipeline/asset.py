@@ -12,12 +12,13 @@ from typing import Any
 from engine.catalogue.entry import SeenPoints, see_points
 from engine.compress.hvq import Stage
 from engine.model import GaussianModel
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pipeline.choosing import Choice
 from engine.pipeline.groundwork import Groundwork
+from engine.pipeline.landmark_bank import bank_views, make_bank
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import LANDMARK_SIZE, Extent, make_rig
+from engine.pipeline.rigs import Extent
 from engine.pipeline.scenes import ViewSet
 from engine.pipeline.sealing import landmarks_in
 from engine.pipeline.settling import Grained, settle_grain
@@ -25,7 +26,11 @@ from engine.pipeline.variant import Variant
 from engine.records.header import Arrays
 from engine.records.record import Record, this_version
 
-__all__ = ["Asset", "bank_of", "known_landmarks"]
+__all__ = ["BANK", "Asset", "bank_of", "known_landmarks"]
+
+BANK = 2
+"""How a bank is made, as records tell it beside the settings: one more whenever the same settings give another. Records
+from before it was counted lack it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,21 +65,17 @@ def bank_of(
     index of many assets keeps of it. `known` is the bank, where an earlier copy has it."""
     if config.landmark_views == 0:
         return None, None
-    rig = make_rig(model, extent.fewer(config.landmark_views), *LANDMARK_SIZE, extent=extent)
-    landmarks = make_landmarks(model, rig, clock.advance) if known is None else known
+    if known is None:
+        landmarks, rig = make_bank(model, extent, config.landmark_views, clock.advance)
+    else:
+        landmarks, rig = known, bank_views(known, model, extent)
     return landmarks, see_points(landmarks, rig)
 
 
-def known_landmarks(earlier: Record, digest: bytes, extent: Extent, config: EmbedConfig) -> Landmarks | None:
+def known_landmarks(earlier: Record, digest: bytes, config: EmbedConfig) -> Landmarks | None:
     """The bank of an earlier copy's record, where a copy of this reference and these settings would get the same: made
-    of the same reference, from as many views, by this version, which may not be released yet: views are counted."""
-    header, views = earlier.header, dict(earlier.extra.get("settings", {})).get("landmark_views")
-    same = (header.reference_digest, header.tool_version, views) == (
-        digest.hex(),
-        this_version(),
-        config.landmark_views,
-    )
-    bank = landmarks_in(earlier.plan_arrays) if same else None
-    if bank is None or not len(bank):
-        return bank
-    return bank if bank.views.max() < extent.fewer(config.landmark_views) else None
+    of the same reference, from as many views, by this version and in this way, which may change before a release."""
+    header, told = earlier.header, dict(earlier.extra.get("settings", {}))
+    theirs = header.reference_digest, header.tool_version, told.get("landmark_views"), told.get("bank")
+    same = theirs == (digest.hex(), this_version(), config.landmark_views, BANK)
+    return landmarks_in(earlier.plan_arrays) if same else None

@@ -20,7 +20,7 @@ from engine.compress.hvq import Stage, group_means
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.pipeline.asset import Asset, bank_of, known_landmarks
+from engine.pipeline.asset import BANK, Asset, bank_of, known_landmarks
 from engine.pipeline.choosing import Choice, choose
 from engine.pipeline.delivery import deliver
 from engine.pipeline.groundwork import lay_groundwork
@@ -184,7 +184,7 @@ def _prepare(
         reference = encode_reference(delivered)
         digest = reference_digest(reference)
     with clock.stage("landmarks"):
-        known = None if earlier is None else known_landmarks(earlier, digest, original.extent, settings)
+        known = None if earlier is None else known_landmarks(earlier, digest, settings)
         landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
     return Asset(
         original=original,
@@ -244,7 +244,7 @@ def _mark(
             original_digest=asset.original_sha256,
             plan=mark.plan[0],
             plan_arrays=mark.plan[1],
-            extra={"settings": settings.told()},
+            extra={"settings": {**settings.told(), "bank": BANK}},
             copy=copy,
             registered_at=registered_at,
         )

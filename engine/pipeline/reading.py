@@ -15,11 +15,12 @@ from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
 from engine.pictures.view_search import describe_views
 from engine.pipeline.drawable import check_drawable
+from engine.pipeline.landmark_bank import bank_views
 from engine.pipeline.looking import place_by_looking
 from engine.pipeline.picture_reading import read_found, read_known
 from engine.pipeline.progress import Clock
 from engine.pipeline.reference_views import ReferenceViews
-from engine.pipeline.rigs import LANDMARK_SIZE, make_rig
+from engine.pipeline.rigs import make_rig
 from engine.pipeline.sealing import OpenedRecord
 from engine.raster import render
 from engine.registration.registering import Registration
@@ -189,10 +190,8 @@ def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:
 
 
 def _bank_views(opened: OpenedRecord) -> list[Camera]:
-    """Where the record's landmarks were seen from: the views of an unpruned model to the last digit."""
-    if opened.landmarks is None or not len(opened.landmarks):
-        return []
-    return make_rig(opened.reference, int(opened.landmarks.views.max()) + 1, *LANDMARK_SIZE)
+    """Where the record's landmarks were seen from."""
+    return [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference)
 
 
 def _find(

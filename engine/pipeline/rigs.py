@@ -27,6 +27,10 @@ FLAT = 0.2
 LOWEST, LOWEST_OF_GROUND, HIGHEST = 8.0, 25.0, 55.0
 """Elevations of a rig's views, degrees: from below 25 ground shows next to nothing."""
 
+OF_GROUND = 0.5
+"""Views of ground, in those as close to each other around what stands upright: of 30 pictures of a city 60 keypoints or
+more agree with the right camera with 14 views as with 28."""
+
 ROOM_EMPTINESS = 0.03
 """A model is a room when less than this share of its visible area lies within 45 % of its radius."""
 
@@ -46,12 +50,12 @@ class Extent:
         return LOWEST if self.axes[1] > FLAT * max(self.axes[0], self.axes[2]) else LOWEST_OF_GROUND
 
     def fewer(self, views: int) -> int:
-        """How many views lie as close to each other as so many do around what stands upright: ground is looked at from
-        above alone."""
+        """How many views do where so many are taken around what stands upright: ground is looked at from above alone,
+        and half as densely."""
         if self.is_room or self.lowest == LOWEST:
             return views
         least, lowest, highest = np.sin(np.radians([LOWEST, self.lowest, HIGHEST]))
-        return int(np.ceil(views * (highest - lowest) / (highest - least)))
+        return int(np.ceil(OF_GROUND * views * (highest - lowest) / (highest - least)))
 
 
 def _weighted_quantile(values: Float64, weights: Float64, q: float) -> float:

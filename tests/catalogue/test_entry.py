@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.catalogue.entry import PER_VIEW, Entry, see_points
+from engine.catalogue import entry as entries
+from engine.catalogue.entry import Entry, see_points
 from engine.errors import FormatError
 from engine.pictures.camera_motion import project
 from engine.pictures.landmarks import Landmarks
@@ -21,14 +22,15 @@ def entry() -> Entry:
     return Entry(make_sketch(model), see_points(landmarks, make_rig(model, 3, 640, 480)))
 
 
-def test_the_strongest_of_each_view_are_kept_where_it_showed_them() -> None:
+def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(entries, "POINTS", 120)
     model = clusters(0, 400)
     cameras = make_rig(model, 2, 640, 480)
     points = model.means[:200]
     views = np.repeat([0, 1], 100).astype(np.int32)
     landmarks = Landmarks(points, np.arange(200 * 128).reshape(200, 128).astype(np.uint8), views)
     seen = see_points(landmarks, cameras)
-    kept = np.concatenate([np.arange(PER_VIEW), 100 + np.arange(PER_VIEW)])
+    kept = np.concatenate([np.arange(60), 100 + np.arange(60)])
     np.testing.assert_array_equal(seen.descriptors, landmarks.descriptors[kept])
     for view, camera in enumerate(cameras):
         mine = seen.views == view
