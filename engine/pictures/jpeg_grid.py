@@ -5,18 +5,23 @@ moves that corner: the blocks then begin at any of 64 places. On the right one, 
 multiples of a table.
 """
 
+# mypy: allow-untyped-defs
+
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 from scipy.fft import dctn
 
 from engine.model import Bool, Float32, Float64
+from engine.numerics.jit import parallel_kernel, parallel_section
 from engine.pictures.features import LUMA
 
 __all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
 
+_KERNEL_VERSION = 1
 STANDARD_LUMA_TABLE = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61],
@@ -44,6 +49,10 @@ EMPTY = 0.75
 """A coefficient, grey levels, below which a coder may have stored none: 8 bits round it by a third of that."""
 ASKED = 3
 """Places, the likeliest first, whose coefficients are held against every table."""
+BLOCKS, COARSEST = 1500, 33
+"""Blocks whose coefficients are held against a table, and the coefficient from which on they are not."""
+QUALITIES = range(2, 93)
+"""Of libjpeg: those that leave a trace."""
 
 
 @dataclass(frozen=True)
@@ -127,27 +136,48 @@ def find_quality(picture: Float32) -> int | None:
     """
     if not _is_decoded(picture):
         return None
-    luma = 255.0 * picture @ LUMA
-    flat = blocks_of(luma).reshape(-1, 64)  # (B, 64)
-    flat = flat[unclipped(picture).reshape(-1)]  # clipping moves coefficients off their multiples
-    if len(flat) < 40:
+    chosen = np.flatnonzero(unclipped(picture).ravel())  # clipping moves coefficients off their multiples
+    if len(chosen) < 40:
         return None
-    flat = flat[:: max(1, len(flat) // 1500), 1:33]
+    chosen = chosen[:: max(1, len(chosen) // BLOCKS)]
+    blocks = tiles(255.0 * picture @ LUMA)
+    flat = dctn(blocks[np.divmod(chosen, blocks.shape[1])].astype(np.float64), axes=(1, 2), norm="ortho")
+    coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1:COARSEST].T)
+    tables = np.stack([luma_table(quality).reshape(-1)[1:COARSEST] for quality in QUALITIES])
+    fits = np.empty(len(tables))
+    with parallel_section():
+        _fit_tables(coefficients, tables, fits)
     best, least = None, 0.5
-    for quality in range(2, 93):
-        steps = luma_table(quality).reshape(-1)[1:33]
-        use = steps >= LEAST_STEP
-        multiple = flat[:, use] / steps[use]
-        loud = np.abs(multiple) > 0.6  # zeros fit every table
-        if use.sum() < 6 or (loud.sum(axis=0) > 4).sum() < 3:
-            continue
-        off = (multiple - np.round(multiple)) * steps[use]
-        # On the right table what is left is rounding noise; on a wrong one it is uniform over the step.
-        fit = float(np.mean(np.square(off[loud])) / np.mean(np.broadcast_to(steps[use] ** 2 / 12.0, off.shape)[loud]))
+    for quality, fit in zip(QUALITIES, fits, strict=True):
         # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
         if fit < 0.7 * least:
-            best, least = quality, fit
+            best, least = quality, float(fit)
     return best
+
+
+@parallel_kernel
+def _fit_tables(coefficients, tables, fits):
+    """How far coefficients (K, B) are off the multiples of tables (Q, K), in what they would be off any others: `fits`
+    (Q,), infinite where too few tell."""
+    for q in prange(tables.shape[0]):
+        off = expected = 0.0
+        used = busy = 0
+        for k in range(tables.shape[1]):
+            step = tables[q, k]
+            if step < LEAST_STEP:
+                continue
+            used += 1
+            loud = 0
+            for b in range(coefficients.shape[1]):
+                multiple = coefficients[k, b] / step
+                if abs(multiple) > 0.6:  # zeros fit every table
+                    loud += 1
+                    off += ((multiple - np.rint(multiple)) * step) ** 2
+            # On the right table what is left is rounding noise; on a wrong one it is uniform over the step.
+            expected += loud * step * step / 12.0
+            if loud > 4:
+                busy += 1
+        fits[q] = off / expected if used >= 6 and busy >= 3 else np.inf
 
 
 def _is_decoded(picture: Float32) -> bool:

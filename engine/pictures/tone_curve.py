@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from engine.model import Bool, Float32, Float64
+from engine.numerics.tables import look_up
 from engine.pictures.features import noise_level
 
 __all__ = ["Toned", "fit_tone", "robust_regression"]
@@ -74,7 +75,8 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
             affine[c] = 1.0
         linear = (colors @ affine[:3].astype(np.float32) + np.float32(affine[3])).reshape(mask.shape)
         noise = max(noise_level(np.where(mask, picture[..., c] - linear, 0.0)), _LEAST_NOISE)
-        grid = np.linspace(float(linear.min()) - 1e-6, float(linear.max()) + 1e-6, _TABLE)
+        low, high = float(linear.min()) - 1e-6, float(linear.max()) + 1e-6
+        grid = np.linspace(low, high, _TABLE)
         value, keep = _clipped_mean(grid, noise)
         level = np.interp(linear.ravel()[where], grid, value)
         curve = _fit_curve(level, seen[:, c], knots)
@@ -84,13 +86,15 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
             bent = _fit_bent(design[::2], seen[::2, c], c)
             missed = np.abs(seen[free, c] - curve(level[free]))
             if bent.error < _BETTER * float(np.median(missed)):
-                value = bent(colors).reshape(mask.shape)
-                noise = max(noise_level(np.where(mask, picture[..., c] - value, 0.0)), _LEAST_NOISE)
-                predicted[..., c] = value
-                slope[..., c] = ndtr((1.0 - value) / noise) - ndtr(-value / noise)
+                shown = bent(colors.reshape(reference.shape))
+                noise = max(noise_level(np.where(mask, picture[..., c] - shown, 0.0)), _LEAST_NOISE)
+                low, high = float(shown.min()) - 1e-6, float(shown.max()) + 1e-6
+                grid = np.linspace(low, high, _TABLE)
+                predicted[..., c] = shown
+                slope[..., c] = look_up(shown, low, high, ndtr((1.0 - grid) / noise) - ndtr(-grid / noise))
                 continue
-        predicted[..., c] = np.interp(linear, grid, curve(value))
-        slope[..., c] = np.interp(linear, grid, keep)
+        predicted[..., c] = look_up(linear, low, high, curve(value))
+        slope[..., c] = look_up(linear, low, high, keep)
     return Toned(predicted, slope)
 
 
@@ -104,16 +108,20 @@ def _clipped_mean(u: Float64, noise: float) -> tuple[Float64, Float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Bent:
-    """A curve of a mixture of the channels, f(mix . (r, g, b, 1)), sampled at `grid`; `error` is its median miss."""
+    """A curve of a mixture of the channels, f(mix . (r, g, b, 1)), dense at the dark end; `error` is its median
+    miss."""
 
     mix: Float64
-    grid: Float64
-    values: Float64
+    low: float
+    high: float
+    values: Float64  # where the root of the way from low to high takes even steps
     error: float
 
-    def __call__(self, colors: Float32) -> Float64:
+    def __call__(self, colors: Float32) -> Float32:
+        """(H, W) of colours (H, W, 3)."""
         linear = colors @ self.mix[:3].astype(np.float32) + np.float32(self.mix[3])
-        return np.asarray(np.interp(linear, self.grid, self.values), dtype=np.float64)
+        way = np.sqrt(np.clip((linear - self.low) / (self.high - self.low), 0.0, 1.0))
+        return look_up(way, 0.0, 1.0, self.values)
 
 
 def _fit_bent(rows: Float32, seen: Float32, channel: int) -> _Bent:
@@ -131,7 +139,7 @@ def _fit_bent(rows: Float32, seen: Float32, channel: int) -> _Bent:
         left = seen - np.interp(x, grid, values)
         error = float(np.median(np.abs(left[free]))) if free.any() else np.inf
         if best is None or error < best.error:
-            best = _Bent(mix, grid, values, error)
+            best = _Bent(mix, low, high, values, error)
         steep = np.interp(x, grid, np.gradient(values, grid))
         columns = (steep[:, None] * rows).astype(np.float32)
         mix = mix + robust_regression(columns[free], left[free].astype(np.float32))

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.pictures.jpeg_grid import LUMA, JpegGrid, blocks_of, find_grid, find_quality, luma_table
+from engine.numerics.jit import parallel_section
+from engine.pictures.jpeg_grid import LUMA, JpegGrid, _fit_tables, blocks_of, find_grid, find_quality, luma_table
 from tests.pictures.image_cases import coarse_picture as picture
 from tests.pictures.image_cases import saved as save
+from tests.reference.jpeg_tables import fit_tables
 
 
 def test_tables_are_those_that_pillow_writes() -> None:
@@ -32,6 +34,19 @@ def test_uncompressed_and_shifted_pictures_have_no_quality() -> None:
     assert find_quality(save(picture(), 30)[3:, 5:]) is None  # its blocks begin elsewhere: `find_grid`
     assert find_quality(np.zeros((64, 64, 3), np.float32)) is None
     assert find_quality(np.zeros((5, 5, 3), np.float32)) is None
+
+
+def test_tables_fit_as_their_slow_twin_says() -> None:
+    tables = np.stack([luma_table(quality).reshape(-1)[1:33] for quality in (2, 30, 60, 92, 99)])
+    rng = np.random.default_rng(0)
+    loud = np.round(rng.normal(0.0, 2.0, (32, 90))) * tables[1][:, None] + rng.normal(0.0, 0.3, (32, 90))
+    quiet = rng.normal(0.0, 1.0, (32, 90))
+    for coefficients in (loud, quiet):
+        fits = np.empty(len(tables))
+        with parallel_section():
+            _fit_tables(coefficients, tables, fits)
+        np.testing.assert_allclose(fits, fit_tables(coefficients, tables), rtol=1e-9)
+    assert np.argmin(fit_tables(loud, tables)) == 1
 
 
 @pytest.mark.parametrize("quality", [10, 40, 85])

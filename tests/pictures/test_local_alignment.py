@@ -75,3 +75,18 @@ def test_what_was_painted_over_is_masked(view: tuple[Float32, Float32]) -> None:
     assert found is not None
     there = round(column - off[row, column, 0])
     assert found.mask[row - 15 : row + 15, there - 15 : there + 15].mean() < 0.1
+
+
+def test_what_differs_and_is_not_bent_is_given_up_at_half_size(
+    plant: GaussianModel, camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six rounds at full size cost a second of every such picture, which most viewers' pictures are."""
+
+    def fail(*_: Float32) -> None:
+        raise AssertionError("bent")
+
+    image, alpha, _ = render_depth(plant, camera.with_side(2 * local_alignment.TELLING))
+    plain = np.clip(image, 0.0, 1.0)
+    noisy = plain + np.random.default_rng(0).normal(0.0, 0.1, plain.shape).astype(np.float32)
+    monkeypatch.setattr(local_alignment, "_step", fail)
+    assert align_locally(plain, alpha, jpeg(noisy, 60)) is None

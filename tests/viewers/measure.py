@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -60,7 +61,9 @@ def main() -> None:
         with studio(options.out) as booth:
             for number in range(options.pictures):
                 least = {"least": COUNTS} if options.counting else {}
-                taken.append(take(booth, marked.marked, file, (options.seed, number), options.viewer, **least))
+                taken.append(
+                    take(booth, marked.marked, file, drawn(options.seed, scene, number), options.viewer, **least)
+                )
                 row = {"scene": scene.name, **_told(taken[-1]), **_read(marked, [taken[-1].picture])}
                 if before is not None and number % FOREIGN == 0:  # the picture of another scene
                     row["foreign"] = _read(before, [taken[-1].picture])
@@ -77,6 +80,11 @@ def main() -> None:
     (options.out / "results.json").write_text(json.dumps({"sums": sums(rows), "rows": rows}, indent=1))
     _contact_sheet(failures, options.out / "failures.png")
     sys.stdout.write(json.dumps(sums(rows), indent=1) + "\n")
+
+
+def drawn(seed: int, scene: Path, number: int) -> tuple[int, ...]:
+    """The seed of a scene's picture: of no two scenes the same views, backgrounds and files."""
+    return seed, crc32(scene.name.encode()), number
 
 
 def _told(taken: Taken) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def take(
     studio: Studio,
     model: GaussianModel,
     file: str,
-    seed: tuple[int, int],
+    seed: tuple[int, ...],
     kind: str = "supersplat",
     least: float = 0.05,
 ) -> Taken:
