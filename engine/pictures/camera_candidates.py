@@ -50,6 +50,7 @@ class Candidate:
     correlation: float = 0.0  # of render and small picture
     size: int = 0  # longer side of the picture it was refined on, pixels
     off: float = np.inf  # at most, longer sides of the picture
+    hopeful: bool = True  # whether a larger picture may show that it is right
 
     @property
     def sure(self) -> bool:

@@ -37,8 +37,11 @@ LEAST_SIDE = 16  # of a picture, pixels
 SURE_CORRELATION = 0.9
 """Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
 ALIKE = 0.96
-"""The same below which a picture may have been scaled unevenly: renders with square pixels came to 0.975 and more,
-others mostly to 0.7 to 0.95; what is above told no shape from its keypoints."""
+"""The same below which a picture may have been scaled unevenly, or a page be around it: renders with square pixels came
+to 0.975 and more, others mostly to 0.7 to 0.95; what is above told no shape from its keypoints."""
+NEARLY = 0.93
+"""The same of a small picture, above which that is asked of the picture at its own size: of eight that had less, none
+came to `ALIKE` there, of four that had more three."""
 SIZES = (256, 640, 1600)
 """Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
 ITERATIONS, STEP = 12, 0.005
@@ -94,7 +97,11 @@ def find_camera(
         if turned is not None:
             best = _best(picture, [turned], best)
             first = turned if first is None or turned.support > first.support else first
-    uneven = config.uneven and (best is None or best.correlation < ALIKE)
+    done, alike = None, best is not None and best.correlation >= ALIKE
+    if best is not None and _settled(best) and NEARLY < best.correlation < ALIKE:  # at its own size it may be
+        done = _finish(picture, best)
+        alike = done is not None and done.correlation >= ALIKE
+    uneven = config.uneven and not alike
     shape = candidates.shape(first) if uneven else None
     if shape is not None:
         asked = replace(config, uneven=False)
@@ -107,12 +114,16 @@ def find_camera(
             return replace(bent, shape=shape)
         if plain is not None:
             return plain
-    frame = candidates.frame(first) if config.framed and first is not None and first.support >= SUPPORTED else None
+    framed = config.framed and not alike and first is not None and first.support >= SUPPORTED
+    frame = candidates.frame(first) if framed and first is not None else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
         found = find_camera(landmarks, reference_model, part, asked, edges, bank)
-        if found is not None:
+        whole = done or best  # a frame may be wrong
+        if found is not None and (whole is None or found.correlation > whole.correlation):
             return replace(found, frame=frame)
+    if done is not None:
+        return done
     likelier = first is not None and first.mirrored
     best = _best(picture, hands[likelier], best)
     if first is None or first.support < SUPPORTED:
@@ -121,7 +132,7 @@ def find_camera(
         best = _best(picture, candidates.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_edges(edges()), best)
-    return None if best is None else _finish(picture, best)
+    return None if best is None or not best.hopeful else _finish(picture, best)
 
 
 def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
@@ -150,12 +161,14 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
         # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
         for size in SIZES[candidate.support >= SUPPORTED : 2]:
             refined = picture.refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
-            if refined is not None and refined.alike:  # of what is thin or small, too little is left in the smaller one
+            if refined is not None and (refined.alike or not refined.hopeful):
                 break
         if refined is None:
             continue
         full, off = picture.full(refined.camera), WITHIN * refined.step / size
-        tried = replace(candidate, camera=full, correlation=refined.correlation, size=size, off=off)
+        tried = replace(
+            candidate, camera=full, correlation=refined.correlation, size=size, off=off, hopeful=refined.hopeful
+        )
         if best is None and _settled(tried):  # nothing it need be worth more than
             return tried
         worth = picture.worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2

@@ -47,8 +47,9 @@ LEAST_PIXELS = 150
 """Fewer usable pixels than this cannot carry so many unknowns."""
 LEAST_CORRELATION = 0.75
 """Correlation of brightness below which a picture shows something else."""
-LEAST_DETAIL = 0.5
-"""The same of what `DETAIL` keeps."""
+LEAST_DETAIL = 0.5  # the same of what `DETAIL` keeps
+HOPEFUL_CORRELATION, HOPEFUL_DETAIL = 0.5, 0.25
+"""What a small picture must show of both for a larger one to be looked at; right cameras came to 0.9 and 0.8."""
 DETAIL = (1 / 160, 3 / 160)
 """Blurs between which detail lies, longer sides of the picture: a light and a dark part, which every other scene has
 somewhere, are coarser; noise, compression and a picture out of focus are finer."""
@@ -87,6 +88,11 @@ class Refined:
     def alike(self) -> bool:
         """Whether the picture shows what the render does, and not something else."""
         return self.correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+
+    @property
+    def hopeful(self) -> bool:
+        """Whether a larger picture may show it: of what is thin or small, too little is left in this."""
+        return self.correlation > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
 
     @property
     def gain(self) -> float:

@@ -2,21 +2,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.model import GaussianModel, look_at
+from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.resampling import resized, smooth
 from engine.numerics.similarity import mirror_model
 from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
+from engine.pictures.camera_trial import Picture
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks, make_landmarks
-from engine.pictures.pose_refinement import refine_level
+from engine.pictures.pose_refinement import Refined, refine_level
 from engine.pictures.view_points import thinned
 from engine.pictures.view_search import describe_views
 from engine.raster import RasterSettings, render, render_depth
@@ -253,12 +255,25 @@ def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel)
         assert reprojection(plant, true, found.camera) < 0.05
 
 
-def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel) -> None:
-    """Some view always fits best; what it shows decides."""
+def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some view always fits best; what it shows decides, and soon: what has no hope costs nothing at full size."""
+
+    def fail(*_: object) -> None:
+        raise AssertionError("looked at in full")
+
+    monkeypatch.setattr(camera_finding, "_finish", fail)
+    kept, sizes = Picture.refined, []
+
+    def counted(picture: Picture, camera: Camera, mirrored: bool, size: int, *rest: Any) -> Refined | None:
+        sizes.append(size)
+        return kept(picture, camera, mirrored, size, *rest)
+
+    monkeypatch.setattr(Picture, "refined", counted)
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     tiles = np.random.default_rng(0).random((9, 12, 3)).astype(np.float32)
     seen = describe_views(thinned(plant, 30_000), [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
     assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), edges=lambda: seen) is None
+    assert sizes.count(640) < sizes.count(256)
 
 
 def test_the_shape_of_a_view_in_one_colour_is_no_picture_of_it(plant: GaussianModel) -> None:

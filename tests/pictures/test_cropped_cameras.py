@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures import camera_candidates
+from engine.pictures import camera_candidates, camera_finding
 from engine.pictures.camera_finding import find_camera
+from engine.pictures.found_camera import FoundCamera
 from engine.pictures.landmarks import Landmarks
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection
@@ -62,3 +65,38 @@ def test_a_whole_picture_has_its_middle_in_the_middle(plant: GaussianModel, bank
     found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
     assert found is not None
     np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])
+
+
+def test_a_picture_that_is_explained_is_asked_for_neither_frame_nor_shape(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both take longer than the search itself."""
+
+    def fail(*_: object) -> None:
+        raise AssertionError("asked")
+
+    for name in ("frame", "shape"):
+        monkeypatch.setattr(camera_candidates.Candidates, name, fail)
+    assert find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80)) is not None
+
+
+def test_a_frame_in_which_less_is_explained_is_none(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true = around(plant, 48, 33, 1.1, 0.8)
+    picture = np.clip(render(plant, true), 0, 1)
+    picture[:, 380:] = 0.5  # some of it is hidden: not all is explained
+    monkeypatch.setattr(camera_finding, "ALIKE", 1.0)
+    monkeypatch.setattr(camera_candidates, "find_frame", lambda *_: (slice(0, 360), slice(0, 480)))
+    kept, asked = camera_finding.find_camera, []
+
+    def worse(*given: object, **named: object) -> FoundCamera | None:
+        found = kept(*given, **named)  # type: ignore[arg-type]  # as they came
+        asked.append(found)
+        return None if found is None else replace(found, correlation=0.5)
+
+    monkeypatch.setattr(camera_finding, "find_camera", worse)
+    found = kept(bank, plant, jpeg(picture, 80))
+    assert asked
+    assert found is not None
+    assert found.frame is None
