@@ -16,8 +16,10 @@ from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
 from engine.numerics.resampling import remap
 from engine.numerics.similarity import transform_model
+from engine.numerics.tables import look_up
 from engine.pictures.alignment import align_image
 from engine.pictures.features import luma
+from engine.pictures.jpeg_grid import find_quality
 from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import make_landmarks
 from engine.pictures.picture_edges import PictureEdges
@@ -86,6 +88,8 @@ def _alignment() -> None:
     picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
     align_image(picture, picture[3:, 5:])
     remap(picture, np.zeros((8, 8, 2)))
+    look_up(luma(picture), 0.0, 1.0, np.zeros(2))
+    find_quality(np.round(200.0 * picture + 20.0) / np.float32(255.0))
     n = 300
     centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))

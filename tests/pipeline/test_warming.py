@@ -140,7 +140,7 @@ for work in ("embed", "model", "pictures"):
         opened = open_record(made.record.to_bytes(key), key)
         moved = model_attack("similarity").apply(made.model, 4.0, rng=2)
         merged = model_attack("merge").apply(made.model, 0.5, rng=2, reading="as_code")
-        picture = np.clip(render(made.model, opened.cameras[0]), 0.0, 1.0)
+        picture = np.rint(255.0 * np.clip(render(made.model, opened.cameras[0]), 0.0, 1.0)) / np.float32(255.0)
     warm_up(work)
     before = compiled()
     if work == "embed":
