@@ -89,7 +89,7 @@ def _alignment() -> None:
     align_image(picture, picture[3:, 5:])
     remap(picture, np.zeros((8, 8, 2)))
     look_up(luma(picture), 0.0, 1.0, np.zeros(2))
-    find_quality(np.round(200.0 * picture + 20.0) / np.float32(255.0))
+    find_quality((np.round(200.0 * picture + 20.0) / 255.0).astype(np.float32))
     n = 300
     centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
