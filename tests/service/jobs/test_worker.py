@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sqlite3
 import subprocess
@@ -37,6 +38,9 @@ def stop_between_writes(worker: subprocess.Popen[bytes], shop: Workshop) -> None
     """Who is stopped while it writes keeps SQLite's lock until it wakes or dies, which is not what is asked."""
     while True:
         worker.send_signal(signal.SIGSTOP)
+        os.waitid(
+            os.P_PID, worker.pid, os.WSTOPPED
+        )  # a signal is sent before it is obeyed: one more write went between
         connection = sqlite3.connect(shop.settings.data_dir / "jobs.sqlite", timeout=0.5, isolation_level=None)
         try:
             connection.execute("BEGIN IMMEDIATE")
