@@ -114,8 +114,8 @@ def find_camera(
             return replace(bent, shape=shape)
         if plain is not None:
             return plain
-    framed = config.framed and not alike and first is not None and first.support >= SUPPORTED
-    frame = candidates.frame(first) if framed and first is not None else None
+    framed = config.framed and not alike
+    frame = candidates.frame(first) if framed and first is not None and first.support >= SUPPORTED else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
         found = find_camera(landmarks, reference_model, part, asked, edges, bank)
@@ -132,7 +132,7 @@ def find_camera(
         best = _best(picture, candidates.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_edges(edges()), best)
-    return None if best is None or not best.hopeful else _finish(picture, best)
+    return None if best is None else _finish(picture, best)
 
 
 def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
@@ -184,7 +184,10 @@ def _settled(best: Candidate) -> bool:
 
 
 def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
-    """The camera refined up to the picture's own size; None where that does not look like the picture."""
+    """The camera refined up to the picture's own size; None where that does not look like the picture, or has no hope
+    to."""
+    if not candidate.hopeful:
+        return None
     own = max(picture.size)
     camera, refined, off = candidate.camera, None, candidate.off
     for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
