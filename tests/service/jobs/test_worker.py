@@ -38,9 +38,8 @@ def stop_between_writes(worker: subprocess.Popen[bytes], shop: Workshop) -> None
     """Who is stopped while it writes keeps SQLite's lock until it wakes or dies, which is not what is asked."""
     while True:
         worker.send_signal(signal.SIGSTOP)
-        os.waitid(
-            os.P_PID, worker.pid, os.WSTOPPED
-        )  # a signal is sent before it is obeyed: one more write went between
+        # A signal is sent before it is obeyed: one more write went between.
+        os.waitid(os.P_PID, worker.pid, os.WSTOPPED)
         connection = sqlite3.connect(shop.settings.data_dir / "jobs.sqlite", timeout=0.5, isolation_level=None)
         try:
             connection.execute("BEGIN IMMEDIATE")
