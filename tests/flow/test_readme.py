@@ -16,8 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenes import sparse_plant
-
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"```bash\n(?P<commands>.*?)```(?:\s*```text\n(?P<output>.*?)```)?", re.DOTALL)
 EXIT = re.compile(r"# exit code (\d+)")
@@ -37,13 +35,9 @@ def blocks() -> Iterator[re.Match[str]]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A clone as far as the commands can see; its scene has a third of the Gaussians."""
-    data = tmp_path / "tests" / "data"
-    data.mkdir(parents=True)
-    for path in (ROOT / "tests" / "data").iterdir():
-        (data / path.name).symlink_to(path)
-    (data / "plant.splat").unlink()
-    (data / "plant.splat").write_bytes(sparse_plant(every=3))
+    """A clone as far as the commands can see."""
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "data").symlink_to(ROOT / "tests" / "data")
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     return tmp_path
 
