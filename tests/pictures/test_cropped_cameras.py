@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
 from engine.pictures import camera_candidates, camera_finding
+from engine.pictures.camera_candidates import Candidate
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.found_camera import FoundCamera
 from engine.pictures.landmarks import Landmarks
@@ -78,6 +80,22 @@ def test_a_picture_that_is_explained_is_asked_for_neither_frame_nor_shape(
     for name in ("frame", "shape"):
         monkeypatch.setattr(camera_candidates.Candidates, name, fail)
     assert find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80)) is not None
+
+
+@pytest.mark.parametrize(("small", "asks"), [(0.95, False), (0.92, True)])
+def test_what_is_nearly_explained_in_small_is_asked_at_its_own_size_first(
+    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch, small: float, asks: bool
+) -> None:
+    kept, asked = camera_finding._best, []
+
+    def rough(*given: Any) -> Candidate | None:
+        best = kept(*given)
+        return None if best is None else replace(best, correlation=small)
+
+    monkeypatch.setattr(camera_finding, "_best", rough)
+    monkeypatch.setattr(camera_candidates.Candidates, "shape", lambda *_: asked.append(True))
+    assert find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80)) is not None
+    assert bool(asked) is asks
 
 
 def test_a_frame_in_which_less_is_explained_is_none(
