@@ -75,13 +75,15 @@ def find_camera(
     image: Float32,
     config: CameraConfig = CameraConfig(),
     edges: Callable[[], Sequence[ViewPoints]] | None = None,
+    parts: Callable[[], Sequence[ViewPoints]] | None = None,
     bank: Callable[[], Sequence[Camera]] | None = None,
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
     `landmarks` are those of its record; `bank` gives the views they were seen from, and `edges` those of views of it
-    (asked only where keypoints do not do). InputError if the picture is not a finite (h, w, 3) image.
+    (asked only where keypoints do not do), `parts` those of views of its parts (where those do not do, either).
+    InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < LEAST_SIDE:
         raise InputError(f"a picture is (h, w, 3) and at least {LEAST_SIDE} pixels a side, got {image.shape}")
@@ -118,9 +120,10 @@ def find_camera(
     frame = candidates.frame(first) if framed and first is not None and first.support >= SUPPORTED else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
-        found = find_camera(landmarks, reference_model, part, asked, edges, bank)
-        whole = done or best  # a frame may be wrong
-        if found is not None and (whole is None or found.correlation > whole.correlation):
+        found = find_camera(landmarks, reference_model, part, asked, edges, parts, bank)
+        if found is not None and found.correlation < ALIKE and done is None and best is not None:
+            done = _finish(picture, best)  # a frame may be wrong
+        if found is not None and (done is None or found.gain > done.gain):
             return replace(found, frame=frame)
     if done is not None:
         return done
@@ -131,7 +134,7 @@ def find_camera(
     if bank is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_votes(bank()), best)
     if edges is not None and (best is None or not best.sure):
-        best = _best(picture, candidates.by_edges(edges()), best)
+        best = _best(picture, candidates.by_edges(edges(), parts), best)
     return None if best is None else _finish(picture, best)
 
 
@@ -210,5 +213,5 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
         softer = picture.refined(camera, *asked, otherwise, off=off)
         if softer is not None and softer.gain > CLEARLY * refined.gain:
             refined, drawn, camera = softer, otherwise, picture.full(softer.camera)
-    told = (refined.rms, refined.correlation, refined.step)
+    told = (refined.rms, refined.correlation, refined.step, refined.gain * (own / min(own, SIZES[-1])) ** 2)
     return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)

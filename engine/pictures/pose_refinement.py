@@ -16,16 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numba import prange
 
-from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.jit import parallel_kernel, parallel_section
-from engine.numerics.resampling import resized, smooth
+from engine.numerics.resampling import smooth
 from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved
+from engine.pictures.detail import compare_detail, correlation
 from engine.pictures.features import luma
 from engine.raster import RasterSettings, render_depth
 
-__all__ = ["LEAST_CORRELATION", "Refined", "correlation", "refine_level"]
+__all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
 
 _KERNEL_VERSION = 3
 BLUR = 0.8
@@ -47,16 +48,12 @@ LEAST_PIXELS = 150
 """Fewer usable pixels than this cannot carry so many unknowns."""
 LEAST_CORRELATION = 0.75
 """Correlation of brightness below which a picture shows something else."""
-LEAST_DETAIL = 0.5  # the same of what `DETAIL` keeps
+LEAST_DETAIL = 0.5  # the same of detail
 HOPEFUL_CORRELATION, HOPEFUL_DETAIL = 0.5, 0.25
 """What a small picture must show of both for a larger one to be looked at; right cameras came to 0.9 and 0.8."""
-DETAIL = (1 / 160, 3 / 160)
-"""Blurs between which detail lies, longer sides of the picture: a light and a dark part, which every other scene has
-somewhere, are coarser; noise, compression and a picture out of focus are finer."""
-DETAIL_SIZE = 320
-"""Longer side of the picture on which detail is compared, pixels."""
-LEAST_COVER = 0.1
-"""Pixels of it of which a smaller part is usable are left out."""
+LEAST_TELLING = 7.0
+"""Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came to
+5 with a correlation of 0.65, right cameras of pictures of viewers to 19 and more."""
 ACCELERATE_BELOW = 0.5
 """Steps below this are taken for linear, pixels of the level."""
 MEMORY = 2
@@ -71,7 +68,8 @@ class Refined:
     """A camera of the level's size and how well its render explains the picture.
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1; `detail` the same of their detail, and of what a flat colour of the render's opacity does not explain.
+    used, -1..1; `detail` the same of their detail, and of what a flat colour of the render's opacity does not explain;
+    `telling`: that in standard deviations of what chance does where so much is seen.
     `step`: root mean square flow of the last motion, pixels of the level; `shift`: what it would have been with the
     principal point free. `pixels`: how many were used.
     """
@@ -80,6 +78,7 @@ class Refined:
     rms: float
     correlation: float
     detail: float
+    telling: float
     step: float
     shift: float
     pixels: int
@@ -87,7 +86,8 @@ class Refined:
     @property
     def alike(self) -> bool:
         """Whether the picture shows what the render does, and not something else."""
-        return self.correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+        alike = self.correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+        return alike and self.telling > LEAST_TELLING
 
     @property
     def hopeful(self) -> bool:
@@ -207,7 +207,8 @@ def refine_level(
     freed = _solve(system, PARAMETERS)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
     alike = correlation(toned[used], seen[used])
-    return Refined(camera, spread, alike, _detail(toned, seen, cover, used, camera), step, shift, int(used.sum()))
+    detail = compare_detail(toned, seen, cover, used, camera)
+    return Refined(camera, spread, alike, *detail, step, shift, int(used.sum()))
 
 
 class Acceleration:
@@ -252,34 +253,6 @@ def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
     """(H, W) how far a pixel shows the model and nothing else."""
     usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
     return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
-
-
-def correlation(a: Float32, b: Float32) -> float:
-    """Of two arrays of one size, -1 to 1; 0 where one says nothing."""
-    a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
-    both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
-    return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
-
-
-def _detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> float:
-    """Correlation of the details of render and picture (H, W) that do not follow from its opacity `cover`."""
-    small = camera.with_side(min(DETAIL_SIZE, max(used.shape)))
-    inside, *planes = (
-        resized(np.where(used, each, 0.0).astype(np.float32), small.width, small.height)
-        for each in (np.ones_like(seen), toned, seen, cover)
-    )
-    shown = inside > LEAST_COVER
-    if not shown.any():
-        return 0.0
-    fine, coarse = (share * max(small.width, small.height) for share in DETAIL)
-    around = smooth(inside, fine)[shown], smooth(inside, coarse)[shown]
-    a, b, c = (smooth(each, fine)[shown] / around[0] - smooth(each, coarse)[shown] / around[1] for each in planes)
-    return correlation(_beyond(a, c), _beyond(b, c))
-
-
-def _beyond(values: Float32, cover: Float32) -> Float32:
-    """(M,) values without their best multiple of the cover."""
-    return values - cover * np.float32(np.sum(values * cover) / max(float(np.sum(cover * cover)), 1e-12))
 
 
 def _symmetric(upper: Float64) -> Float64:

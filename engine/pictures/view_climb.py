@@ -20,7 +20,7 @@ from engine.pictures.camera_motion import farther
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.view_points import ViewPoints, describe_view
 
-__all__ = ["Climbed", "climb"]
+__all__ = ["KEPT", "Climbed", "climb"]
 
 ROUNDS = (
     (12.0, (0.4, 0.6, 1.6), 6),
@@ -31,6 +31,8 @@ ROUNDS = (
     (3.0, (0.9, 1.1), 3),
 )
 """Of each: degrees of a step, how much farther away others go, and how many of the cameras go on after it."""
+KEPT = ROUNDS[-1][2]
+"""Cameras that arrive."""
 SAME = np.radians(5.0)
 """Two cameras of one hand that differ by less are one."""
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
+from engine.pictures.detail import correlation
 from engine.pictures.features import luma
-from engine.pictures.pose_refinement import correlation
 from engine.raster import render_depth
 
 __all__ = ["CLOSER_SIZE", "Window"]

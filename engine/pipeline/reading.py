@@ -13,7 +13,7 @@ from engine.pictures.camera_finding import FoundCamera, find_camera, follow_came
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
-from engine.pictures.view_search import describe_views
+from engine.pictures.view_search import describe_parts, describe_views
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.landmark_bank import bank_views
 from engine.pipeline.looking import place_by_looking
@@ -154,14 +154,15 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    edges = cache(lambda: describe_views(*_many_views(opened.reference)))
+    views = cache(lambda: _many_views(opened.reference))
+    edges, parts = cache(lambda: describe_views(*views())), cache(lambda: describe_parts(*views()))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
                 found = None if last is None else follow_camera(opened.reference, image, last)
-                found = found or _find(image, opened, edges, bank)
+                found = found or _find(image, opened, edges, parts, bank)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
@@ -198,11 +199,12 @@ def _find(
     image: Float32,
     opened: OpenedRecord,
     edges: Callable[[], Sequence[ViewPoints]],
+    parts: Callable[[], Sequence[ViewPoints]],
     bank: Callable[[], Sequence[Camera]],
 ) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")
-    return find_camera(opened.landmarks, opened.reference, image, edges=edges, bank=bank)
+    return find_camera(opened.landmarks, opened.reference, image, edges=edges, parts=parts, bank=bank)
 
 
 def _evidence(said: PictureEvidence | None, opened: OpenedRecord) -> Evidence:

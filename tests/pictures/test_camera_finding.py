@@ -16,6 +16,7 @@ from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
 from engine.pictures.camera_trial import Picture
+from engine.pictures.detail import compare_detail
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
@@ -307,4 +308,24 @@ def test_single_pixels_have_no_detail() -> None:
     few[::40, ::40] = True
     picture = np.random.default_rng(0).random(few.shape).astype(np.float32)
     camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), UP, 1600.0, 1600, 900)
-    assert pose_refinement._detail(picture, picture, np.ones_like(picture), few, camera) == 0.0
+    assert compare_detail(picture, picture, np.ones_like(picture), few, camera) == (0.0, 0.0)
+
+
+def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel) -> None:
+    """A few strokes of a drawing once fitted a small part of a statue: a large one says more."""
+    camera = around(plant, 90.0, 30.0, 1.3, 1.1)
+    grey = luma(np.clip(render(plant, camera), 0.0, 1.0))
+    noise = smooth(np.random.default_rng(0).normal(size=grey.shape).astype(np.float32), 4.0)
+    noise *= 0.5 * grey.std() / noise.std()
+    told = {}
+    for name, part in (("whole", 1), ("part", 8)):
+        shown = np.zeros(grey.shape, dtype=np.bool_)
+        rows, columns = np.array(grey.shape) // part
+        shown[:rows, :columns] = True
+        told[name] = compare_detail(grey + noise, grey, np.ones_like(grey), shown, camera)
+    assert told["whole"][1] > 3.0 * abs(told["part"][1])
+    refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
+    assert refined is not None
+    assert refined.alike
+    assert refined.telling > pose_refinement.LEAST_TELLING
+    assert not replace(refined, telling=pose_refinement.LEAST_TELLING - 1.0).alike

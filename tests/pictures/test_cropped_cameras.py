@@ -98,23 +98,41 @@ def test_what_is_nearly_explained_in_small_is_asked_at_its_own_size_first(
     assert bool(asked) is asks
 
 
+@pytest.mark.parametrize(
+    ("correlation", "gain", "small", "framed"),
+    [(0.95, 0.3, 0.94, False), (0.95, 0.3, 0.92, False), (0.95, 9.0, 0.94, True), (0.9995, 0.3, 0.92, True)],
+)
 def test_a_frame_in_which_less_is_explained_is_none(
-    plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
+    plant: GaussianModel,
+    bank: Landmarks,
+    monkeypatch: pytest.MonkeyPatch,
+    correlation: float,
+    gain: float,
+    small: float,
+    framed: bool,
 ) -> None:
+    """A part of a picture may correlate better than the whole, and yet say less; what it explains fully is believed
+    where the whole is not explained even in small."""
     true = around(plant, 48, 33, 1.1, 0.8)
     picture = np.clip(render(plant, true), 0, 1)
     picture[:, 380:] = 0.5  # some of it is hidden: not all is explained
-    monkeypatch.setattr(camera_finding, "ALIKE", 1.0)
-    monkeypatch.setattr(camera_candidates, "find_frame", lambda *_: (slice(0, 360), slice(0, 480)))
-    kept, asked = camera_finding.find_camera, []
+    monkeypatch.setattr(camera_finding, "ALIKE", 0.999)
+    monkeypatch.setattr(camera_candidates, "find_frame", lambda *_: (slice(0, 360), slice(0, 380)))
+    kept, asked, trial = camera_finding.find_camera, [], camera_finding._best
+
+    def rough(*given: Any) -> Candidate | None:
+        best = trial(*given)
+        return None if best is None else replace(best, correlation=small)
+
+    monkeypatch.setattr(camera_finding, "_best", rough)
 
     def worse(*given: object, **named: object) -> FoundCamera | None:
         found = kept(*given, **named)  # type: ignore[arg-type]  # as they came
         asked.append(found)
-        return None if found is None else replace(found, correlation=0.5)
+        return None if found is None else replace(found, correlation=correlation, gain=gain * found.gain)
 
     monkeypatch.setattr(camera_finding, "find_camera", worse)
     found = kept(bank, plant, jpeg(picture, 80))
     assert asked
     assert found is not None
-    assert found.frame is None
+    assert (found.frame is not None) is framed

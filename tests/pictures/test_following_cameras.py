@@ -41,7 +41,7 @@ def test_how_the_last_frame_was_turned_and_framed_is_kept(plant: GaussianModel, 
     page = np.full((420, 600, 3), 0.4, np.float32)
     rows, columns = slice(30, 390), slice(100, 580)
     page[rows, columns] = frame(plant, 101.5)
-    last = FoundCamera(first.camera, 0, 0.0, 0.99, 0.0, True, frame=(rows, slice(20, 500)))
+    last = FoundCamera(first.camera, 0, 0.0, 0.99, 0.0, mirrored=True, frame=(rows, slice(20, 500)))
     followed = follow_camera(plant, np.ascontiguousarray(page[:, ::-1]), last)
     assert followed is not None
     assert followed.mirrored

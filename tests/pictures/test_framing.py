@@ -57,12 +57,12 @@ def test_a_picture_that_shows_it_everywhere_has_no_frame(plant: GaussianModel) -
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_the_camera_of_the_part_and_of_the_whole_show_the_same(plant: GaussianModel, mirrored: bool) -> None:
     part = close(plant)
-    found = FoundCamera(part, 0, 0.0, 1.0, 0.0, mirrored, frame=(slice(120, 420), slice(40, 640)))
+    found = FoundCamera(part, 0, 0.0, 1.0, 0.0, mirrored=mirrored, frame=(slice(120, 420), slice(40, 640)))
     page = on_page(np.zeros((300, 600, 3), np.float32), 0.0)
     whole = found.of_whole(page)
     assert (whole.width, whole.height) == (700, 500)
     drawn = render(plant, whole)
     drawn = drawn[:, ::-1] if mirrored else drawn
     np.testing.assert_allclose(found.face(np.ascontiguousarray(drawn)), render(plant, part), atol=5e-3)
-    bare = FoundCamera(part, 0, 0.0, 1.0, 0.0, mirrored)
+    bare = FoundCamera(part, 0, 0.0, 1.0, 0.0, mirrored=mirrored)
     assert bare.of_whole(page) is part

@@ -15,10 +15,12 @@ from engine.pictures.camera_candidates import LOUD, Candidates
 from engine.pictures.camera_trial import Picture
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.picture_edges import COLORED, PictureEdges
-from engine.pictures.view_climb import ROUNDS, Climbed, _distinct, climb
+from engine.pictures.view_climb import KEPT, ROUNDS, Climbed, _distinct, climb
 from engine.pictures.view_points import ViewPoints, describe_view, thinned
 from engine.pictures.view_scores import SIDE
+from engine.pictures.view_search import PARTS, describe_parts, describe_views
 from engine.pictures.voted_views import VotedView
+from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 
@@ -104,6 +106,34 @@ def test_what_is_voted_for_loudly_climbs(
     assert bool(found) is climbed
     if climbed:
         assert min(off(each.camera, true) for each in found if not each.mirrored) < 5.0
+
+
+def test_parts_are_looked_at_where_nothing_fits(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A close-up of what is not the middle: from no view of the whole does anything climb there."""
+    away = make_rig(plant, 12, 640, 480)
+    seen, parts = describe_views(plant, away), describe_parts(plant, away)
+    assert len(parts) == PARTS * len(away)
+    assert np.median([view.depth for view in parts]) < 0.5 * np.median([view.depth for view in seen[: len(away)]])
+    true = parts[20].camera.with_side(320)
+    image, alpha, _ = render_depth(plant, true)
+    picture = np.clip(image, 0.0, 1.0) ** np.float32(0.7) + 0.3 * (1.0 - alpha[..., None])
+    monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)  # keypoints alone do not find home
+    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    candidates = Candidates(Picture(plant, picture), none, (), ())
+    asked: list[int] = []
+
+    def described() -> list[ViewPoints]:
+        asked.append(len(parts))
+        return parts
+
+    assert all(each.mirrored or off(each.camera, true) > 10.0 for each in candidates.by_edges(seen))
+    found = list(candidates.by_edges(seen, described))
+    assert len(asked) == 1
+    assert len(found) == KEPT
+    assert not found[0].mirrored
+    assert off(found[0].camera, true) < 3.0
+    list(candidates.by_edges(parts, described))
+    assert len(asked) == 1, "what fits is enough"
 
 
 def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:
