@@ -14,7 +14,7 @@ from engine.pictures.camera_motion import project
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.view_points import thinned
 from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views
-from engine.pictures.view_search import RADII, describe_views, search_views
+from engine.pictures.view_search import PARTS, RADII, _aimed, _places, describe_views, search_views
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
@@ -102,3 +102,16 @@ def test_views_are_taken_from_near_too(plant: GaussianModel) -> None:
         assert near.depth == pytest.approx(0.5 * away.depth, rel=0.15)
         assert near.spread == pytest.approx(away.spread, rel=0.35)
         assert np.abs(near.edges - away.edges).max() > 0.05
+
+
+def test_parts_lie_apart_and_are_aimed_at(plant: GaussianModel) -> None:
+    rig = make_rig(plant, 4, 640, 480)
+    for view in describe_views(plant, rig)[: len(rig)]:
+        places = _places(view)
+        assert len(places) == PARTS
+        apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(PARTS, 1)]
+        assert apart.min() > view.spread
+        ray = np.linalg.solve(view.camera.K, np.array([*places[0], 1.0]))
+        camera = _aimed(view, places[0])
+        on_it = (ray * view.depth - view.camera.viewmat[:3, 3]) @ view.camera.viewmat[:3, :3]
+        assert project(on_it[None], camera)[0] == pytest.approx((camera.width / 2, camera.height / 2), abs=0.5)
