@@ -33,7 +33,7 @@ NEAR = 0.5
 another shape, to which no search from afar leads (of five pictures that were missed two are found)."""
 PARTS, NEARER = 3, 0.35
 """Places of a view, as far from each other as can be, at which a camera so much nearer is aimed: close-ups whose middle
-is elsewhere (of eleven that were missed two are found; half as near, or at six places, not more)."""
+is elsewhere (of eleven that were missed two are found; at six places one more, for twice the time)."""
 _SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
 """Radians, share of the size, and pixels within which two finds of a view are one."""
 

@@ -10,14 +10,11 @@ import pytest
 
 from engine.errors import InputError
 from engine.model import Camera, GaussianModel, look_at
-from engine.numerics.resampling import resized, smooth
 from engine.numerics.similarity import mirror_model
 from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
 from engine.pictures.camera_trial import Picture
-from engine.pictures.detail import compare_detail
-from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
 from engine.pictures.view_points import thinned
@@ -283,50 +280,3 @@ def test_the_shape_of_a_view_in_one_colour_is_no_picture_of_it(plant: GaussianMo
     assert find_camera(none, plant, flat, edges=lambda: seen) is None
     found = find_camera(none, plant, render(plant, views[1]), edges=lambda: seen)
     assert found is not None, "the view itself is"
-
-
-def test_what_is_light_and_dark_in_the_same_places_is_no_picture_of_it(plant: GaussianModel) -> None:
-    """A guitar's body was once taken for a flower pot: brightness alone correlated by 0.78."""
-    none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
-    views = [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)]
-    image, alpha, _ = render_depth(plant, views[1])
-    seen = describe_views(thinned(plant, 30_000), views)
-    other = np.ascontiguousarray(render(plant, views[3])[:, ::-1])
-    wide = max(alpha.shape) / 50
-    coarse = smooth(image, wide) / np.maximum(smooth(alpha, wide), 0.05)[..., None]
-    alike = np.clip(alpha[..., None] * (coarse + 0.5 * (other - smooth(other, wide))), 0.0, 1.0)
-    camera = views[1].with_side(640)
-    grey = resized(luma(alike), camera.width, camera.height)
-    refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
-    assert refined is not None
-    assert refined.correlation > pose_refinement.LEAST_CORRELATION, "as large as that of a picture of it"
-    assert find_camera(none, plant, alike, edges=lambda: seen) is None
-
-
-def test_single_pixels_have_no_detail() -> None:
-    few = np.zeros((900, 1600), dtype=np.bool_)
-    few[::40, ::40] = True
-    picture = np.random.default_rng(0).random(few.shape).astype(np.float32)
-    camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), UP, 1600.0, 1600, 900)
-    assert compare_detail(picture, picture, np.ones_like(picture), few, camera) == (0.0, 0.0)
-
-
-def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel) -> None:
-    """A few strokes of a drawing once fitted a small part of a statue: a large one says more."""
-    camera = around(plant, 90.0, 30.0, 1.3, 1.1)
-    grey = luma(np.clip(render(plant, camera), 0.0, 1.0))
-    noise = smooth(np.random.default_rng(0).normal(size=grey.shape).astype(np.float32), 4.0)
-    noise *= 0.1 * grey.std() / noise.std()
-    told = {}
-    for name, part in (("whole", 1), ("part", 8)):
-        shown = np.zeros(grey.shape, dtype=np.bool_)
-        middle = tuple(slice(side // 2 - side // 2 // part, side // 2 + side // 2 // part) for side in grey.shape)
-        shown[middle] = True
-        told[name] = compare_detail(grey + noise, grey, np.ones_like(grey), shown, camera)
-    assert told["whole"][0] == pytest.approx(told["part"][0], abs=0.2)
-    assert told["whole"][1] > 4.0 * told["part"][1] > 0.0
-    refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
-    assert refined is not None
-    assert refined.alike
-    assert refined.telling > pose_refinement.LEAST_TELLING
-    assert not replace(refined, telling=pose_refinement.LEAST_TELLING - 1.0).alike
