@@ -24,3 +24,8 @@ def ellipsoid_surface(scales: Float64) -> Float64:
 def surface_mass(model: GaussianModel) -> Float64:
     """(N,) opacity times the surface of the ellipsoid of one standard deviation: what tools that merge conserve."""
     return model.opacities.astype(np.float64) * ellipsoid_surface(np.exp(model.log_scales.astype(np.float64)))
+
+
+def volume_mass(model: GaussianModel) -> Float64:
+    """(N,) opacity times the product of the standard deviations."""
+    return np.asarray(model.opacities.astype(np.float64) * np.exp(model.log_scales.astype(np.float64).sum(axis=1)))

@@ -10,9 +10,10 @@ every file of kernels holds a ``_KERNEL_VERSION``; raise it when something the k
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 # Idle OpenMP workers sleep instead of spinning: next to torch's own pool, spinning costs 2 to 20 times on a
 # busy machine. It must be set before the first parallel kernel starts the pool.
@@ -20,7 +21,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numba
 
-__all__ = ["FLOAT_FLAGS", "inlined", "kernel", "parallel_kernel", "parallel_section", "thread_count"]
+__all__ = ["FLOAT_FLAGS", "inlined", "kernel", "parallel_kernel", "parallel_section", "side_by_side", "thread_count"]
 
 FLOAT_FLAGS = frozenset({"nsz", "arcp", "contract", "afn"})
 """Floating-point freedoms given to LLVM: signed zeros, reciprocals, fused multiply-add, approximate
@@ -36,6 +37,9 @@ _OPTIONS: dict[str, Any] = {
 _SAFE_FOR_CONCURRENT_CALLERS = {"omp", "tbb"}
 
 _section = threading.RLock()
+
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -76,3 +80,15 @@ def parallel_section() -> Iterator[None]:
         return
     with _section:
         yield
+
+
+def side_by_side(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
+    """What `function` gives for each item, in their order; many small ones at once, each with one thread's kernels.
+
+    A kernel of a millisecond gains nothing by more threads, and what is around it holds Python's lock half the time.
+    """
+    threads = thread_count()
+    if threads == 1:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        return list(pool.map(function, items))

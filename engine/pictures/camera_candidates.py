@@ -6,13 +6,14 @@ Nothing here sees a key or a chip.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from engine.model import Camera
 from engine.pictures.camera_trial import Picture
+from engine.pictures.far_views import FarViews
 from engine.pictures.features import Keypoints
 from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of
@@ -99,19 +100,17 @@ class Candidates:
             if closer is not None:
                 yield closer
 
-    def by_edges(
-        self, views: Sequence[ViewPoints], parts: Callable[[], Sequence[ViewPoints]] | None = None
-    ) -> Iterator[Candidate]:
+    def by_edges(self, far: FarViews) -> Iterator[Candidate]:
         """What outlines, edges and colours speak for, from the search over views on, and from what was voted for; from
-        views of `parts`, too, where nothing fits well."""
+        views of parts, too, where nothing fits well."""
         pictures = [PictureEdges.of(self._picture.turned(mirrored)) for mirrored in (False, True)]
-        starts = _starts(views, pictures, RADII)
+        starts = _starts(far.views, pictures, RADII)
         for view, mirrored in self._voted:
             height, width = pictures[mirrored].small.shape[:2]
             starts.append(Climbed(0.0, view.camera.resized(width, height), int(mirrored)))
-        climbed = climb(self._picture.afar, pictures, starts)
-        if parts is not None and max((each.score for each in climbed), default=0.0) < FITS:
-            nearer = climb(self._picture.afar, pictures, _starts(parts(), pictures, LARGE))
+        climbed = climb(far.model, pictures, starts)
+        if max((each.score for each in climbed), default=0.0) < FITS:
+            nearer = climb(far.model, pictures, _starts(far.parts, pictures, LARGE))
             climbed = sorted([*climbed, *nearer], key=lambda each: -each.score)[:KEPT]
         for each in climbed:
             camera, mirrored = self._picture.full(each.camera), bool(each.picture)

@@ -26,9 +26,9 @@ from engine.pictures.camera_candidates import QUICK_ITERATIONS, QUICK_STEP, SUPP
 from engine.pictures.camera_hypotheses import LADDER
 from engine.pictures.camera_motion import PARAMETERS
 from engine.pictures.camera_trial import Picture
+from engine.pictures.far_views import FarViews
 from engine.pictures.found_camera import OWN, FoundCamera
 from engine.pictures.landmarks import Landmarks
-from engine.pictures.view_points import ViewPoints
 from engine.raster import RasterSettings
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera", "follow_camera"]
@@ -74,15 +74,14 @@ def find_camera(
     reference_model: GaussianModel,
     image: Float32,
     config: CameraConfig = CameraConfig(),
-    edges: Callable[[], Sequence[ViewPoints]] | None = None,
-    parts: Callable[[], Sequence[ViewPoints]] | None = None,
+    far: Callable[[], FarViews] | None = None,
     bank: Callable[[], Sequence[Camera]] | None = None,
 ) -> FoundCamera | None:
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
-    `landmarks` are those of its record; `bank` gives the views they were seen from, and `edges` those of views of it
-    (asked only where keypoints do not do), `parts` those of views of its parts (where those do not do, either).
+    `landmarks` are those of its record; `bank` gives the views they were seen from, and `far` what it looks like from
+    afar: both are asked only where keypoints do not do.
     InputError if the picture is not a finite (h, w, 3) image.
     """
     if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < LEAST_SIDE:
@@ -120,7 +119,7 @@ def find_camera(
     frame = candidates.frame(first) if framed and first is not None and first.support >= SUPPORTED else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
-        found = find_camera(landmarks, reference_model, part, asked, edges, parts, bank)
+        found = find_camera(landmarks, reference_model, part, asked, far, bank)
         if found is not None and found.correlation < ALIKE and done is None and best is not None:
             done = _finish(picture, best)  # a frame may be wrong
         if found is not None and (done is None or found.gain > done.gain):
@@ -133,8 +132,8 @@ def find_camera(
         best = _best(picture, hands[not likelier], best)
     if bank is not None and (best is None or not best.sure):
         best = _best(picture, candidates.by_votes(bank()), best)
-    if edges is not None and (best is None or not best.sure):
-        best = _best(picture, candidates.by_edges(edges(), parts), best)
+    if far is not None and (best is None or not best.sure):
+        best = _best(picture, candidates.by_edges(far()), best)
     return None if best is None else _finish(picture, best)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Camera, Float64
+from engine.numerics.jit import side_by_side
 from engine.pictures.camera_motion import CENTERED, PARAMETERS, UNEVEN, moved, normalized, point_columns
 from engine.pictures.pixel_shape import SQUARE, PixelShape
 
@@ -53,42 +54,45 @@ def hypothesize(
     `points` (M, 3) lie in the world, `pixels` (M, 2) in the picture, centres at half integers; `tolerance` is the
     reprojection error of an inlier, pixels; the `ladder` of focal lengths tried is in widths of the picture.
     """
-    import cv2
-
     if len(points) < max(least, 5):
         return None
-    started: list[tuple[int, Camera]] = []
-    for step in ladder:
-        focal = step * width
-        K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-        cv2.setRNGSeed(RANSAC_SEED)
-        try:
-            # On the ladder's coarse steps even right matches miss by some pixels.
-            ok, turn, shift, agreeing = cv2.solvePnPRansac(
-                points,
-                pixels,
-                K,
-                None,
-                iterationsCount=RANSAC_TRIALS,
-                reprojectionError=2.0 * tolerance,
-                confidence=0.9999,
-                flags=cv2.SOLVEPNP_AP3P,
-            )
-        except cv2.error:  # degenerate points
-            continue
-        if not ok or agreeing is None or len(agreeing) < least:
-            continue
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
-        if np.isfinite(viewmat).all():
-            started.append((len(agreeing), Camera(viewmat, K, width, height)))
-    started.sort(key=lambda entry: -entry[0])
+    # On the ladder's coarse steps even right matches miss by some pixels.
+    tried = side_by_side(lambda step: _pose(points, pixels, step * width, width, height, 2.0 * tolerance), ladder)
+    started = sorted((each for each in tried if each is not None and each[0] >= least), key=lambda each: -each[0])
     best: Hypothesis | None = None
     for _, camera in started[:3]:
         fitted = fit_camera(points, pixels, camera, tolerance)
         if fitted is not None and (best is None or fitted.support > best.support):
             best = fitted
     return best if best is not None and best.support >= least else None
+
+
+def _pose(
+    points: Float64, pixels: Float64, focal: float, width: int, height: int, tolerance: float
+) -> tuple[int, Camera] | None:
+    """The camera of this focal length, pixels, that most matches agree with, and how many do."""
+    import cv2
+
+    K = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    cv2.setRNGSeed(RANSAC_SEED)  # of this thread
+    try:
+        ok, turn, shift, agreeing = cv2.solvePnPRansac(
+            points,
+            pixels,
+            K,
+            None,
+            iterationsCount=RANSAC_TRIALS,
+            reprojectionError=tolerance,
+            confidence=0.9999,
+            flags=cv2.SOLVEPNP_AP3P,
+        )
+    except cv2.error:  # degenerate points
+        return None
+    if not ok or agreeing is None:
+        return None
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    return (len(agreeing), Camera(viewmat, K, width, height)) if np.isfinite(viewmat).all() else None
 
 
 def fit_camera(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
@@ -15,7 +13,6 @@ from engine.pictures.features import luma
 from engine.pictures.found_camera import OWN
 from engine.pictures.keypoint_cameras import look_closer
 from engine.pictures.pose_refinement import Refined, refine_level
-from engine.pictures.view_points import MOST_SEEN, thinned
 from engine.raster import RasterSettings, render_depth
 
 __all__ = ["Picture"]
@@ -32,11 +29,6 @@ class Picture:
         grey = luma(image)
         self.greys = (grey, np.ascontiguousarray(grey[:, ::-1]))  # as it is, and turned over
         self.size = grey.shape[1], grey.shape[0]
-
-    @cached_property
-    def afar(self) -> GaussianModel:
-        """The model as it looks in a small picture."""
-        return thinned(self.model, MOST_SEEN)
 
     def turned(self, mirrored: bool) -> Float32:
         """The picture (h, w, 3), turned over if it is mirrored."""

@@ -19,7 +19,7 @@ from engine.pictures.camera_motion import swung
 from engine.pictures.view_points import SOFT, ViewPoints, gradient
 from engine.pictures.view_scores import BINS, PAD, SIDE, look_again
 
-__all__ = ["PictureEdges", "stacked"]
+__all__ = ["PictureEdges", "apart", "stacked"]
 
 REACH, NEAR_REACH = 2, 1
 """Pixels an edge may be off, in the search, and when the best of it are looked at again."""
@@ -50,14 +50,15 @@ class PictureEdges:
         return cls(np.asarray(small, dtype=np.float32))
 
     @cached_property
-    def maps(self) -> Float32:
-        """(BINS, 2, 2, h, w) what it says for each direction of an edge at each place; the odd and even rows and
-        columns apart, padded by `PAD` pixels."""
-        return _responses(self.small, REACH)[0]
+    def maps(self) -> tuple[Float32, Float32]:
+        """What it says for each direction of an edge, to those who look at every second row and column, and to those
+        who look at every fourth; see `apart`."""
+        maps, _ = _responses(self.small, REACH)
+        return apart(maps, 2), apart(maps, 4)
 
     @cached_property
     def _near(self) -> tuple[Float32, Float32]:
-        return whole(*_responses(self.small, NEAR_REACH))
+        return _responses(self.small, NEAR_REACH)
 
     @cached_property
     def _soft(self) -> Float32:
@@ -110,29 +111,28 @@ def stacked(views: Sequence[ViewPoints], name: str) -> Float32:
     return np.stack([getattr(view, name) for view in views])
 
 
-def whole(maps: Float32, inside: Float32) -> tuple[Float32, Float32]:
-    """Responses with odd and even rows and columns together again: (BINS, h, w) and (h, w)."""
-    height, width = 2 * maps.shape[3], 2 * maps.shape[4]
-    together = maps.transpose(0, 3, 1, 4, 2).reshape(BINS, height, width)
-    return np.ascontiguousarray(together), np.ascontiguousarray(inside.transpose(2, 0, 3, 1).reshape(height, width))
+def apart(maps: Float32, step: int) -> Float32:
+    """(BINS, step, step, h / step, w / step) of maps (BINS, h, w): every `step`-th row and column together."""
+    bins, height, width = maps.shape
+    grid = maps.reshape(bins, height // step, step, width // step, step)
+    return np.ascontiguousarray(grid.transpose(0, 2, 4, 1, 3))
 
 
 def _responses(picture: Float32, reach: int) -> tuple[Float32, Float32]:
-    """What the picture says for each direction of an edge at each place, and 1 inside it: (BINS, 2, 2, h, w) and (2, 2,
-    h, w), the odd and even rows and columns apart, padded by `PAD` pixels."""
+    """What the picture says for each direction of an edge at each place, and 1 inside it: (BINS, h, w) and (h, w),
+    padded by `PAD` pixels or up to three more."""
     import cv2
 
     size, turns = gradient(picture)
     weight = size / (size + 0.5 * np.quantile(size, 0.8) + 0.004)
     height, width = size.shape
-    padded = np.zeros((BINS + 1, height + height % 2 + 2 * PAD, width + width % 2 + 2 * PAD), dtype=np.float32)
+    maps = np.zeros((BINS, height + -height % 4 + 2 * PAD, width + -width % 4 + 2 * PAD), dtype=np.float32)
+    inside = np.zeros(maps.shape[1:], dtype=np.float32)
     inner = (slice(PAD, PAD + height), slice(PAD, PAD + width))
     window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     for b in range(BINS):
         alike = np.maximum(np.cos(2.0 * (turns - np.pi * b / BINS)), 0.0)
         spread = cv2.dilate(np.asarray(weight * alike * alike, dtype=np.float32), window)
-        padded[b][inner] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
-    padded[BINS][inner] = 1.0
-    apart = padded.reshape(BINS + 1, padded.shape[1] // 2, 2, padded.shape[2] // 2, 2).transpose(0, 2, 4, 1, 3)
-    apart = np.ascontiguousarray(apart)
-    return apart[:BINS], apart[BINS]
+        maps[b][inner] = (spread - spread.mean()) / max(float(spread.std()), 1e-3)
+    inside[inner] = 1.0
+    return maps, inside

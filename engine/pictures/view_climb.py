@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from engine.model import Camera, GaussianModel
+from engine.numerics.jit import side_by_side
 from engine.pictures.camera_motion import farther
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.view_points import ViewPoints, describe_view
@@ -54,8 +55,8 @@ def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequen
     """
     climbing = list(starts)
     for degrees, away, kept in ROUNDS:
-        gone = [step for start in climbing if (step := _step(model, pictures, start, degrees, away)) is not None]
-        climbing = _distinct(gone, kept)
+        gone = side_by_side(lambda start: _step(model, pictures, start, degrees, away), climbing)  # noqa: B023
+        climbing = _distinct([step for step in gone if step is not None], kept)
     return climbing
 
 

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel, Int64
 from engine.numerics.resampling import smooth
+from engine.pictures.view_scores import spread_out
 from engine.raster import render_depth
 
-__all__ = ["COLORS", "MOST_SEEN", "POINTS", "SOFT", "ViewPoints", "describe_view", "gradient", "thinned"]
+__all__ = ["COLORS", "POINTS", "SOFT", "ViewPoints", "describe_view", "gradient"]
 
 POINTS = 72
 """Edge points of a view: half on its silhouette, half inside."""
@@ -25,8 +26,6 @@ SOLID = 0.8
 """Opacity from which a point shows the model's own colour."""
 SOFT = 1.0
 """Blur of colours before they are compared, pixels."""
-MOST_SEEN = 30_000
-"""Gaussians that are enough to look at a model from afar."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,24 +71,14 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
     )
 
 
-def thinned(model: GaussianModel, count: int) -> GaussianModel:
-    """About what the model looks like from afar: its `count` most visible Gaussians, grown to cover what all did."""
-    if len(model) <= count:
-        return model
-    log_area = np.sort(model.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
-    area = model.opacities * np.exp(np.minimum(log_area, np.quantile(log_area, 0.99)))
-    kept = np.sort(np.argsort(-area, kind="stable")[:count])
-    growth = np.float32(0.5 * np.log(area.sum() / area[kept].sum()))
-    few = model.take(kept)
-    return few.with_(log_scales=few.log_scales + growth)
-
-
 def gradient(image: Float32) -> tuple[Float32, Float32]:
     """(H, W) size and direction of the steepest channel's gradient of an image (H, W, C)."""
     gy, gx = np.gradient(smooth(image, 1.0).reshape(image.shape), axis=(0, 1))
     size = gx * gx + gy * gy
-    best = size.argmax(axis=2)[..., None]
-    gx, gy, size = (np.take_along_axis(each, best, axis=2)[..., 0] for each in (gx, gy, size))
+    if size.shape[2] > 1:
+        best = size.argmax(axis=2)[..., None]
+        gx, gy, size = (np.take_along_axis(each, best, axis=2) for each in (gx, gy, size))
+    gx, gy, size = (each[..., 0] for each in (gx, gy, size))
     return np.sqrt(size).astype(np.float32), np.arctan2(gy, gx).astype(np.float32)
 
 
@@ -109,20 +98,11 @@ def _edge_points(image: Float32, alpha: Float32) -> tuple[Float64, Float32]:
     return np.concatenate([chosen, more]).astype(np.float64) + 0.5, turns.astype(np.float32)
 
 
-def _apart(strength: Float32, count: int, taken: Bool) -> np.ndarray:
+def _apart(strength: Float32, count: int, taken: Bool) -> Int64:
     """(P, 2) x, y of the strongest pixels that lie `APART` from each other and from those taken."""
     import cv2
 
     free = cv2.dilate(taken.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) == 0
-    order = np.argsort(-strength.ravel(), kind="stable")
-    chosen: list[tuple[int, int]] = []
-    width = strength.shape[1]
-    for index in order[: 20 * count]:
-        row, column = divmod(int(index), width)
-        if strength[row, column] <= 0 or len(chosen) == count:
-            break
-        if free[row, column]:
-            chosen.append((column, row))
-            reach = int(APART)
-            free[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1] = False
-    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    order = np.argsort(-strength.ravel(), kind="stable")[: 20 * count]
+    chosen: Int64 = spread_out(strength, order, count, free, int(APART))
+    return chosen

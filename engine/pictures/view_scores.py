@@ -1,15 +1,16 @@
-"""Kernels of `view_search`: what a picture's edges say for every view, roll, size and place."""
+"""Kernels of the search over views: which points a view is told by, and what a picture's edges say for every view,
+roll, size and place."""
 
 # mypy: allow-untyped-defs
 
 import numpy as np
 from numba import prange
 
-from engine.numerics.jit import parallel_kernel
+from engine.numerics.jit import kernel, parallel_kernel
 
-__all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views"]
+__all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 SIDE = 96
 """Longer side of the picture that is searched, and of the views, pixels."""
 BINS = 8
@@ -22,6 +23,8 @@ PAD = 2 * SIDE
 """Pixels of nothing kept around the picture: points of a view may lie so far outside."""
 _LEAST_INSIDE = 0.35
 """Share of a view's points that must lie in the picture."""
+RUN = 8
+"""Jobs that share their memory."""
 
 
 @parallel_kernel
@@ -71,47 +74,49 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
 
 
 @parallel_kernel
-def score_views(maps, places, directions, radii, size, scores, found):
-    """Best place of every view, roll and size.
+def score_views(maps, places, directions, jobs, radii, size, scores, found):
+    """Best place of each job: a view, a roll and a size.
 
     Parameters
     ----------
-    maps : (BINS, 2, 2, h, w) float32
-        Responses, odd and even rows and columns apart, padded by PAD pixels.
+    maps : (BINS, step, step, h, w) float32
+        Responses, every step-th row and column together, padded by PAD pixels: places lie that far apart.
     places, directions : (V, P, 2), (V, P) float32
         Of the views' points, from their middle in units of their spread; radians.
+    jobs : (J, 3) int64
+        View, roll in steps of a whole turn / ROLLS, and which of the sizes.
     radii : (S,) float32, pixels
     size : (2,) height and width of the picture
-    scores : (V, ROLLS, S) out
+    scores : (J,) out
         Sum of responses over the root of how many points lie in the picture.
-    found : (V, ROLLS, S, 2) out
+    found : (J, 2) out
         x, y of the middle there, pixels.
     """
-    views, points = directions.shape
+    points, step = directions.shape[1], maps.shape[1]
     height, width = size[0], size[1]
-    rows, columns = (height + 2 * BEYOND) // 2, (width + 2 * BEYOND) // 2
+    rows, columns = (height + 2 * BEYOND) // step, (width + 2 * BEYOND) // step
     roots = np.sqrt(np.arange(points + 1).astype(np.float32))
-    for job in prange(views * ROLLS):
-        view, roll = job // ROLLS, job % ROLLS
-        angle = 2.0 * np.pi * roll / ROLLS
-        c, s = np.cos(angle), np.sin(angle)
+    for run in prange((len(jobs) + RUN - 1) // RUN):
         said = np.empty((rows, columns), dtype=np.float32)
         counted = np.empty((rows + 1, columns + 1), dtype=np.int32)
-        for k in range(radii.shape[0]):
+        for job in range(run * RUN, min(run * RUN + RUN, len(jobs))):
+            view, radius = jobs[job, 0], radii[jobs[job, 2]]
+            angle = 2.0 * np.pi * jobs[job, 1] / ROLLS
+            c, s = np.cos(angle), np.sin(angle)
             said[:] = np.float32(0.0)
             counted[:] = 0
             for p in range(points):
-                x, y = places[view, p, 0] * radii[k], places[view, p, 1] * radii[k]
+                x, y = places[view, p, 0] * radius, places[view, p, 1] * radius
                 column = int(np.floor(c * x - s * y + 0.5)) - BEYOND
                 row = int(np.floor(s * x + c * y + 0.5)) - BEYOND
                 # of the places tried, those that put this point into the picture
-                left, right = max(0, (1 - column) // 2), min(columns, (width - column + 1) // 2)
-                top, bottom = max(0, (1 - row) // 2), min(rows, (height - row + 1) // 2)
+                left, right = max(0, -(column // step)), min(columns, -((column - width) // step))
+                top, bottom = max(0, -(row // step)), min(rows, -((row - height) // step))
                 if left >= right or top >= bottom:
                     continue
                 bin = int(np.floor((directions[view, p] + angle) * BINS / np.pi + 0.5)) % BINS
-                one = maps[bin, (row + PAD) % 2, (column + PAD) % 2]
-                above, before = (row + PAD) // 2, (column + PAD) // 2
+                one = maps[bin, (row + PAD) % step, (column + PAD) % step]
+                above, before = (row + PAD) // step, (column + PAD) // step
                 for j in range(top, bottom):
                     line, sums = one[above + j, before + left : before + right], said[j, left:right]
                     for i in range(len(sums)):  # from 0: what may be negative is not vectorised
@@ -129,5 +134,25 @@ def score_views(maps, places, directions, radii, size, scores, found):
                     inside = counted[j, i]
                     if inside >= _LEAST_INSIDE * points and said[j, i] > best * roots[inside]:
                         best = said[j, i] / roots[inside]
-                        found[view, roll, k, 0], found[view, roll, k, 1] = 2 * i - BEYOND, 2 * j - BEYOND
-            scores[view, roll, k] = best
+                        found[job, 0], found[job, 1] = step * i - BEYOND, step * j - BEYOND
+            scores[job] = best
+
+
+@kernel
+def spread_out(strength, order, count, free, reach):
+    """(P, 2) x, y of at most `count` pixels of `strength` (h, w), in `order` of it, while it is above 0: those that are
+    `free` (h, w) and more than `reach` pixels, along an axis, from those before. `free` is used up."""
+    height, width = strength.shape
+    chosen = np.empty((count, 2), dtype=np.int64)
+    taken = 0
+    for index in order:
+        row, column = index // width, index % width
+        if taken == count or strength[row, column] <= 0:
+            break
+        if free[row, column]:
+            chosen[taken, 0], chosen[taken, 1] = column, row
+            taken += 1
+            for j in range(max(0, row - reach), min(height, row + reach + 1)):
+                for i in range(max(0, column - reach), min(width, column + reach + 1)):
+                    free[j, i] = False
+    return chosen[:taken]

@@ -10,10 +10,9 @@ from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.pictures.camera_finding import FoundCamera, find_camera, follow_camera
+from engine.pictures.far_views import FarViews
 from engine.pictures.features import luma
 from engine.pictures.pose_refinement import refine_level
-from engine.pictures.view_points import MOST_SEEN, ViewPoints, thinned
-from engine.pictures.view_search import describe_parts, describe_views
 from engine.pipeline.drawable import check_drawable
 from engine.pipeline.landmark_bank import bank_views
 from engine.pipeline.looking import place_by_looking
@@ -154,15 +153,14 @@ def read_pictures(
     seen: list[Camera | None] = [None] * len(images)
     last: FoundCamera | None = None
     reference = ReferenceViews(opened)
-    views = cache(lambda: _many_views(opened.reference))
-    edges, parts = cache(lambda: describe_views(*views())), cache(lambda: describe_parts(*views()))
+    far = cache(lambda: FarViews(opened.reference, make_rig(opened.reference, EDGE_VIEWS, *EDGE_SIZE)))
     bank = cache(lambda: _bank_views(opened))
     for number, image in enumerate(images):
         camera = cameras[number] if cameras is not None else None
         if camera is None:
             with clock.stage("find camera"):
                 found = None if last is None else follow_camera(opened.reference, image, last)
-                found = found or _find(image, opened, edges, parts, bank)
+                found = found or _find(image, opened, far, bank)
             if found is None:
                 notes.append(f"picture {number + 1}: no view of this asset was recognised")
                 continue
@@ -185,26 +183,17 @@ def read_pictures(
     return _evidence(together, opened), scattered, tuple(notes), tuple(seen)
 
 
-def _many_views(model: GaussianModel) -> tuple[GaussianModel, list[Camera]]:
-    """A model to look at from afar, and from where."""
-    return thinned(model, MOST_SEEN), make_rig(model, EDGE_VIEWS, *EDGE_SIZE)
-
-
 def _bank_views(opened: OpenedRecord) -> list[Camera]:
     """Where the record's landmarks were seen from."""
     return [] if opened.landmarks is None else bank_views(opened.landmarks, opened.reference)
 
 
 def _find(
-    image: Float32,
-    opened: OpenedRecord,
-    edges: Callable[[], Sequence[ViewPoints]],
-    parts: Callable[[], Sequence[ViewPoints]],
-    bank: Callable[[], Sequence[Camera]],
+    image: Float32, opened: OpenedRecord, far: Callable[[], FarViews], bank: Callable[[], Sequence[Camera]]
 ) -> FoundCamera | None:
     if opened.landmarks is None:
         raise InputError("this record has no landmarks: give --cameras, or embed with a landmark bank")
-    return find_camera(opened.landmarks, opened.reference, image, edges=edges, parts=parts, bank=bank)
+    return find_camera(opened.landmarks, opened.reference, image, far=far, bank=bank)
 
 
 def _evidence(said: PictureEvidence | None, opened: OpenedRecord) -> Evidence:

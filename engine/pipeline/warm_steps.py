@@ -18,6 +18,7 @@ from engine.numerics.resampling import remap
 from engine.numerics.similarity import transform_model
 from engine.numerics.tables import look_up
 from engine.pictures.alignment import align_image
+from engine.pictures.far_views import FarViews
 from engine.pictures.features import luma
 from engine.pictures.jpeg_grid import find_quality
 from engine.pictures.keypoint_cameras import Look, keypoints_of
@@ -25,7 +26,7 @@ from engine.pictures.landmarks import make_landmarks
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_agreement import agreement_of_views
-from engine.pictures.view_search import describe_views, search_views
+from engine.pictures.view_search import search_views
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
 from engine.registration.sketch import SuspectIndex, make_sketch
@@ -98,7 +99,7 @@ def _alignment() -> None:
     seen = np.clip(raster.render(model, camera), 0.0, 1.0)
     # The parts of `find_camera`: whole, it would look for this picture everywhere, for three seconds.
     Look.of(keypoints_of(luma(seen)), make_landmarks(model, [camera]), (96, 96)).guided(camera)
-    search_views(describe_views(model, [camera]), PictureEdges.of(seen), 1)
+    search_views(FarViews(model, [camera]).views, PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
 

@@ -15,10 +15,9 @@ from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
 from engine.pictures.camera_trial import Picture
+from engine.pictures.far_views import FarViews
 from engine.pictures.landmarks import Landmarks, make_landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
-from engine.pictures.view_points import thinned
-from engine.pictures.view_search import describe_views
 from engine.raster import RasterSettings, render, render_depth
 from tests.pictures.plant_views import UP, around, jpeg, reprojection
 from tests.pictures.rolling import rolled
@@ -244,10 +243,10 @@ def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel)
     picture = jpeg(image + 0.6 * (1.0 - alpha[..., None]), 80)
     assert find_camera(none, plant, picture) is None
     views = [around(plant, 24.0 * k, 20.0 + 20.0 * (k % 2), 1.3, 1.1) for k in range(15)]
-    seen = describe_views(thinned(plant, 30_000), views)
+    far = FarViews(plant, views)
     for mirrored in (False, True):
         shown = np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
-        found = find_camera(none, plant, shown, edges=lambda: seen)
+        found = find_camera(none, plant, shown, far=lambda: far)
         assert found is not None
         assert found.mirrored is mirrored
         assert reprojection(plant, true, found.camera) < 0.05
@@ -264,8 +263,8 @@ def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel, monk
     monkeypatch.setattr(Picture, "refined", counted)
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     tiles = np.random.default_rng(0).random((9, 12, 3)).astype(np.float32)
-    seen = describe_views(thinned(plant, 30_000), [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
-    assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), edges=lambda: seen) is None
+    far = FarViews(plant, [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)])
+    assert find_camera(none, plant, np.kron(tiles, np.ones((40, 40, 1), np.float32)), far=lambda: far) is None
     assert set(sizes) == {256, 640}
     assert sizes.count(640) < sizes.count(256)
 
@@ -275,8 +274,8 @@ def test_the_shape_of_a_view_in_one_colour_is_no_picture_of_it(plant: GaussianMo
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     views = [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)]
     _, alpha, _ = render_depth(plant, views[1])
-    seen = describe_views(thinned(plant, 30_000), views)
+    far = FarViews(plant, views)
     flat = np.repeat(0.6 * alpha[..., None], 3, axis=2).astype(np.float32)
-    assert find_camera(none, plant, flat, edges=lambda: seen) is None
-    found = find_camera(none, plant, render(plant, views[1]), edges=lambda: seen)
+    assert find_camera(none, plant, flat, far=lambda: far) is None
+    found = find_camera(none, plant, render(plant, views[1]), far=lambda: far)
     assert found is not None, "the view itself is"

@@ -12,10 +12,9 @@ from engine.numerics.resampling import resized, smooth
 from engine.pictures import pose_refinement
 from engine.pictures.camera_finding import find_camera
 from engine.pictures.detail import compare_detail
+from engine.pictures.far_views import FarViews
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks
-from engine.pictures.view_points import thinned
-from engine.pictures.view_search import describe_views
 from engine.raster import render, render_depth
 from tests.pictures.plant_views import UP, around
 
@@ -27,7 +26,7 @@ def test_what_is_light_and_dark_in_the_same_places_is_no_picture_of_it(plant: Ga
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     views = [around(plant, 90.0 * k, 30.0, 1.3, 1.1) for k in range(4)]
     image, alpha, _ = render_depth(plant, views[1])
-    seen = describe_views(thinned(plant, 30_000), views)
+    far = FarViews(plant, views)
     other = np.ascontiguousarray(render(plant, views[3])[:, ::-1])
     wide = max(alpha.shape) / 50
     coarse = smooth(image, wide) / np.maximum(smooth(alpha, wide), 0.05)[..., None]
@@ -37,7 +36,7 @@ def test_what_is_light_and_dark_in_the_same_places_is_no_picture_of_it(plant: Ga
     refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
     assert refined is not None
     assert refined.correlation > pose_refinement.LEAST_CORRELATION, "as large as that of a picture of it"
-    assert find_camera(none, plant, alike, edges=lambda: seen) is None
+    assert find_camera(none, plant, alike, far=lambda: far) is None
 
 
 def test_single_pixels_have_no_detail() -> None:

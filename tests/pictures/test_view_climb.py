@@ -13,12 +13,12 @@ from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.pictures import camera_candidates
 from engine.pictures.camera_candidates import LOUD, Candidates
 from engine.pictures.camera_trial import Picture
+from engine.pictures.far_views import FarViews
 from engine.pictures.landmarks import Landmarks
 from engine.pictures.picture_edges import COLORED, PictureEdges
 from engine.pictures.view_climb import KEPT, ROUNDS, Climbed, _distinct, climb
-from engine.pictures.view_points import ViewPoints, describe_view, thinned
+from engine.pictures.view_points import ViewPoints, describe_view
 from engine.pictures.view_scores import SIDE
-from engine.pictures.view_search import PARTS, describe_parts, describe_views
 from engine.pictures.voted_views import VotedView
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
@@ -30,7 +30,7 @@ UP = (0.0, -1.0, 0.0)
 
 @pytest.fixture(scope="module")
 def plant() -> GaussianModel:
-    return thinned(read_model(PLANT).model, 20_000)
+    return read_model(PLANT).model
 
 
 def around(model: GaussianModel, azimuth: float, elevation: float, away: float, lens: float = 1.0) -> Camera:
@@ -44,7 +44,7 @@ def around(model: GaussianModel, azimuth: float, elevation: float, away: float, 
 def photographed(model: GaussianModel, camera: Camera, tone: float = 1.0) -> Float32:
     """Over a pattern of many edges, in other tones."""
     image, alpha, _ = render_depth(model, camera)
-    tiles = np.random.default_rng(0).random((12, 16, 1)).astype(np.float32)
+    tiles = np.random.default_rng(0).uniform(0.3, 0.6, (12, 16, 1)).astype(np.float32)
     behind = np.kron(tiles, np.ones((20, 20, 3), np.float32))
     return np.clip(image, 0.0, 1.0) ** np.float32(tone) + (1.0 - alpha[..., None]) * behind
 
@@ -65,7 +65,7 @@ def test_the_right_camera_is_climbed_to(plant: GaussianModel) -> None:
     pictures = [PictureEdges.of(picture), PictureEdges.of(np.ascontiguousarray(picture[:, ::-1]))]
     away = [around(plant, azimuth, elevation, 5.0, 5.0 / 6.0) for azimuth, elevation in ((56.0, 15.0), (160.0, 20.0))]
     starts = [Climbed(0.0, camera.with_side(SIDE), hand) for camera in away for hand in (0, 1)]
-    found = climb(plant, pictures, starts)
+    found = climb(FarViews(plant, []).model, pictures, starts)
     assert found[0].picture == 0
     assert off(found[0].camera, true) < 5.0 < 15.0 < off(away[0], true)
     assert [each.score for each in found] == sorted((each.score for each in found), reverse=True)
@@ -102,7 +102,7 @@ def test_what_is_voted_for_loudly_climbs(
     monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)  # keypoints alone do not find home
     candidates = Candidates(Picture(plant, photographed(plant, true, 0.7)), none, (), ())
     assert list(candidates.by_votes([])) == []
-    found = list(candidates.by_edges([]))
+    found = list(candidates.by_edges(FarViews(plant, [])))
     assert bool(found) is climbed
     if climbed:
         assert min(off(each.camera, true) for each in found if not each.mirrored) < 5.0
@@ -111,29 +111,24 @@ def test_what_is_voted_for_loudly_climbs(
 def test_parts_are_looked_at_where_nothing_fits(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """A close-up of what is not the middle: from no view of the whole does anything climb there."""
     away = make_rig(plant, 12, 640, 480)
-    seen, parts = describe_views(plant, away), describe_parts(plant, away)
-    assert len(parts) == PARTS * len(away)
-    assert np.median([view.depth for view in parts]) < 0.5 * np.median([view.depth for view in seen[: len(away)]])
-    true = parts[20].camera.with_side(320)
+    far = FarViews(plant, away)
+    true = far.parts[20].camera.with_side(320)
     image, alpha, _ = render_depth(plant, true)
     picture = np.clip(image, 0.0, 1.0) ** np.float32(0.7) + 0.3 * (1.0 - alpha[..., None])
     monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)  # keypoints alone do not find home
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     candidates = Candidates(Picture(plant, picture), none, (), ())
-    asked: list[int] = []
-
-    def described() -> list[ViewPoints]:
-        asked.append(len(parts))
-        return parts
-
-    assert all(each.mirrored or off(each.camera, true) > 10.0 for each in candidates.by_edges(seen))
-    found = list(candidates.by_edges(seen, described))
-    assert len(asked) == 1
+    whole = FarViews(plant, away)
+    whole.__dict__["parts"] = []
+    assert all(each.mirrored or off(each.camera, true) > 10.0 for each in candidates.by_edges(whole))
+    found = list(candidates.by_edges(far))
     assert len(found) == KEPT
     assert not found[0].mirrored
-    assert off(found[0].camera, true) < 3.0
-    list(candidates.by_edges(parts, described))
-    assert len(asked) == 1, "what fits is enough"
+    assert off(found[0].camera, true) < 4.0
+    fitting = FarViews(plant, away)
+    fitting.__dict__["views"] = far.parts
+    list(candidates.by_edges(fitting))
+    assert "parts" not in vars(fitting), "what fits is enough"
 
 
 def test_colours_tell_what_edges_do_not(plant: GaussianModel) -> None:

@@ -1,4 +1,5 @@
-"""Slow twin of engine.sim.model_merging: what one pair costs, which pairs are taken, and what a group becomes."""
+"""Slow twin of engine.sim.model_merging and engine.numerics.merging: what one pair costs, which are taken, what a
+group becomes."""
 
 from __future__ import annotations
 

@@ -18,3 +18,13 @@ def score(responses, points, directions, place, roll, radius, bins):
             total += responses[int(np.floor((direction + roll) * bins / np.pi + 0.5)) % bins, row, column]
             inside += 1
     return total / np.sqrt(max(inside, 1)), inside
+
+
+def strongest_apart(strength, count, free, reach):
+    """x, y of at most `count` free pixels of strength above 0, the strongest first, each more than `reach` along an
+    axis from those before."""
+    chosen = []
+    for row, column in sorted(np.argwhere((strength > 0) & free).tolist(), key=lambda place: -strength[tuple(place)]):
+        if len(chosen) < count and all(max(abs(row - y), abs(column - x)) > reach for x, y in chosen):
+            chosen.append((column, row))
+    return chosen

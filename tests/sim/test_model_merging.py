@@ -12,11 +12,12 @@ import pytest
 from engine.formats import read_model, write_model
 from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.flattening import flatten
-from engine.numerics.gaussians import covariances, surface_mass
+from engine.numerics.gaussians import covariances, surface_mass, volume_mass
 from engine.numerics.image_metrics import psnr
+from engine.numerics.merging import merge_groups
 from engine.raster import render
 from engine.sim.attacks import model_attack
-from engine.sim.model_merging import disjoint_pairs, merge_groups, merging_costs, volume_mass
+from engine.sim.model_merging import disjoint_pairs, merging_costs
 from tests.reference import merging as twin
 
 SCENE = Path(__file__).parents[1] / "data" / "plant.splat"
