@@ -15,6 +15,7 @@ from engine.model import Camera
 from engine.pictures.camera_trial import Picture
 from engine.pictures.far_views import FarViews
 from engine.pictures.features import Keypoints
+from engine.pictures.found_camera import OWN
 from engine.pictures.framing import find_frame
 from engine.pictures.keypoint_cameras import Look, keypoints_of
 from engine.pictures.landmarks import Landmarks
@@ -26,6 +27,7 @@ from engine.pictures.view_climb import KEPT, Climbed, climb
 from engine.pictures.view_points import ViewPoints
 from engine.pictures.view_search import LARGE, RADII, search_views
 from engine.pictures.voted_views import VotedView, vote_for_views
+from engine.raster import RasterSettings
 
 __all__ = ["QUICK_ITERATIONS", "QUICK_STEP", "SUPPORTED", "Candidate", "Candidates"]
 
@@ -55,6 +57,7 @@ class Candidate:
     size: int = 0  # longer side of the picture it was refined on, pixels
     off: float = np.inf  # at most, longer sides of the picture
     hopeful: bool = True  # whether a larger picture may show that it is right
+    drawn: RasterSettings = OWN  # how the model looks most like the picture
 
     @property
     def sure(self) -> bool:

@@ -27,8 +27,9 @@ from engine.pictures.camera_hypotheses import LADDER
 from engine.pictures.camera_motion import PARAMETERS
 from engine.pictures.camera_trial import Picture
 from engine.pictures.far_views import FarViews
-from engine.pictures.found_camera import OWN, FoundCamera
+from engine.pictures.found_camera import FoundCamera
 from engine.pictures.landmarks import Landmarks
+from engine.pictures.pose_refinement import Refined
 from engine.raster import RasterSettings
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera", "follow_camera"]
@@ -149,7 +150,7 @@ def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCam
     if face.shape != (last.camera.height, last.camera.width, 3):
         return None
     picture = Picture(reference_model, face)
-    near = _best(picture, [Candidate(last.camera, False, 0)])
+    near = _best(picture, [Candidate(last.camera, False, 0, drawn=replace(last.drawn, antialiased=None))])
     found = None if near is None else _finish(picture, near)
     if found is None or found.correlation < min(SURE_CORRELATION, last.correlation):
         return None
@@ -162,23 +163,57 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
     for candidate in () if best is not None and _settled(best) else candidates:
         # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
         for size in SIZES[candidate.support >= SUPPORTED : 2]:
-            refined = picture.refined(candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP)
+            refined = picture.refined(
+                candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP, candidate.drawn
+            )
             if refined is not None and (refined.alike or not refined.hopeful):
                 break
         if refined is None:
             continue
+        drawn = candidate.drawn
+        if refined.hopeful and refined.correlation < ALIKE:
+            asked = candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP
+            other = replace(drawn, by_distance=not drawn.by_distance)
+            refined, drawn = _likelier(picture, refined, drawn, other, *asked)
         full, off = picture.full(refined.camera), WITHIN * refined.step / size
         tried = replace(
-            candidate, camera=full, correlation=refined.correlation, size=size, off=off, hopeful=refined.hopeful
+            candidate,
+            camera=full,
+            correlation=refined.correlation,
+            size=size,
+            off=off,
+            hopeful=refined.hopeful,
+            drawn=drawn,
         )
         if best is None and _settled(tried):  # nothing it need be worth more than
             return tried
-        worth = picture.worth(refined, candidate.mirrored) * (SIZES[0] / size) ** 2
+        worth = picture.worth(refined, candidate.mirrored, drawn) * (SIZES[0] / size) ** 2
         if best is None or worth > best.worth:
             best = replace(tried, worth=worth)
             if _settled(best):
                 break
     return best
+
+
+def _likelier(
+    picture: Picture,
+    refined: Refined,
+    drawn: RasterSettings,
+    other: RasterSettings,
+    mirrored: bool,
+    size: int,
+    iterations: int,
+    step: float,
+) -> tuple[Refined, RasterSettings]:
+    """What was refined on renders drawn in one way, or the same on those drawn in another where that explains the
+    picture clearly better; and the way."""
+    camera, off = picture.full(refined.camera), WITHIN * refined.step / min(size, max(picture.size))
+    glance = picture.refined(camera, mirrored, size, 1, step, other, off=off)
+    if glance is not None and glance.gain > refined.gain:  # within about 1 % of what it is once refined
+        again = picture.refined(camera, mirrored, size, iterations, step, other, off=off)
+        if again is not None and again.gain > CLEARLY * refined.gain:
+            return again, other
+    return refined, drawn
 
 
 def _settled(best: Candidate) -> bool:
@@ -190,27 +225,23 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
     to."""
     if not candidate.hopeful:
         return None
-    own = max(picture.size)
+    own, drawn = max(picture.size), candidate.drawn
     camera, refined, off = candidate.camera, None, candidate.off
     for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
         last = size >= min(own, SIZES[-1])
         limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
-        refined = picture.refined(camera, candidate.mirrored, size, *limits, off=off)
+        refined = picture.refined(camera, candidate.mirrored, size, *limits, drawn, off=off)
         if refined is None or not refined.alike:
             return None
         camera, off = picture.full(refined.camera), WITHIN * refined.step / size
     assert refined is not None
     asked = candidate.mirrored, SIZES[-1], ITERATIONS, STEP
     if refined.shift > SHIFTED:  # and then by far: without its principal point a camera is wrong in all else
-        shifted = picture.refined(camera, *asked, free=PARAMETERS)
+        shifted = picture.refined(camera, *asked, drawn, free=PARAMETERS)
         if shifted is not None and shifted.gain > CLEARLY * refined.gain:
             refined, camera = shifted, picture.full(shifted.camera)
-            off = WITHIN * refined.step / own
-    drawn, otherwise = OWN, RasterSettings(antialiased=not picture.model.antialiased)
-    glance = picture.refined(camera, candidate.mirrored, SIZES[-1], 1, STEP, otherwise, off=off)
-    if glance is not None and glance.gain > refined.gain:  # within about 1 % of what it is once refined
-        softer = picture.refined(camera, *asked, otherwise, off=off)
-        if softer is not None and softer.gain > CLEARLY * refined.gain:
-            refined, drawn, camera = softer, otherwise, picture.full(softer.camera)
+    softer = replace(drawn, antialiased=not picture.model.antialiased)
+    refined, drawn = _likelier(picture, refined, drawn, softer, *asked)
+    camera = picture.full(refined.camera)
     told = (refined.rms, refined.correlation, refined.step, refined.gain * (own / min(own, SIZES[-1])) ** 2)
     return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)

@@ -65,11 +65,11 @@ class Picture:
         K[0, 0] = K[1, 1] = float(np.sqrt(K[0, 0] * K[1, 1]))
         return Camera(camera.viewmat, K, width, height)
 
-    def worth(self, refined: Refined, mirrored: bool) -> float:
+    def worth(self, refined: Refined, mirrored: bool, drawn: RasterSettings = OWN) -> float:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""
         camera = refined.camera
         picture = resized(self.greys[mirrored], camera.width, camera.height)
-        image, alpha, _ = render_depth(self.model, camera)
+        image, alpha, _ = render_depth(self.model, camera, settings=drawn)
         behind = fill_background(picture, alpha)
         composed = luma(image) + (0.0 if behind is None else (1.0 - alpha) * behind)
         shown, seen = (_edges(smooth(np.asarray(each, dtype=np.float32), 1.0)) for each in (composed, picture))

@@ -43,7 +43,10 @@ class ReferenceViews:
         if grain.there:
             seen = drawn.view.geometry
             smooth = seen.settings.antialiased or seen.discs is not None
-            geometry = GrainView(draw(model, camera, settings=PLAIN) if smooth else drawn, grain)
+            geometry = GrainView(
+                draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
+                grain,
+            )
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
 
 

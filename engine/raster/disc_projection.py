@@ -35,7 +35,7 @@ from engine.raster.settings import MAX_SIGMA_PX, TILE
 
 __all__ = ["LOW_PASS", "project_discs"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 LOW_PASS = 2.0
 """The screen-space kernel is exp(-LOW_PASS |d|^2 / 2), d in pixels: sigma sqrt(2) / 2."""
@@ -124,7 +124,7 @@ def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs,
     L = lens.astype(np.float64)
     R = (L[0], L[1], L[2], L[3], L[4], L[5], L[6], L[7], L[8])
     fx, fy, cx, cy = L[12], L[13], L[14], L[15]
-    width, height, near, log2_skip = L[20], L[21], L[23], L[24]
+    width, height, near, log2_skip, by_distance = L[20], L[21], L[23], L[24], L[28] != 0.0
     for part in prange(counts.shape[0]):
         filled = part * chunk
         for i in range(part * chunk, min(n, (part + 1) * chunk)):
@@ -162,6 +162,6 @@ def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs,
             extents[2 * i], extents[2 * i + 1] = np.float32(hx), np.float32(hy)
             rects[4 * i], rects[4 * i + 1] = _tile(ex - hx, L[25]), _tile(ex + hx, L[25])
             rects[4 * i + 2], rects[4 * i + 3] = _tile(ey - hy, L[26]), _tile(ey + hy, L[26])
-            depths[filled], index[filled] = np.float32(z), i
+            depths[filled], index[filled] = np.float32(math.sqrt(x * x + y * y + z * z) if by_distance else z), i
             filled += 1
         counts[part] = filled - part * chunk

@@ -28,7 +28,7 @@ from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, TILE, RasterSet
 
 __all__ = ["LANE_SCRATCH", "RECORD", "pack_lens", "project"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 RECORD = 8
 """Floats per record."""
@@ -51,7 +51,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
 
     Rotation (9), translation (3), fx, fy, cx, cy, the four limits of x/z and y/z for the Jacobian
     (right, left, bottom, top), width, height, eps2d, near, log2 of the smallest alpha, tiles per row and
-    column, 1 where opacity falls with the low pass.
+    column, 1 where opacity falls with the low pass, 1 where they are sorted by distance.
     """
     R, t, K = camera.viewmat[:3, :3], camera.viewmat[:3, 3], camera.K
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -60,6 +60,7 @@ def pack_lens(camera: Camera, settings: RasterSettings) -> Float32:
     limits = [(w - cx) / fx + margin_x, -cx / fx - margin_x, (h - cy) / fy + margin_y, -cy / fy - margin_y]
     numbers = [*R.ravel(), *t, fx, fy, cx, cy, *limits, w, h, settings.eps2d, settings.near]
     numbers += [settings.log2_alpha_skip, -(-w // TILE), -(-h // TILE), bool(settings.antialiased)]
+    numbers += [settings.by_distance]
     return np.array(numbers, dtype=np.float32)
 
 
@@ -167,7 +168,7 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
     right, left, bottom, top = lens[16], lens[17], lens[18], lens[19]
     width, height, eps2d, near, log2_skip = lens[20], lens[21], lens[22], lens[23], lens[24]
     last_column, last_row = lens[25] - _f(1.0), lens[26] - _f(1.0)
-    antialiased = lens[27] != _f(0.0)
+    antialiased, by_distance = lens[27] != _f(0.0), lens[28] != _f(0.0)
     for part in prange(counts.shape[0]):
         own = scratch[part]
         begin = part * chunk
@@ -223,6 +224,8 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
             store(own, 192, tile_of(v - hy, last_row))
             store(own, 208, tile_of(v + hy, last_row))
             store(own, 224, z)
+            if by_distance:
+                store(own, 224, z * root(xz * xz + yz * yz + _f(1.0)))
             while wanted != 0:
                 lane = lowest_bit(wanted)
                 wanted &= wanted - _i(1)

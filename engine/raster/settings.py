@@ -58,6 +58,9 @@ class RasterSettings:
     """Opacity falls as `eps2d` widens the projected Gaussian, so that none gets heavier (Mip-Splatting, Yu et al. 2024,
     Eq 10, in the image plane alone; viewers call it antialiasing). Gaussians only, not discs; no gradients of
     parameters. None: where the model was trained so (`GaussianModel.antialiased`)."""
+    by_distance: bool = False
+    """Blended in the order of their distance from the camera, as viewers do that sort once for all directions it may be
+    turned to (SuperSplat's, Spark's), in place of their depth: large Gaussians beside a wide lens change places."""
     kernel: str = "auto"
     """What is drawn: "gaussian", or "disc", those of 2DGS, of the first two scales, which rays meet exactly in
     perspective and which have a low pass of their own in place of `eps2d` (`engine.raster.disc_projection`); "auto":

@@ -108,6 +108,8 @@ def rasterize(
     image = torch.zeros(height, width, colors.shape[1], dtype=torch.float64)
     weights = torch.zeros(len(colors), height, width, dtype=torch.float64)
     none = torch.zeros(height, width, dtype=torch.float64)
+    if settings.by_distance:
+        depths = torch.linalg.norm(p["means"] @ p["viewmat"][:3, :3].T + p["viewmat"][:3, 3], dim=1)
     nearest_first = np.argsort(depths.detach().numpy().astype(np.float32), kind="stable")
     for i in nearest_first:
         if not drawn[i]:
