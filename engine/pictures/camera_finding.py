@@ -171,7 +171,7 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
         if refined is None:
             continue
         drawn = candidate.drawn
-        if refined.hopeful and refined.correlation < ALIKE:
+        if refined.hopeful:
             asked = candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP
             other = replace(drawn, by_distance=not drawn.by_distance)
             refined, drawn = _likelier(picture, refined, drawn, other, *asked)
@@ -180,6 +180,7 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
             candidate,
             camera=full,
             correlation=refined.correlation,
+            clear=refined.clear,
             size=size,
             off=off,
             hopeful=refined.hopeful,
@@ -243,5 +244,5 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
     softer = replace(drawn, antialiased=not picture.model.antialiased)
     refined, drawn = _likelier(picture, refined, drawn, softer, *asked)
     camera = picture.full(refined.camera)
-    told = (refined.rms, refined.correlation, refined.step, refined.gain * (own / min(own, SIZES[-1])) ** 2)
+    told = refined.rms, refined.correlation, refined.step, refined.gain * (own / min(own, SIZES[-1])) ** 2
     return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)

@@ -8,7 +8,7 @@ import numpy as np
 from engine.model import Bool, Camera, Float32
 from engine.numerics.resampling import resized, smooth
 
-__all__ = ["compare_detail", "correlation"]
+__all__ = ["compare_detail", "correlation", "uncovered"]
 
 DETAIL = (1 / 160, 3 / 160)
 """Blurs between which detail lies, longer sides of the picture: a light and a dark part, which every other scene has
@@ -17,6 +17,12 @@ DETAIL_SIZE = 320
 """Longer side of the picture on which detail is compared, pixels."""
 LEAST_COVER = 0.1
 """Pixels of it of which a smaller part is usable are left out."""
+CELLS = 24
+"""Along the longer side of a picture, that are covered or not: a viewer's panel spans several."""
+MOST_COVERED = 0.15
+"""Share of what is used that something may lie over, such as a viewer's panels."""
+COVERED = 3.0
+"""Root mean square residual of a cell that is, robust standard deviations."""
 
 
 def correlation(a: Float32, b: Float32) -> float:
@@ -24,6 +30,29 @@ def correlation(a: Float32, b: Float32) -> float:
     a, b = a - a.mean(dtype=np.float64), b - b.mean(dtype=np.float64)
     both = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
     return float(np.sum(a * b)) / both if both > 1e-12 else 0.0
+
+
+def uncovered(residual: Float32, used: Bool, spread: float) -> Bool:
+    """(H, W) the pixels used without the cells that something lies over: at most `MOST_COVERED`, those of the largest
+    `residual` (H, W), of this robust standard deviation. Right cameras under panels correlate by 0.90 and more so, by
+    0.73 with them."""
+    import cv2
+
+    height, width = used.shape
+    side = max(height, width) / CELLS
+    shape = max(1, round(width / side)), max(1, round(height / side))
+    there, off = (
+        cv2.resize(each.astype(np.float32), shape, interpolation=cv2.INTER_AREA).ravel()
+        for each in (used, np.where(used, np.square(residual), 0.0))
+    )
+    order = np.argsort(-off / np.maximum(there, 1e-6), kind="stable")
+    share = np.cumsum(there[order]) / max(float(there.sum()), 1e-9)
+    over = (share <= MOST_COVERED) & (off[order] > (COVERED * spread) ** 2 * there[order])
+    covered = np.zeros(len(order), dtype=np.uint8)
+    covered[order[over]] = 1
+    return np.asarray(
+        used & (cv2.resize(covered.reshape(shape[::-1]), (width, height), interpolation=cv2.INTER_NEAREST) == 0)
+    )
 
 
 def compare_detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> tuple[float, float]:

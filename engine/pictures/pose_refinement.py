@@ -22,7 +22,7 @@ from engine.numerics.resampling import smooth
 from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
 from engine.pictures.camera_motion import CENTERED, PARAMETERS, moved
-from engine.pictures.detail import compare_detail, correlation
+from engine.pictures.detail import compare_detail, correlation, uncovered
 from engine.pictures.features import luma
 from engine.raster import RasterSettings, render_depth
 
@@ -68,8 +68,9 @@ class Refined:
     """A camera of the level's size and how well its render explains the picture.
 
     `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1; `detail` the same of their detail, and of what a flat colour of the render's opacity does not explain;
-    `telling`: that in standard deviations of what chance does where so much is seen.
+    used, -1..1; `clear` the same without what something lies over (`uncovered`), and there `detail`, that of their
+    detail and of what a flat colour of the render's opacity does not explain; `telling`: that in standard deviations of
+    what chance does where so much is seen.
     `step`: root mean square flow of the last motion, pixels of the level; `shift`: what it would have been with the
     principal point free. `pixels`: how many were used.
     """
@@ -77,6 +78,7 @@ class Refined:
     camera: Camera
     rms: float
     correlation: float
+    clear: float
     detail: float
     telling: float
     step: float
@@ -86,13 +88,13 @@ class Refined:
     @property
     def alike(self) -> bool:
         """Whether the picture shows what the render does, and not something else."""
-        alike = self.correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+        alike = self.clear > LEAST_CORRELATION and self.detail > LEAST_DETAIL
         return alike and self.telling > LEAST_TELLING
 
     @property
     def hopeful(self) -> bool:
         """Whether a larger picture may show it: of what is thin or small, too little is left in this."""
-        return self.correlation > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
+        return self.clear > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
 
     @property
     def gain(self) -> float:
@@ -206,9 +208,10 @@ def refine_level(
             break
     freed = _solve(system, PARAMETERS)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
-    alike = correlation(toned[used], seen[used])
-    detail = compare_detail(toned, seen, cover, used, camera)
-    return Refined(camera, spread, alike, *detail, step, shift, int(used.sum()))
+    clear = uncovered(residual, used, spread)
+    alike = correlation(toned[used], seen[used]), correlation(toned[clear], seen[clear])
+    detail = compare_detail(toned, seen, cover, clear, camera)
+    return Refined(camera, spread, *alike, *detail, step, shift, int(used.sum()))
 
 
 class Acceleration:

@@ -11,7 +11,7 @@ from engine.model import GaussianModel, look_at
 from engine.numerics.resampling import resized, smooth
 from engine.pictures import pose_refinement
 from engine.pictures.camera_finding import find_camera
-from engine.pictures.detail import compare_detail
+from engine.pictures.detail import compare_detail, uncovered
 from engine.pictures.far_views import FarViews
 from engine.pictures.features import luma
 from engine.pictures.landmarks import Landmarks
@@ -66,3 +66,35 @@ def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel)
     assert refined.alike
     assert refined.telling > pose_refinement.LEAST_TELLING
     assert not replace(refined, telling=pose_refinement.LEAST_TELLING - 1.0).alike
+
+
+def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:
+    """A viewer's panel, of a tenth of what the model fills, halves what correlation says of the right camera."""
+    camera = around(plant, 90.0, 30.0, 0.8, 1.1)
+    picture = luma(np.clip(render(plant, camera), 0.0, 1.0))
+    rows, columns = (slice(side // 2, side // 2 + side // 4) for side in picture.shape)
+    picture[rows, columns] = 0.08 + 0.1 * picture[rows, columns]
+    small = camera.with_side(320)
+    refined = pose_refinement.refine_level(plant, resized(picture, small.width, small.height), small, 8, 0.05)
+    assert refined is not None
+    assert refined.correlation < 0.8
+    assert refined.clear > 0.97
+    assert refined.alike
+
+
+def test_only_so_much_may_be_covered() -> None:
+    """And noise everywhere covers nothing."""
+    rng = np.random.default_rng(0)
+    used = np.ones((120, 240), dtype=np.bool_)
+    used[:, :40] = False
+    noise = 0.01 * rng.normal(size=used.shape).astype(np.float32)
+    np.testing.assert_array_equal(uncovered(noise, used, 0.01), used)
+    panel = noise.copy()
+    panel[10:50, 100:130] += 0.3
+    clear = uncovered(panel, used, 0.01)
+    assert not clear[10:50, 100:130].any()
+    assert clear.sum() == used.sum() - 40 * 30
+    wrong = noise + np.where(np.arange(240) < 140, np.linspace(0.4, 0.2, 240), 0.0).astype(np.float32)
+    clear = uncovered(wrong, used, 0.01)
+    assert 0.84 < clear.sum() / used.sum() < 0.88, "half of it is, and most stays in"
+    assert not clear[:, 40:60].any(), "the worst goes"

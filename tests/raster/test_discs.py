@@ -60,7 +60,12 @@ def test_a_camera_among_the_discs() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [RasterSettings(near=1.5), RasterSettings(alpha_skip=0.05, transmittance_stop=0.2)]
+    "settings",
+    [
+        RasterSettings(near=1.5),
+        RasterSettings(by_distance=True),
+        RasterSettings(alpha_skip=0.05, transmittance_stop=0.2),
+    ],
 )
 def test_settings(settings: RasterSettings) -> None:
     expected, _, _ = twin.rasterize(DISCS, camera(), colors_for(200), settings)

@@ -80,6 +80,7 @@ def test_an_early_stop_is_refused_where_it_fits_nothing() -> None:
         RasterSettings(eps2d=1.5, near=1.5),
         RasterSettings(alpha_clamp=0.5),
         RasterSettings(antialiased=True),
+        RasterSettings(by_distance=True),
         RasterSettings(alpha_skip=0.05, transmittance_stop=0.2),
     ],
 )
@@ -87,7 +88,7 @@ def test_settings(settings: RasterSettings) -> None:
     model = random_model(150, 5, 4)
     expected, _ = twin_image(model, camera(), settings=settings)
     assert_same_image(render(model, camera(), settings=settings), expected)
-    if settings.eps2d or settings.antialiased:
+    if settings.eps2d or settings.antialiased or settings.by_distance:
         assert np.abs(expected - twin_image(model, camera())[0]).max() > 0.01
 
 

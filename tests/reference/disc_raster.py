@@ -42,7 +42,9 @@ def rasterize(
     opacities = 1.0 / (1.0 + np.exp(-model.opacity_logits.astype(np.float64)))
     transmittance, ended = np.ones((height, width)), np.zeros((height, width), bool)
     image, weights = np.zeros((height, width, colors.shape[1])), np.zeros((len(model), height, width))
-    for i in np.argsort(WH[:, 2, 3].astype(np.float32), kind="stable"):
+    away = np.linalg.norm(model.means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3], axis=1)
+    depths = away if settings.by_distance else WH[:, 2, 3]
+    for i in np.argsort(depths.astype(np.float32), kind="stable"):
         depth = WH[i, 2, 3]
         if depth <= settings.near:
             continue

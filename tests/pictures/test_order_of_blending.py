@@ -1,0 +1,48 @@
+"""Viewers that sort by distance: large Gaussians beside a wide lens come in another order than their depth's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.model import GaussianModel
+from engine.pictures import camera_finding
+from engine.pictures.camera_candidates import Candidate
+from engine.pictures.camera_finding import follow_camera
+from engine.pictures.camera_trial import Picture
+from engine.raster import RasterSettings, render
+from tests.pictures.plant_views import around
+
+
+@pytest.fixture(scope="module")
+def veiled(plant: GaussianModel) -> GaussianModel:
+    """The plant, with large ones among its Gaussians, as blurred captures have them."""
+    large = plant.take(np.arange(0, len(plant), len(plant) // 100))
+    grown = np.full_like(large.log_scales, np.log(0.11))
+    large = large.with_(log_scales=grown, opacity_logits=np.full(len(large), 2.0, np.float32))
+    fields = ("means", "log_scales", "quats", "opacity_logits", "sh")
+    return GaussianModel(*(np.concatenate([getattr(plant, name), getattr(large, name)]) for name in fields))
+
+
+@pytest.mark.parametrize("by_distance", [False, True])
+def test_a_picture_is_explained_in_the_order_it_was_drawn_in(veiled: GaussianModel, by_distance: bool) -> None:
+    camera = around(veiled, 40.0, 20.0, 0.7, 0.5)
+    drawn = RasterSettings(by_distance=by_distance)
+    image = np.clip(render(veiled, camera, settings=drawn), 0.0, 1.0)
+    picture = Picture(veiled, image)
+    best = camera_finding._best(picture, [Candidate(camera, False, 0)])
+    assert best is not None
+    assert best.drawn == drawn
+    assert best.correlation > 0.999
+    found = camera_finding._finish(picture, best)
+    assert found is not None
+    assert found.drawn.by_distance is by_distance
+    assert found.correlation > 0.999
+    wrong = picture.refined(camera, False, 480, 8, 0.05, RasterSettings(by_distance=not by_distance))
+    assert wrong is not None
+    assert wrong.correlation < 0.99
+    following = follow_camera(veiled, image, replace(found, drawn=RasterSettings()))
+    assert following is not None
+    assert following.drawn.by_distance is by_distance, "the next frame is asked anew"
