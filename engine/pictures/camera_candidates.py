@@ -54,7 +54,6 @@ class Candidate:
     support: int  # keypoints that agree
     worth: float = 0.0  # how well it explains the small picture
     correlation: float = 0.0  # of render and small picture
-    clear: float = 0.0  # the same without what lies over the model
     size: int = 0  # longer side of the picture it was refined on, pixels
     off: float = np.inf  # at most, longer sides of the picture
     hopeful: bool = True  # whether a larger picture may show that it is right
@@ -63,7 +62,7 @@ class Candidate:
     @property
     def sure(self) -> bool:
         """Whether no other needs to be looked for: what repeats itself finds keypoints that agree on a wrong camera."""
-        return self.support >= SUPPORTED and self.clear > LEAST_CORRELATION
+        return self.support >= SUPPORTED and self.correlation > LEAST_CORRELATION
 
 
 class Candidates:

@@ -180,7 +180,6 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
             candidate,
             camera=full,
             correlation=refined.correlation,
-            clear=refined.clear,
             size=size,
             off=off,
             hopeful=refined.hopeful,
