@@ -54,6 +54,7 @@ class Candidate:
     support: int  # keypoints that agree
     worth: float = 0.0  # how well it explains the small picture
     correlation: float = 0.0  # of render and small picture
+    clear: float = 0.0  # the same without what lies over the model
     size: int = 0  # longer side of the picture it was refined on, pixels
     off: float = np.inf  # at most, longer sides of the picture
     hopeful: bool = True  # whether a larger picture may show that it is right

@@ -38,8 +38,11 @@ LEAST_SIDE = 16  # of a picture, pixels
 SURE_CORRELATION = 0.9
 """Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
 ALIKE = 0.96
-"""The same below which a picture may have been scaled unevenly, or a page be around it: renders with square pixels came
-to 0.975 and more, others mostly to 0.7 to 0.95; what is above told no shape from its keypoints."""
+"""The same, without what lies over the model, below which a picture may have been scaled unevenly, or a page be around
+it: renders with square pixels came to 0.975 and more, others mostly to 0.7 to 0.95."""
+UNCOVERED = 0.8
+"""The same with it, below which a page may be around all the same: what lies over right cameras leaves 0.83 and more,
+but for one picture in fifty, and the page around the photograph of a screen 0.7."""
 NEARLY = 0.93
 """The same of a small picture, above which that is asked of the picture at its own size: of eight that had less, none
 came to `ALIKE` there, of four that had more three."""
@@ -54,6 +57,8 @@ SHIFTED = 0.05
 explained 3 % better it was 0.07 and more, of those not cropped mostly up to 0.04."""
 CLEARLY = 1.03
 """How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
+GLANCED = 1.02
+"""The same at a glance, within about 1 % of what it is once refined."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +104,11 @@ def find_camera(
         if turned is not None:
             best = _best(picture, [turned], best)
             first = turned if first is None or turned.support > first.support else first
-    done, alike = None, best is not None and best.correlation >= ALIKE
-    if best is not None and _settled(best) and NEARLY < best.correlation < ALIKE:  # at its own size it may be
+    done, explained = None, best is not None and _explained(best)
+    if best is not None and _settled(best) and best.clear > NEARLY and not explained:  # at its own size it may be
         done = _finish(picture, best)
-        alike = done is not None and done.correlation >= ALIKE
-    uneven = config.uneven and not alike
+        explained = done is not None and _explained(done)
+    uneven = config.uneven and not explained
     shape = candidates.shape(first) if uneven else None
     if shape is not None:
         asked = replace(config, uneven=False)
@@ -116,12 +121,12 @@ def find_camera(
             return replace(bent, shape=shape)
         if plain is not None:
             return plain
-    framed = config.framed and not alike
+    framed = config.framed and not explained
     frame = candidates.frame(first) if framed and first is not None and first.support >= SUPPORTED else None
     if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
         part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
         found = find_camera(landmarks, reference_model, part, asked, far, bank)
-        if found is not None and found.correlation < ALIKE and done is None and best is not None:
+        if found is not None and not _explained(found) and done is None and best is not None:
             done = _finish(picture, best)  # a frame may be wrong
         if found is not None and (done is None or found.gain > done.gain):
             return replace(found, frame=frame)
@@ -180,6 +185,7 @@ def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | N
             candidate,
             camera=full,
             correlation=refined.correlation,
+            clear=refined.clear,
             size=size,
             off=off,
             hopeful=refined.hopeful,
@@ -209,11 +215,16 @@ def _likelier(
     picture clearly better; and the way."""
     camera, off = picture.full(refined.camera), WITHIN * refined.step / min(size, max(picture.size))
     glance = picture.refined(camera, mirrored, size, 1, step, other, off=off)
-    if glance is not None and glance.gain > refined.gain:  # within about 1 % of what it is once refined
+    if glance is not None and glance.gain > GLANCED * refined.gain:
         again = picture.refined(camera, mirrored, size, iterations, step, other, off=off)
         if again is not None and again.gain > CLEARLY * refined.gain:
             return again, other
     return refined, drawn
+
+
+def _explained(camera: Candidate | FoundCamera) -> bool:
+    """Whether nothing is left for another shape of pixels, or a frame, to explain."""
+    return camera.clear >= ALIKE and camera.correlation >= UNCOVERED
 
 
 def _settled(best: Candidate) -> bool:
@@ -243,5 +254,6 @@ def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
     softer = replace(drawn, antialiased=not picture.model.antialiased)
     refined, drawn = _likelier(picture, refined, drawn, softer, *asked)
     camera = picture.full(refined.camera)
-    told = refined.rms, refined.correlation, refined.step, refined.gain * (own / min(own, SIZES[-1])) ** 2
+    gain = refined.gain * (own / min(own, SIZES[-1])) ** 2
+    told = refined.rms, refined.correlation, refined.step, gain, refined.clear
     return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)

@@ -24,6 +24,7 @@ class FoundCamera:
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
     gain: float = 0.0  # how much likelier its render makes the picture than a flat colour does, as a logarithm
+    clear: float = 0.0  # the correlation without what lies over the model
     mirrored: bool = False  # it is the camera of the picture turned over left to right
     drawn: RasterSettings = OWN  # how the reference is drawn most like it
     shape: PixelShape | None = None  # of the picture's pixels, where these are not square
