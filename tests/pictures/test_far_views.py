@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -81,6 +82,20 @@ def test_parts_lie_apart_and_are_aimed_at(plant: GaussianModel, rig: list[Camera
         camera = _aimed(view, places[0])
         on_it = (ray * view.depth - view.camera.viewmat[:3, 3]) @ view.camera.viewmat[:3, :3]
         assert project(on_it[None], camera)[0] == pytest.approx((camera.width / 2, camera.height / 2), abs=0.5)
+
+
+def test_side_by_side_or_in_turn_they_are_the_same(plant: GaussianModel, rig: list[Camera]) -> None:
+    before = numba.get_num_threads()
+    seen = []
+    try:
+        for threads in {1, before}:
+            numba.set_num_threads(threads)
+            seen.append(FarViews(plant, rig).views)
+    finally:
+        numba.set_num_threads(before)
+    for one, other in zip(seen[0], seen[-1], strict=True):
+        np.testing.assert_array_equal(one.edges, other.edges)
+        np.testing.assert_array_equal(one.colors, other.colors)
 
 
 def psnr_of(whole: list[Float32], other: list[Float32]) -> float:
