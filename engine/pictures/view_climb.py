@@ -50,7 +50,7 @@ class Climbed:
 def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequence[Climbed]) -> list[Climbed]:
     """The cameras that those who start end up with, of whom few are left, by falling score.
 
-    `model` is what is looked at, thinned out; `pictures` are those that the starts are of, such as one and its mirror
+    `model` is what is looked at, merged; `pictures` are those that the starts are of, such as one and its mirror
     image.
     """
     climbing = list(starts)

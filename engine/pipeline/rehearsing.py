@@ -11,13 +11,13 @@ The lower z is what the scene promises.
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from engine.model import Camera, Float32
 from engine.numerics.image_metrics import psnr
+from engine.numerics.jit import side_by_side
 from engine.pipeline.delivery import Delivery
 from engine.pipeline.profiles import EmbedConfig
 from engine.pipeline.rigs import make_rig
@@ -98,8 +98,8 @@ class Rehearsing:
         marked = add_dc(delivery.model.sh, np.float32(strength.factor) * self._displacement)
         pictures = [self._unseen.render(k, marked) for k in range(len(self._unseen.views))]
         held_out_db = min(psnr(a, b) for a, b in zip(self._unseen.images, pictures, strict=True))
-        with ThreadPoolExecutor() as pool:  # most of it is NumPy on one thread
-            read = list(pool.map(lambda k: self._read(pictures[k], k, layout), self._telling))
+        # Most of it is NumPy on one thread.
+        read = side_by_side(lambda k: self._read(pictures[k], k, layout), self._telling)
         found = sorted(zip(read, self._telling, strict=True))
         self._telling = [k for _, k in found[:WORST]]
         chips = float((totals**2 / np.maximum((energies**2).sum(axis=1), 1e-300)).min())  # that matter

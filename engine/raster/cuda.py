@@ -40,13 +40,13 @@ def rasterize(
     """`engine.raster.autograd.rasterize` on tensors of a CUDA device.
 
     InputError if gsplat is not installed, or a setting differs from what is fixed in its kernels (alpha_clamp,
-    alpha_skip, transmittance_stop).
+    alpha_skip, transmittance_stop, by_distance).
     """
     if importlib.util.find_spec("gsplat") is None:
         raise InputError("tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU")
     fixed = RasterSettings(eps2d=settings.eps2d, near=settings.near, antialiased=settings.antialiased)
     if settings != fixed:
-        raise InputError(f"gsplat's alpha limits and stop rule are fixed: expected {fixed}, got {settings}")
+        raise InputError(f"gsplat's alpha limits, order and stop rule are fixed: expected {fixed}, got {settings}")
     import torch
     from gsplat import rasterization
 

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numba
 import numpy as np
 import pytest
 
-from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.pictures.camera_motion import project
 from engine.pictures.far_views import ENOUGH, PARTS, FarViews, _aimed, _places, merged_in_voxels
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
-
-PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +40,12 @@ def test_what_lies_far_away_does_not_make_voxels_coarse(plant: GaussianModel, ri
         for model in (plant, merged_in_voxels(plant.with_(means=means), ENOUGH))
     )
     assert psnr_of(whole, merged) > 23.0
+
+
+def test_light_that_turns_quickly_is_left_out(plant: GaussianModel) -> None:
+    """Four times as many numbers, of which nothing shows from afar."""
+    rich = plant.with_(sh=np.pad(plant.sh, ((0, 0), (0, 15), (0, 0))))
+    assert FarViews(rich, []).model.sh.shape[1:] == (4, 3)
 
 
 def test_few_stay_as_they_are(plant: GaussianModel) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.pictures import camera_candidates
 from engine.pictures.camera_candidates import LOUD, Candidates
@@ -24,13 +21,7 @@ from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 
-PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
 UP = (0.0, -1.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def around(model: GaussianModel, azimuth: float, elevation: float, away: float, lens: float = 1.0) -> Camera:

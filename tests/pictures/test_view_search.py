@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pictures import picture_edges
+from engine.pictures import picture_edges, view_search
 from engine.pictures.camera_motion import project
 from engine.pictures.far_views import FarViews
 from engine.pictures.picture_edges import PictureEdges
+from engine.pictures.view_points import POINTS
 from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views, spread_out
 from engine.pictures.view_search import RADII, search_views
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 from tests.reference.view_scores import score, strongest_apart
-
-PLANT = Path(__file__).parents[1] / "data" / "plant.splat"
-
-
-@pytest.fixture(scope="module")
-def plant() -> GaussianModel:
-    return read_model(PLANT).model
 
 
 def test_kernels_say_what_their_twin_says() -> None:
@@ -96,3 +89,22 @@ def test_points_of_a_view_are_the_strongest_that_lie_apart() -> None:
         chosen = spread_out(strength, order, count, free.copy(), 2)
         assert [tuple(place) for place in chosen] == strongest_apart(strength, count, free, 2)
     assert 7 < len(chosen) < 500
+
+
+def test_a_first_glance_spares_most_of_the_search(plant: GaussianModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And loses nothing here."""
+    picture = PictureEdges.of(np.clip(render_depth(plant, make_rig(plant, 3, 640, 480)[1])[0], 0.0, 1.0))
+    views = FarViews(plant, make_rig(plant, 24, 640, 480)).views
+    asked: list[tuple[int, int, int]] = []
+
+    def counted(maps: Any, places: Any, directions: Any, jobs: Any, *rest: Any) -> None:
+        asked.append((len(jobs), directions.shape[1], maps.shape[1]))
+        score_views(maps, places, directions, jobs, *rest)
+
+    monkeypatch.setattr(view_search, "score_views", counted)
+    found = search_views(views, picture, 5)
+    every = len(views) * ROLLS * len(RADII)
+    assert asked == [(every, POINTS // 2, 4), (int(view_search.PROMISING * every), POINTS, 2)]
+    monkeypatch.setattr(view_search, "PROMISING", 1.0)
+    whole = search_views(views, picture, 5)
+    assert [score for score, _ in found] == [score for score, _ in whole]

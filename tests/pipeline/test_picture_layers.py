@@ -12,6 +12,7 @@ from engine.evaluate.bench.removal import wash
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.flattening import flatten
+from engine.pipeline.reference_views import ReferenceViews
 from engine.pipeline.rigs import make_rig
 from engine.pipeline.tracing import trace_images
 from engine.pipeline.verification import verify_images
@@ -93,3 +94,14 @@ def test_pictures_name_a_copy_by_its_grain_alone(scene: MarkedScene, cameras: li
     claim = verify_images(shots(grey, cameras[:1]), scene.opened, cameras=cameras[:1]).claim
     assert claim.layers is not None
     assert claim.layers["grain"] > claim.layers["both"] > claim.layers["tint"]
+
+
+def test_the_grain_is_looked_for_in_the_order_the_picture_was_blended_in(whole_scene: MarkedScene) -> None:
+    """Drawn again where the picture was antialiased: sharp, but else the same."""
+    opened = whole_scene.opened
+    camera = make_rig(whole_scene.original, 1, 96, 96)[0]
+    drawn = RasterSettings(antialiased=True, by_distance=True)
+    grain = ReferenceViews(opened).at(camera, drawn).geometry
+    assert grain is not None
+    settings = grain.rendering.view.geometry.settings
+    assert (settings.antialiased, settings.by_distance) == (False, True)
