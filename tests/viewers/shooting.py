@@ -134,12 +134,13 @@ def studio(models: Path) -> Iterator[Studio]:
 
 
 def fetch_viewers() -> bool:
-    """Lay the viewers' packages where the studio serves them; False where there is no npm, or nothing to fetch from."""
+    """Lay the viewers' packages where the studio serves them; False where there is no npm, nothing to
+    fetch from, or a Python (before 3.11.4) that cannot unpack what strangers packed within a folder."""
     PACKAGES.mkdir(parents=True, exist_ok=True)
     for name, package in VIEWERS.items():
         if (PACKAGES / name).exists():
             continue
-        if shutil.which("npm") is None:
+        if shutil.which("npm") is None or not hasattr(tarfile, "data_filter"):
             return False
         done = subprocess.run(["npm", "pack", package], cwd=PACKAGES, capture_output=True, text=True, check=False)
         if done.returncode:
