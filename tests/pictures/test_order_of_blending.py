@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from engine.pictures import camera_finding
 from engine.pictures.camera_candidates import Candidate
 from engine.pictures.camera_finding import follow_camera
 from engine.pictures.camera_trial import Picture
+from engine.pictures.pose_refinement import Refined
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around
 
@@ -27,7 +29,9 @@ def veiled(plant: GaussianModel) -> GaussianModel:
 
 
 @pytest.mark.parametrize("by_distance", [False, True])
-def test_a_picture_is_explained_in_the_order_it_was_drawn_in(veiled: GaussianModel, by_distance: bool) -> None:
+def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
+    veiled: GaussianModel, monkeypatch: pytest.MonkeyPatch, by_distance: bool
+) -> None:
     camera = around(veiled, 40.0, 20.0, 0.7, 0.5)
     drawn = RasterSettings(by_distance=by_distance)
     image = np.clip(render(veiled, camera, settings=drawn), 0.0, 1.0)
@@ -38,11 +42,25 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(veiled: GaussianMod
     assert best.correlation > 0.999
     found = camera_finding._finish(picture, best)
     assert found is not None
-    assert found.drawn.by_distance is by_distance
+    assert found.drawn == drawn
     assert found.correlation > 0.999
     wrong = picture.refined(camera, False, 480, 8, 0.05, RasterSettings(by_distance=not by_distance))
     assert wrong is not None
     assert wrong.correlation < 0.99
+    right = picture.refined(camera, False, 480, 8, 0.05, drawn)
+    assert right is not None
+    other = RasterSettings(by_distance=not by_distance)
+    assert picture.worth(right, False, drawn) > 1.01 * picture.worth(right, False, other)
+    kept, asked = Picture.refined, []
+
+    def counted(self: Picture, *how: Any, **more: Any) -> Refined | None:
+        asked.append(how)
+        return kept(self, *how, **more)
+
+    monkeypatch.setattr(Picture, "refined", counted)
+    assert follow_camera(veiled, image, found) is not None
+    in_order = len(asked)
     following = follow_camera(veiled, image, replace(found, drawn=RasterSettings()))
     assert following is not None
     assert following.drawn.by_distance is by_distance, "the next frame is asked anew"
+    assert by_distance is (len(asked) - in_order > in_order), "which costs more than beginning in the order of the last"
