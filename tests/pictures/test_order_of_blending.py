@@ -43,14 +43,15 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     found = camera_finding._finish(picture, best)
     assert found is not None
     assert found.drawn == drawn
+    np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])  # no other place of the middle makes up for it
     assert found.correlation > 0.999
     wrong = picture.refined(camera, False, 480, 8, 0.05, RasterSettings(by_distance=not by_distance))
     assert wrong is not None
     assert wrong.correlation < 0.99
-    right = picture.refined(camera, False, 480, 8, 0.05, drawn)
+    right = picture.refined(camera, False, best.size, 8, 0.05, drawn)
     assert right is not None
     other = RasterSettings(by_distance=not by_distance)
-    assert picture.worth(right, False, drawn) > 1.01 * picture.worth(right, False, other)
+    assert best.worth > 1.01 * picture.worth(right, False, other)
     kept, asked = Picture.refined, []
 
     def counted(self: Picture, *how: Any, **more: Any) -> Refined | None:
