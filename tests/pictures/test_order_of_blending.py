@@ -13,6 +13,7 @@ from engine.pictures import camera_finding
 from engine.pictures.camera_candidates import Candidate
 from engine.pictures.camera_finding import follow_camera
 from engine.pictures.camera_trial import Picture
+from engine.pictures.found_camera import OWN
 from engine.pictures.pose_refinement import Refined
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around
@@ -36,7 +37,15 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     drawn = RasterSettings(by_distance=by_distance)
     image = np.clip(render(veiled, camera, settings=drawn), 0.0, 1.0)
     picture = Picture(veiled, image)
-    best = camera_finding._best(picture, [Candidate(camera, False, 0)])
+    weigh, weighed = picture.worth, []
+
+    def noted(refined: Refined, mirrored: bool, how: RasterSettings = OWN) -> float:
+        weighed.append(how)
+        return weigh(refined, mirrored, how)
+
+    with monkeypatch.context() as watched:
+        watched.setattr(picture, "worth", noted)
+        best = camera_finding._best(picture, [Candidate(camera, False, 0)])
     assert best is not None
     assert best.drawn == drawn
     assert best.correlation > 0.999
@@ -51,7 +60,8 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     right = picture.refined(camera, False, best.size, 8, 0.05, drawn)
     assert right is not None
     other = RasterSettings(by_distance=not by_distance)
-    assert best.worth > 1.01 * picture.worth(right, False, other)
+    assert picture.worth(right, False, drawn) > 1.01 * picture.worth(right, False, other)
+    assert weighed == [drawn]
     kept, asked = Picture.refined, []
 
     def counted(self: Picture, *how: Any, **more: Any) -> Refined | None:
