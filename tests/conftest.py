@@ -2,6 +2,7 @@
 
 import os
 
+import hypothesis
 import pytest
 
 # A pool of two on a machine with one core, too: tests compare what one and two threads answer (`tests.threads`).
@@ -14,6 +15,11 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     import numba
 
     numba.set_num_threads(1)
+
+
+# Of an example, by the clock: on a machine that is shared it says nothing of the code.
+hypothesis.settings.register_profile("shared machine", deadline=None)
+hypothesis.settings.load_profile("shared machine")
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ def test_faults_of_colmap_text(tmp_path: Path, cameras_txt: str | None, images_t
         read_cameras(folder)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_broken_colmap_binary(tmp_path: Path, data: st.DataObject) -> None:
     """Cut off and overwritten anywhere, counts included: an error of ours, or cameras."""

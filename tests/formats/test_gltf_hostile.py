@@ -130,13 +130,13 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(each for key in keys for each in places(value[key], (*path, key)))]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.sampled_from(places(PARSED)[1:]), JUNK)
 def test_json_that_says_anything_gives_a_format_error_or_a_valid_model(path: tuple[Any, ...], junk: Any) -> None:
     survives(changed(*path, value=junk))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=6), st.booleans())
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations: list[tuple[int, int]], text: bool) -> None:
     data = bytearray(json.dumps(PARSED).encode() if text else WHOLE)

@@ -132,7 +132,7 @@ def test_every_cut_is_refused() -> None:
             read_ksplat(WHOLE[:length], file="x")
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=6), st.booleans())
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations: list[tuple[int, int]], heads: bool) -> None:
     data = bytearray(WHOLE)

@@ -82,7 +82,7 @@ def test_hostile_text(line: bytes, message: str) -> None:
         read_points(text() + line, "evil.txt", binary=False)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, len(binary()) - 1), st.binary(max_size=12), st.booleans())
 def test_mutations_are_read_or_refused(at: int, patch: bytes, whole: bool) -> None:
     data = binary()[:at] + patch + (binary()[at + len(patch) :] if whole else b"")

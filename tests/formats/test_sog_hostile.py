@@ -126,7 +126,7 @@ SMALL_PARTS = unbundle(SMALL)
 PLACES = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=6)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 @given(PLACES, st.sampled_from(["archive", *sorted(SMALL_PARTS)]))
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(places, where):
     damaged = bytearray(SMALL if where == "archive" else SMALL_PARTS[where])
@@ -165,7 +165,7 @@ MEMBERS = [
 ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(MEMBERS), JSON)
 def test_any_member_of_meta_may_be_anything(member, value):
     try:

@@ -226,7 +226,7 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(each for key in keys for each in places(value[key], (*path, key)))]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from(places(INDEX)[1:]), JUNK)
 def test_an_index_that_says_anything(path: tuple[Any, ...], junk: Any) -> None:
     try:
@@ -235,7 +235,7 @@ def test_an_index_that_says_anything(path: tuple[Any, ...], junk: Any) -> None:
         return
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), min_size=1, max_size=4))
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(
     chunk: dict[str, bytes], mutations: list[tuple[int, int]]

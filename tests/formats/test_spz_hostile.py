@@ -121,7 +121,7 @@ def mutated(data: bytes, mutations: list[tuple[int, int]]) -> bytes:
     return bytes(result)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(MUTATIONS, st.sampled_from(["gzip", "inside gzip", "zstd", "header", "zstd header"]))
 def test_damaged_bytes_give_a_format_error_or_a_valid_model(mutations, where):
     if where == "inside gzip":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ from engine.pictures.camera_motion import project
 from engine.pictures.far_views import ENOUGH, PARTS, FarViews, _aimed, _places, merged_in_voxels
 from engine.pipeline.rigs import make_rig
 from engine.raster import render
+from tests.threads import with_one_and_two_threads
 
 
 @pytest.fixture(scope="module")
@@ -81,15 +81,8 @@ def test_parts_lie_apart_and_are_aimed_at(plant: GaussianModel, rig: list[Camera
 
 
 def test_side_by_side_or_in_turn_they_are_the_same(plant: GaussianModel, rig: list[Camera]) -> None:
-    before = numba.get_num_threads()
-    seen = []
-    try:
-        for threads in {1, before}:
-            numba.set_num_threads(threads)
-            seen.append(FarViews(plant, rig).views)
-    finally:
-        numba.set_num_threads(before)
-    for one, other in zip(seen[0], seen[-1], strict=True):
+    in_turn, side_by_side = with_one_and_two_threads(lambda: FarViews(plant, rig).views)
+    for one, other in zip(in_turn, side_by_side, strict=True):
         np.testing.assert_array_equal(one.edges, other.edges)
         np.testing.assert_array_equal(one.colors, other.colors)
 

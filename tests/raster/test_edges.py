@@ -104,7 +104,7 @@ def test_zero_quaternions_and_far_coordinates() -> None:
     check(discs.with_(means=discs.means * 0.0), camera())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     spread=st.floats(0.0, 1e4),

@@ -247,7 +247,7 @@ def test_malformed_containers_are_refused(data: bytes) -> None:
     names=st.lists(st.text(max_size=4), max_size=4, unique=True),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_containers_round_trip(meta: dict[str, object], names: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)
     types = ["u1", "i1", "<u2", ">i4", "<i8", "<f4", ">f8"]

@@ -87,7 +87,7 @@ def test_no_character_of_the_jws_can_be_changed(registry: Registry) -> None:
 def test_no_character_around_it_can_be_changed(registry: Registry, form: str) -> None:
     data, keys = carriers(registry)[form], registry.jwks
 
-    @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=150, suppress_health_check=list(HealthCheck))
     @given(spot=st.integers(0, len(data) - 1), new=st.integers(0, 255))
     def check(spot: int, new: int) -> None:
         changed = data[:spot] + bytes([new]) + data[spot + 1 :]
