@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from service.jobs.port import Job, State
 from service.jobs.running import MAX_TRIES
 from service.problems import Problem
+from service.settings import DATABASE, JOBS_DATABASE
 from tests.service.jobs.conftest import Workshop, new_settings, opened
 from tests.service.jobs.test_child import gone_within, pid_in
 from tests.service.postgres import Postgres
@@ -35,19 +37,20 @@ def in_second_step(shop: Workshop, job_id: str, times: int = 1) -> None:
 
 
 def stop_between_writes(worker: subprocess.Popen[bytes], shop: Workshop) -> None:
-    """Who is stopped while it writes keeps SQLite's lock until it wakes or dies, which is not what is asked."""
+    """Who is stopped while it writes keeps SQLite's lock until it wakes or dies, which is not what is asked: of either
+    of its databases."""
     while True:
         worker.send_signal(signal.SIGSTOP)
         # A signal is sent before it is obeyed: one more write went between.
         os.waitid(os.P_PID, worker.pid, os.WSTOPPED)
-        connection = sqlite3.connect(shop.settings.data_dir / "jobs.sqlite", timeout=0.5, isolation_level=None)
         try:
-            connection.execute("BEGIN IMMEDIATE")
+            for database in (DATABASE, JOBS_DATABASE):
+                path = shop.settings.data_dir / database
+                with closing(sqlite3.connect(path, timeout=0.5, isolation_level=None)) as connection:
+                    connection.execute("BEGIN IMMEDIATE")
             return
         except sqlite3.OperationalError:
             worker.send_signal(signal.SIGCONT)
-        finally:
-            connection.close()
 
 
 def test_jobs_of_every_kind_end_as_they_must(workshop: Workshop) -> None:
