@@ -15,9 +15,11 @@ from typing import Any
 import pytest
 
 from service.db import Database
+from service.jobs import presence
 from service.jobs.durable import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from service.settings import Settings
+from tests.service.jobs import fake
 
 REPOSITORY = Path(__file__).parents[3]
 _numbers = itertools.count()
@@ -52,6 +54,28 @@ def settings(request: pytest.FixtureRequest, tmp_path: Path) -> Settings:
 def jobs(settings: Settings) -> Iterator[DurableJobs]:
     with opened(settings) as engine:
         yield engine
+
+
+class Clock:
+    """Stands in for the module `time`."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def time(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The time by which silence is measured: it passes when it is told to."""
+    made = Clock()
+    monkeypatch.setattr(presence, "time", made)
+    monkeypatch.setattr(fake, "time", made)
+    return made
 
 
 class Workshop:

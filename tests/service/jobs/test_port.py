@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import pytest
 
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem
-from tests.service.jobs.conftest import new_settings, opened
+from tests.service.jobs.conftest import Clock, new_settings, opened
 from tests.service.jobs.fake import FakeJobs
 
 ENDS: list[tuple[State, dict[str, Any]]] = [
@@ -165,15 +164,15 @@ def test_only_final_states_end_a_job(engine: Engine) -> None:
         engine.jobs.result("a", State.RUNNING, {})
 
 
-def test_silent_workers_are_given_up_and_living_ones_are_not(engine: Engine) -> None:
+def test_silent_workers_are_given_up_and_living_ones_are_not(engine: Engine, clock: Clock) -> None:
     engine.beat("living")
     engine.beat("dead")
-    assert list(engine.jobs.recover(0.3)) == []
+    assert list(engine.jobs.recover(30)) == []
     for _ in range(4):
-        time.sleep(0.1)
+        clock.now += 10
         engine.beat("living")
-    assert list(engine.jobs.recover(0.3)) == ["dead"]
-    assert list(engine.jobs.recover(0.3)) == [], "once is enough"
+    assert list(engine.jobs.recover(30)) == ["dead"]
+    assert list(engine.jobs.recover(30)) == [], "once is enough"
 
 
 def test_a_worker_that_left_is_not_waited_for(engine: Engine) -> None:

@@ -2,27 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
-from service.jobs import presence
 from service.jobs.presence import LEFT, Watch
-
-
-class Clock:
-    """Stands in for the module `time`."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
-    monkeypatch.setattr(presence, "time", made)
-    return made
+from tests.service.jobs.conftest import Clock
 
 
 def test_silence_counts_from_when_it_was_first_seen(clock: Clock) -> None:
