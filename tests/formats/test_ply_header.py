@@ -65,10 +65,10 @@ def test_a_crowded_header_costs_no_time(line: str) -> None:
     while len(text) < MAX_HEADER_BYTES - 100:
         text += line.format(k)
         k += 1
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(FormatError):
         read_model((text + "end_header\n").encode() + bytes(200000))
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
 
 
 @pytest.mark.parametrize("encoding", ["binary_little_endian", "ascii"])

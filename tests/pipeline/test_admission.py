@@ -189,14 +189,14 @@ def test_a_small_file_does_not_become_a_large_body() -> None:
     record = Record.make(
         KEY, encode_reference(golden_model()), original_digest="ab" * 32, plan=PLAN, plan_arrays=plan_arrays()
     )
-    began = time.perf_counter()
+    began = time.process_time()
     data = seal(record.header, bytes(100_000_000), KEY)
     assert len(data) < 100_000
-    sealing = time.perf_counter() - began
-    began = time.perf_counter()
+    sealing = time.process_time() - began
+    began = time.process_time()
     with pytest.raises(MalformedRecordError, match="times as many"):
         open_record(data, KEY)
-    assert time.perf_counter() - began < 0.2 + sealing
+    assert time.process_time() - began < 0.2 + sealing
 
 
 def test_carriers_span_dc_or_all_that_the_reference_has() -> None:

@@ -227,7 +227,7 @@ def test_cancelling_kills_the_process(served: Served, alice: Client, owner_key: 
     began = time.monotonic()
     alice.cancel(job.id)
     assert alice.wait(job.id).state == "cancelled"
-    assert time.monotonic() - began < 3.0
+    assert time.monotonic() - began < 6.0
     left = [path for path in (served.folder / "data" / "scratch").rglob("*") if path.is_file()]
     assert left == []
 

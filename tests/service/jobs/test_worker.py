@@ -93,7 +93,7 @@ def test_jobs_of_every_kind_end_as_they_must(workshop: Workshop) -> None:
     started = time.monotonic()
     workshop.task("quick", "echo")
     workshop.ended("quick")
-    assert time.monotonic() - started < 2.0
+    assert time.monotonic() - started < 5.0
     scratch = workshop.settings.scratch / "work" / "local-1"
     assert list(scratch.iterdir()) == [], "every step's folder is removed"
 
