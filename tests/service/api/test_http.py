@@ -127,13 +127,13 @@ def test_waiting_for_a_turn_does_not_count(api: Api, monkeypatch: pytest.MonkeyP
 
     class Looks(child._Single):
         def run(self, task: str, request: Any, folder: Any, go_on: Any = None) -> dict[str, Any]:
-            time.sleep(0.2)
+            time.sleep(0.5)
             seen.append(go_on("", 0.0))
             return {}
 
     monkeypatch.setattr(child, "_Single", Looks)
     threads = [
-        threading.Thread(target=child.run_once, args=(api.service.settings, "inspect", {}, None, 0.3, tenant))
+        threading.Thread(target=child.run_once, args=(api.service.settings, "inspect", {}, None, 1.4, tenant))
         for tenant in "abcd"
     ]
     for thread in threads:
