@@ -37,8 +37,8 @@ def in_second_step(shop: Workshop, job_id: str, times: int = 1) -> None:
 
 
 def stop_between_writes(worker: subprocess.Popen[bytes], shop: Workshop) -> None:
-    """Who is stopped while it writes keeps the lock of that SQLite database until it wakes or dies, which is not what is
-    asked."""
+    """Who is stopped while it writes keeps the lock of that SQLite database until it wakes or dies, which is not
+    what is asked."""
     while True:
         worker.send_signal(signal.SIGSTOP)
         # A signal is sent before it is obeyed: one more write went between.
