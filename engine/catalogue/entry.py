@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from engine.errors import FormatError
-from engine.model import Camera, Float32
+from engine.model import Camera, Float32, Int64
 from engine.pictures.camera_motion import project
 from engine.pictures.landmarks import Landmarks
 from engine.registration.sketch import Sketch
@@ -21,6 +22,13 @@ POINTS = 2880
 """Most points of an asset, as many of each view: 132 bytes a point make 380 kB."""
 MOST_POINTS = 1 << 16
 """More are no entry of ours."""
+
+SAME_PLACE = 4.0
+"""How far apart landmarks of two views lie that are one, pixels at the usual distance."""
+SAME_LOOK = 300.0
+"""How far apart their descriptors are, at most: those of two places are 380 to 450 in the median."""
+NEIGHBOURS = 16
+"""Landmarks near one that are asked, itself among them."""
 
 _MAGIC = b"M3DGSEN1"
 _PREFIX = struct.Struct("<8sII")
@@ -76,12 +84,33 @@ class Entry:
 
 
 def see_points(landmarks: Landmarks, cameras: Sequence[Camera]) -> SeenPoints:
-    """The strongest landmarks of every view, where it showed them; `cameras` are those they were made from."""
+    """The landmarks of every view that most other views show, too, where it showed them; the strongest of those that
+    as many do. `cameras` are those the landmarks were made from."""
     most = POINTS // max(len(cameras), 1)
-    rows = [np.flatnonzero(landmarks.views == view)[:most] for view in range(len(cameras))]
+    shown = _views_of_each(landmarks, cameras)
+    rows = [np.flatnonzero(landmarks.views == view) for view in range(len(cameras))]
+    rows = [np.sort(mine[np.argsort(-shown[mine], kind="stable")[:most]]) for mine in rows]
     places = [
         project(landmarks.points[mine].astype(np.float64), camera) for mine, camera in zip(rows, cameras, strict=True)
     ]
     chosen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
     where = np.concatenate(places).astype(np.float32) if places else np.zeros((0, 2), np.float32)
     return SeenPoints(landmarks.descriptors[chosen], landmarks.views[chosen], where)
+
+
+def _views_of_each(landmarks: Landmarks, cameras: Sequence[Camera]) -> Int64:
+    """(L,) how many views show each landmark, its own among them: at the same place of the world, and looking alike."""
+    if not len(landmarks):
+        return np.zeros(0, np.int64)
+    eyes = np.array([camera.position for camera in cameras])
+    distance = np.median(np.linalg.norm(landmarks.points - eyes[landmarks.views], axis=1))
+    reach = SAME_PLACE * distance / cameras[0].K[0, 0]
+    _, near = cKDTree(landmarks.points).query(landmarks.points, NEIGHBOURS, distance_upper_bound=reach)
+    descriptors = landmarks.descriptors.astype(np.float32)
+    shown_by = np.zeros((len(landmarks), len(cameras)), dtype=bool)
+    for column in near.T:
+        row = np.flatnonzero(column < len(landmarks))
+        other = column[row]
+        alike = np.linalg.norm(descriptors[row] - descriptors[other], axis=1) < SAME_LOOK
+        shown_by[row[alike], landmarks.views[other[alike]]] = True
+    return np.asarray(shown_by.sum(axis=1))

@@ -28,13 +28,37 @@ def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: p
     cameras = make_rig(model, 2, 640, 480)
     points = model.means[:200]
     views = np.repeat([0, 1], 100).astype(np.int32)
-    landmarks = Landmarks(points, np.arange(200 * 128).reshape(200, 128).astype(np.uint8), views)
+    landmarks = Landmarks(points, np.random.default_rng(0).integers(0, 256, (200, 128), np.uint8), views)
     seen = see_points(landmarks, cameras)
     kept = np.concatenate([np.arange(60), 100 + np.arange(60)])
     np.testing.assert_array_equal(seen.descriptors, landmarks.descriptors[kept])
     for view, camera in enumerate(cameras):
         mine = seen.views == view
         np.testing.assert_allclose(seen.places[mine], project(points[kept[mine]].astype(float), camera), atol=1e-3)
+
+
+def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the same place and looking alike; in three views before in two; a heap seen by one view counts for nothing."""
+    monkeypatch.setattr(entries, "POINTS", 12)
+    monkeypatch.setattr(entries, "NEIGHBOURS", 120)  # that places decide, not how many lie near
+    model = clusters(0, 400)
+    cameras = make_rig(model, 3, 640, 480)
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-2.0, 2.0, (3, 40, 3)).astype(np.float32)
+    descriptors = rng.integers(0, 256, (3, 40, 128), np.uint8)
+    points[1, 30:34], descriptors[1, 30:34] = points[0, 30:34], descriptors[0, 30:34]  # in two views
+    points[2, 32:34], descriptors[2, 32:34] = points[0, 32:34], descriptors[0, 32:34]  # two of them in all three
+    points[1, 35], descriptors[1, 35] = points[0, 35], 255 - descriptors[0, 35]  # the place alone
+    descriptors[2, 36] = descriptors[0, 36]  # the look alone
+    points[0, 37:40], descriptors[0, 37:40] = points[0, 37], descriptors[0, 37]  # a heap in one view
+    flat = Landmarks(points.reshape(-1, 3), descriptors.reshape(-1, 128), np.repeat(np.arange(3), 40).astype(np.int32))
+    seen = see_points(flat, cameras)
+    kept = [
+        np.flatnonzero((descriptors[view] == seen.descriptors[4 * view + k]).all(1))[0]
+        for view in range(3)
+        for k in range(4)
+    ]
+    assert kept == [30, 31, 32, 33, 30, 31, 32, 33, 0, 1, 32, 33]
 
 
 def test_bytes_and_back(entry: Entry) -> None:
