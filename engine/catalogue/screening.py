@@ -16,7 +16,7 @@ COMPARED = 32
 them, so that nobody hides an asset behind near copies of it."""
 MOST_COMPARED = 256
 SHOWN = 2.0
-"""Agreeing votes from which a picture shows an asset. Among 1,000 assets strangers had up to 1.5 in 120 pictures."""
+"""Agreeing votes from which a picture shows an asset. Among 1,000 assets others had up to 0.83 in 360 pictures."""
 
 
 @dataclass(frozen=True)

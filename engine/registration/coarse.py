@@ -110,11 +110,14 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
         model = model.take(np.arange(0, len(model), -(-len(model) // MOST_GAUSSIANS)))
     mass = _mass(model)
     extent = _extent(model.means, mass)
+    matter = mass, model.means.astype(np.float64), np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     found = []
     for step in range(steps if extent > 0 else 0):
         window = NEIGHBOURHOOD * extent * LADDER**step
-        weight, where, color = _voxels(model, mass, VOXEL * window)
-        heavy, at, _ = _voxels(model, mass, APART * window)
+        weight, where, color = _voxels(matter, VOXEL * window)
+        heavy, at, _ = _voxels(matter, APART * window)
+        if step == 0:
+            matter = weight, where, color  # coarser voxels are filled by the finest
         places = at[heavy > 0.2 * np.median(heavy)]  # not about floaters
         if len(places) > most:
             places = places[np.sort(np.random.default_rng(0).choice(len(places), most, replace=False))]
@@ -193,14 +196,15 @@ def _median(values: Float64, weights: Float64) -> float:
     return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
-def _voxels(model: GaussianModel, mass: Float64, side: float) -> tuple[Float64, Float64, Float64]:
-    """Mass (V,), centroid (V, 3) and mean colour (V, 3) of each voxel that holds any."""
-    cells = np.floor(np.clip(model.means.astype(np.float64) / side, -MOST_CELLS, MOST_CELLS)).astype(np.int64)
+def _voxels(matter: tuple[Float64, Float64, Float64], side: float) -> tuple[Float64, Float64, Float64]:
+    """Mass (V,), centroid (V, 3) and mean colour (V, 3) of each voxel that holds any of matter: masses (N,), places
+    (N, 3) and colours (N, 3)."""
+    mass, places, colors = matter
+    cells = np.floor(np.clip(places / side, -MOST_CELLS, MOST_CELLS)).astype(np.int64)
     cells -= cells.min(axis=0)
     _, home = np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2], return_inverse=True)
     total: Float64 = np.bincount(home, mass).astype(np.float64)
-    color = np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
-    rows = np.concatenate([model.means.astype(np.float64), color], axis=1)
+    rows = np.concatenate([places, colors], axis=1)
     mean = (
         np.stack([np.bincount(home, mass * rows[:, k]) for k in range(6)], axis=1) / np.maximum(total, 1e-300)[:, None]
     )
