@@ -39,6 +39,8 @@ VIEWERS = {
 """Fetched from the npm registry once; of the first only the style sheet is needed, for its interface."""
 TURNED = np.diag([-1.0, -1.0, 1.0])
 """Both viewers show a model turned by half a turn about z: it was captured with y down."""
+MOST_MILLISECONDS = 180_000
+"""For one picture: a viewer that draws on the processor shares it with what else runs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Viewer:
             "background": [level] * 3,
         }
         self.page.evaluate("(pose) => window.look(pose)", pose)
-        png = self.page.screenshot(type="png")
+        png = self.page.screenshot(type="png", timeout=MOST_MILLISECONDS)
         return np.asarray(Image.open(BytesIO(png)).convert("RGB"), dtype=np.float32) / 255.0
 
 
