@@ -6,6 +6,7 @@ import pytest
 from engine.catalogue import entry as entries
 from engine.catalogue.entry import Entry, see_points
 from engine.errors import FormatError
+from engine.numerics.similarity import transform_model
 from engine.pictures.camera_motion import project
 from engine.pictures.landmarks import Landmarks
 from engine.pipeline.rigs import make_rig
@@ -37,14 +38,15 @@ def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: p
         np.testing.assert_allclose(seen.places[mine], project(points[kept[mine]].astype(float), camera), atol=1e-3)
 
 
-def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("scale", [1.0, 0.001])
+def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest.MonkeyPatch, scale: float) -> None:
     """At the same place and looking alike; in three views before in two; a heap seen by one view counts for nothing."""
     monkeypatch.setattr(entries, "POINTS", 12)
     monkeypatch.setattr(entries, "NEIGHBOURS", 120)  # that places decide, not how many lie near
     model = clusters(0, 400)
-    cameras = make_rig(model, 3, 640, 480)
+    cameras = make_rig(transform_model(model, scale, np.eye(3), np.zeros(3)), 3, 640, 480)
     rng = np.random.default_rng(1)
-    points = rng.uniform(-2.0, 2.0, (3, 40, 3)).astype(np.float32)
+    points = (scale * rng.uniform(-2.0, 2.0, (3, 40, 3))).astype(np.float32)
     descriptors = rng.integers(0, 256, (3, 40, 128), np.uint8)
     points[1, 30:34], descriptors[1, 30:34] = points[0, 30:34], descriptors[0, 30:34]  # in two views
     points[2, 32:34], descriptors[2, 32:34] = points[0, 32:34], descriptors[0, 32:34]  # two of them in all three
@@ -59,6 +61,12 @@ def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest
         for k in range(4)
     ]
     assert kept == [30, 31, 32, 33, 30, 31, 32, 33, 0, 1, 32, 33]
+
+
+def test_nothing_seen_is_no_points() -> None:
+    nothing = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
+    assert len(see_points(nothing, make_rig(clusters(0, 400), 3, 640, 480))) == 0
+    assert len(see_points(nothing, [])) == 0
 
 
 def test_bytes_and_back(entry: Entry) -> None:
