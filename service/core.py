@@ -83,6 +83,7 @@ class Service:
             found.append(
                 {
                     "asset": row.id,
+                    "original": row.original_sha256,
                     "record": self.local_or_gone(row.record_sha256, run),
                     "key": key.secret.hex(),
                     "logged": logged[row.id],

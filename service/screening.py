@@ -19,7 +19,10 @@ from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Run
 
-__all__ = ["screen"]
+__all__ = ["PLAIN", "screen"]
+
+PLAIN = "plain.ply"
+"""In a step's folder: a suspect model, written anew by a process without keys, for one that has them."""
 
 MOST_MISSING = 32
 """Assets that the kept index may lack: every screening reads their entries anew."""
@@ -33,7 +36,8 @@ def screen(
     """The rows of `assets`, of those given, that a suspect (`model`, or `images`) may come from, the likeliest first.
 
     Those alike, or else, where asked for, the few that are likeliest; and those whose entry cannot be read or says
-    nothing, since it does not rule them out.
+    nothing, since it does not rule them out. Of a suspect that asks to be left `plain` a model lies in the step's
+    folder, where there are any.
     """
     if not rows:
         return []

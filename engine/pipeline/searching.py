@@ -1,4 +1,4 @@
-"""The search: which record's mark is in this suspect? Hypotheses, tries, routes and ranking, once (DESIGN 4.9).
+"""The search: is this record's mark in this suspect? Hypotheses, tries and routes, once (DESIGN 4.9).
 
 1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
    both layers of the mark together and each alone. Of pictures it is six: they are read in two ways.
@@ -7,17 +7,17 @@
 4. What a route says is added to what those before it said, never chosen over it.
 5. Every reading is judged with all tries counted; the answer that tells most stands first.
 
-Verification asks one record (`verify`), tracing all copies of an asset (`readings`), the service all that is registered
-(`search`), the simulator every object of a file (`count_tries`).
+Verification asks one record (`verify`), tracing all copies of an asset (`copies`), the service all that is registered
+(`candidates`), the simulator every object of a file (`count_tries`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
-from engine.errors import InputError, RecordError
+from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.pipeline.derivation import derivation_of_model, derivation_of_pictures, derivation_of_sight
@@ -31,18 +31,7 @@ from engine.watermark.derivation import Derivation
 from engine.watermark.layers import LAYERS
 from engine.watermark.model_evidence import Evidence
 
-__all__ = [
-    "Candidate",
-    "Outcome",
-    "Reading",
-    "Search",
-    "Suspect",
-    "Verification",
-    "count_tries",
-    "readings",
-    "search",
-    "verify",
-]
+__all__ = ["Answer", "Reading", "Suspect", "Verification", "count_tries", "readings", "verify"]
 
 
 PICTURE_WAYS = 2
@@ -166,117 +155,41 @@ def verify(
     config = config or VerifyConfig()
     clock = Clock(progress)
     routes = suspect.routes(config.route)
-    tries = count_tries(1, routes, config)
-    best: Verification | None = None
-    tried: tuple[str, ...] = ()
+    answer = Answer(replace(config, tries=count_tries(1, routes, config)))
     for reading in readings(suspect, opened, routes, config.seed, clock):
         with clock.stage("decide"):
-            claim = judge(
-                reading.evidence,
-                opened,
-                reading.route,
-                tries,
-                config,
-                reading.registration,
-                reading.notes,
-                reading.derivation,
-                reading.scattered,
-            )
-            tried = tuple(dict.fromkeys((*tried, *claim.notes)))
+            answer.hear(opened, reading)
+        if answer.settled:
+            break
+    return replace(answer.verification, seconds=clock.total, seconds_by_stage=clock.seconds)
+
+
+class Answer:
+    """What one record answers, as one route after the other is heard."""
+
+    def __init__(self, config: VerifyConfig) -> None:
+        self._config = config
+        self._best: Verification | None = None
+        self._notes: tuple[str, ...] = ()
+        self.settled = False  # so near the original, further routes show no more
+
+    def hear(self, opened: OpenedRecord, reading: Reading) -> None:
+        """Judge what a suspect, read along a route, says of this record's chips."""
+        said = reading.registration, reading.notes, reading.derivation, reading.scattered
+        claim = judge(reading.evidence, opened, reading.route, 1, self._config, *said)
+        self._notes = tuple(dict.fromkeys((*self._notes, *claim.notes)))
         found = reading.registration is not None and reading.registration.found
+        marked = claim.verdict is Verdict.MARKED
         # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
-        if best is None or claim.verdict is Verdict.MARKED or reading.route == "both" or (reading.shown and not found):
-            best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras, reading)
-        if claim.verdict is not Verdict.INCONCLUSIVE and found:  # so near the original, renders show no more
-            break
-    assert best is not None
-    if best.claim.verdict is Verdict.INCONCLUSIVE:  # then all that was tried is worth telling
-        best = replace(best, claim=replace(best.claim, notes=tried))
-    return replace(best, seconds=clock.total, seconds_by_stage=clock.seconds)
-
-
-class Candidate(Protocol):
-    """A record that may explain a suspect."""
-
-    def open(self) -> OpenedRecord:
-        """The record; RecordError where it cannot be used."""
-
-
-C = TypeVar("C", bound=Candidate)
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome(Generic[C]):
-    """What one candidate came to: a verification, or why its record cannot be used."""
-
-    candidate: C
-    opened: OpenedRecord | None = None  # kept of the best one only
-    found: Verification | None = None
-    error: RecordError | None = None
+        if self._best is None or marked or reading.route == "both" or (reading.shown and not found):
+            self._best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras, reading)
+        self.settled = claim.verdict is not Verdict.INCONCLUSIVE and found
 
     @property
-    def claim(self) -> Claim | None:
-        """The claim, where the record could be opened."""
-        return self.found.claim if self.found is not None else None
-
-    @property
-    def worth(self) -> tuple[float, ...]:
-        """Greater tells more: marked, then derived, then undecided, then not to be opened."""
-        if (claim := self.claim) is None:
-            return (0.0,)
-        if claim.verdict is Verdict.MARKED:
-            return (4.0, -claim.log10_false_claim)
-        if claim.would_be_claim_if_attested:
-            return (3.0, -claim.log10_false_claim)
-        if claim.derivation.derived:
-            return (2.0, claim.derived_fraction or 0.0, -claim.log10_false_claim)
-        return (1.0, -claim.log10_false_claim)
-
-
-@dataclass(frozen=True, eq=False)
-class Search(Generic[C]):
-    """All that was asked: one outcome for each candidate looked at, in that order, and the tries of the whole."""
-
-    outcomes: tuple[Outcome[C], ...]
-    tries: int
-    seconds_by_stage: dict[str, float]
-
-    @property
-    def best(self) -> Outcome[C] | None:
-        """The outcome that tells most, the first among equals; None where nobody was asked."""
-        return max(self.outcomes, key=lambda outcome: outcome.worth, default=None)
-
-
-def search(
-    suspect: Suspect, candidates: Sequence[C], config: VerifyConfig, progress: Progress, *, stop_at_first: bool = False
-) -> Search[C]:
-    """Ask one candidate after the other; with `stop_at_first` none after the first whose mark is there."""
-    tries = count_tries(len(candidates), suspect.routes(config.route), config)
-    config = replace(config, tries=max(1, tries))
-    outcomes: list[Outcome[C]] = []
-    seconds: dict[str, float] = {}
-    for number, candidate in enumerate(candidates):
-        clock = Clock(_share(progress, number, len(candidates)))
-        try:
-            with clock.stage("open record"):
-                opened = candidate.open()
-            found = verify(suspect, opened, config, _share(progress, number, len(candidates)))
-            outcome = Outcome(candidate, opened, found)
-        except RecordError as error:
-            outcome = Outcome(candidate, error=error)
-        outcomes.append(outcome)
-        best = max(outcomes, key=lambda each: each.worth)
-        # An opened record holds a whole model: only that of the best answer is kept.
-        outcomes = [each if each is best else replace(each, opened=None) for each in outcomes]
-        spent = clock.seconds | (outcome.found.seconds_by_stage if outcome.found is not None else {})
-        seconds |= {stage: seconds.get(stage, 0.0) + value for stage, value in spent.items()}
-        if stop_at_first and outcome.claim is not None and outcome.claim.verdict is Verdict.MARKED:
-            break
-    return Search(tuple(outcomes), tries, seconds)
-
-
-def _share(progress: Progress, number: int, count: int) -> Progress:
-    """Progress of one candidate; of several, the fraction is over all of them."""
-    if count == 1:
-        return progress
-    return lambda stage, fraction: progress(f"record {number + 1} of {count}", (number + fraction) / count)
+    def verification(self) -> Verification:
+        """The best so far; where nothing is decided, with all that was tried."""
+        best = self._best
+        assert best is not None
+        if best.claim.verdict is Verdict.INCONCLUSIVE:
+            best = replace(best, claim=replace(best.claim, notes=self._notes))
+        return best

@@ -14,15 +14,12 @@ from typing import Any
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.pipeline.copies import Copies, asset_of
 from engine.pipeline.judging import VerifyConfig
 from engine.pipeline.progress import Clock, Progress
-from engine.pipeline.reading import read_grain, read_tint
 from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.searching import Reading, Suspect, count_tries, readings
-from engine.watermark.grain import Grain
-from engine.watermark.image_evidence import gather_again
+from engine.pipeline.searching import Suspect, count_tries
 from engine.watermark.layers import layered_z
-from engine.watermark.model_evidence import Evidence
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
 __all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
@@ -69,41 +66,6 @@ class Tracing:
         return {"named": [finding.copy for finding in self.named], **asdict(self)}
 
 
-class _Asset:
-    """One asset's place in the suspect, found once for all of its copies."""
-
-    def __init__(self, suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock) -> None:
-        self._suspect = suspect
-        self._readings = readings(suspect, opened, routes, seed, clock)
-        self._tint = opened.layout.chips  # of the copy that it is read as
-        self._grain: Evidence | None = None
-        self.reading: Reading | None = None
-        self.records: list[str] = []
-        self.settled = False  # some copy was named: no further route is asked
-
-    def read_next(self) -> None:
-        """Go along the next route."""
-        self.reading = next(self._readings)
-
-    def evidence(self, opened: OpenedRecord) -> Evidence:
-        """What the suspect says of the chips of one copy, along all routes so far."""
-        reading = self.reading
-        assert reading is not None
-        pictures = gather_again(opened.layout, reading.evidence.pulled)
-        if reading.pictures is not None:  # copies have other cells, and the same grain
-            pictures = pictures.then(reading.pictures.behind(self._tint))
-        if reading.route in ("image", "render"):
-            return pictures
-        assert self._suspect.model is not None
-        assert reading.registration is not None
-        model = read_tint(self._suspect.model, opened, reading.registration)
-        if opened.grain.there:
-            if self._grain is None:
-                self._grain = read_grain(self._suspect.model, opened, reading.registration)
-            model = model.then(self._grain)
-        return model.plus(pictures) if reading.route == "both" else model
-
-
 def trace_model(
     suspect: GaussianModel,
     records: Iterable[OpenedRecord],
@@ -143,34 +105,33 @@ def trace(
     clock = Clock(progress)
     routes = suspect.routes(config.route)
     again = list(records) if iter(records) is records else records
-    assets: dict[tuple[str, Grain], _Asset] = {}
+    assets: dict[tuple[str, bool], Copies] = {}
+    copies: dict[tuple[str, bool], list[str]] = {}
+    settled: set[tuple[str, bool]] = set()  # some copy was named: no further route is asked
     found: dict[str, CopyFinding] = {}
     tries = 0
     for number in range(len(routes)):
         for opened in _opened(again, clock):  # 1
             record_id = opened.header.record_id
-            place = (opened.header.reference_digest, opened.grain)
+            place = asset_of(opened)
             if place not in assets:
-                assets[place] = _Asset(suspect, opened, routes, config.seed, clock)
-            asset = assets[place]
+                assets[place], copies[place] = Copies(suspect, opened, routes, config.seed, clock), []
             if number == 0:
                 if record_id in found:
                     raise InputError(f"record {record_id} (copy {opened.copy!r}) is given twice")
-                asset.records.append(record_id)
-            if asset.settled:
+                copies[place].append(record_id)
+            if place in settled:
                 continue
-            if record_id == asset.records[0]:
-                asset.read_next()  # 2
-            found[record_id] = _judge(asset, opened)  # 3
+            assets[place].go_along(number)  # 2
+            found[record_id] = _judge(assets[place], opened)  # 3
         tries = max(SIGNS * count_tries(len(found), routes, replace(config, tries=None)), config.tries or 1)
         found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
-        for asset in assets.values():
-            asset.settled = any(found[name].named for name in asset.records)
-        if all(asset.settled for asset in assets.values()):
+        settled = {place for place, names in copies.items() if any(found[name].named for name in names)}
+        if len(settled) == len(assets):
             break
     if not found:
         raise InputError("no record was given")
-    notes = tuple(note for asset in assets.values() if asset.reading is not None for note in asset.reading.notes)
+    notes = tuple(note for asset in assets.values() for note in asset.reading.notes)
     strongest_first = tuple(sorted(found.values(), key=lambda finding: -abs(finding.z)))
     threshold = z_threshold(config.false_claim_rate, tries)
     return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
@@ -187,11 +148,10 @@ def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRec
         yield opened
 
 
-def _judge(asset: _Asset, opened: OpenedRecord) -> CopyFinding:
+def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
     evidence = asset.evidence(opened)
     signs = opened.spreading_of(len(evidence.y)).signs(opened.message)
     z = layered_z(evidence, signs, opened.layout.chips, either_way=True).best
-    assert asset.reading is not None
     route, share = asset.reading.route, asset.reading.derived_fraction
     return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share)
 

@@ -85,6 +85,7 @@ class Embedded:
     gaussians: int
     seconds: float
     already_carries: list[str]  # the tenant's own assets whose mark the model carried before
+    not_screened: int = 0  # copies that it resembles and that were not looked for, since they are too many
 
 
 @dataclass(frozen=True)

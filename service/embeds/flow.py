@@ -1,6 +1,8 @@
 """The steps of an embed job: mark the upload unless it carries another's mark, and register it."""
 
 import json
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -10,13 +12,13 @@ from service.core import Service
 from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
-from service.screening import screen
+from service.screening import PLAIN, screen
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
 
-SCREENED = 256
-"""Copies of assets that an upload resembles and that are looked for in it, at most; each takes about half a second."""
+SCREENED = 1024
+"""Copies of assets that an upload resembles and that are looked for in it, at most; each takes a tenth of a second."""
 
 
 def embed_flow(service: Service) -> Flow:
@@ -25,11 +27,17 @@ def embed_flow(service: Service) -> Flow:
 
 
 def _embed(service: Service, run: Run) -> dict[str, Any]:
-    """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest."""
+    """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest.
+
+    No owner key but the one that marks enters a process that reads the upload.
+    """
     asked = run.job.request
     owner = open_key(service.db, service.master, run.job.tenant, asked["key_id"])
     model = {"model": service.local(asked["model"], run), "spz_frame": asked["spz_frame"]}
-    rows, drawn = _to_screen(service, run, model), _drawn(service, run.job)
+    screening = _screen(service, run, model)
+    if screening["disputed"]:
+        return {"screening": screening, "kept": {}}
+    drawn = _drawn(service, run.job)
     return service.do_task(
         run,
         "embed",
@@ -41,12 +49,48 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
             "copy": asked["copy_name"],
             "registered_at": run.job.created_at[:19] + "+00:00",
             "drawn": drawn,
-            "candidates": service.candidates(rows, run),
-            "disputes": [row.id for row in rows if row.tenant != run.job.tenant],
             "earlier": _earlier(service, run),
             **{name: asked[name] for name in ("message", "profile", "psnr", "budget", "output", "format")},
         },
-    ) | {"drawn": drawn}
+    ) | {"drawn": drawn, "screening": screening}
+
+
+def _screen(service: Service, run: Run, model: dict[str, Any]) -> dict[str, Any]:
+    """Whose marks the upload `carries`, whether one of them is another's (`disputed`), and how many copies that it
+    resembles were `not_screened`.
+
+    An asset made from this very file is left out: the file is its unmarked original.
+    """
+    query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
+    with service.db.read() as connection:
+        rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
+    alike = screen(service, run, {**model, "plain": True}, rows)
+    chosen = choose(alike, run.job.tenant)
+    known = service.candidates(chosen, run)
+    asked = {"model": str(run.folder / PLAIN), "candidates": known}
+    found = run.work("marks", asked)["carries"] if known else []
+    mine = {row.id for row in chosen if row.tenant == run.job.tenant}
+    return {
+        "carries": found,
+        "disputed": any(each["asset"] not in mine for each in found),
+        "not_screened": len(alike) - len(chosen),
+    }
+
+
+def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
+    """At most SCREENED rows of `assets`, those of one original next to each other.
+
+    Each owner's originals take turns, others before the tenant that asks: nobody hides a copy behind his own.
+    """
+    before: Counter[tuple[str, str]] = Counter()
+    turns = []
+    for row in alike:
+        of = row.tenant, row.original_sha256
+        turns.append((before[of], row.tenant == tenant))
+        before[of] += 1
+    first = sorted(range(len(alike)), key=turns.__getitem__)[:SCREENED]
+    order = {row.original_sha256: number for number, row in reversed(list(enumerate(alike)))}
+    return sorted((alike[number] for number in sorted(first)), key=lambda row: order[row.original_sha256])
 
 
 def _drawn(service: Service, job: Job) -> str:
@@ -62,18 +106,6 @@ def _earlier(service: Service, run: Run) -> str:
     with service.db.read() as connection:
         row = connection.execute(query.order_by(assets.c.registered_at.desc())).first()
     return "" if row is None else service.local_or_gone(row.record_sha256, run)
-
-
-def _to_screen(service: Service, run: Run, model: dict[str, Any]) -> list[Any]:
-    """Assets whose mark the upload may carry, those of others first: nobody hides one behind copies of his own.
-
-    An asset made from this very file is left out: the file is its unmarked original.
-    """
-    query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
-    with service.db.read() as connection:
-        rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
-    alike = screen(service, run, model, rows)
-    return sorted(alike, key=lambda row: row.tenant == run.job.tenant)[:SCREENED]
 
 
 def _commit(service: Service, run: Run) -> dict[str, Any]:
@@ -102,6 +134,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         **{name: row[name] for name in ("record_id", "message", "gaussians")},
         **{name: report[name] for name in ("psnr_worst_view", "ssim_worst_view", "seconds")},
         "already_carries": [found["asset"] for found in made["screening"]["carries"]],
+        "not_screened": made["screening"].get("not_screened", 0),  # a step of before has none
     }
     return {"state": State.SUCCEEDED.value, "result": result}
 

@@ -26,6 +26,7 @@ _EMBEDDED: JsonValue = {
     "ssim_worst_view": 0.9985,
     "seconds": 10.5,
     "already_carries": [],
+    "not_screened": 0,
 }
 _VERIFIED: JsonValue = {
     "claim_id": "cl_f6b2ce7c59a1e745e1b7d86e",
@@ -49,6 +50,7 @@ class EmbedResult(TypedDict):
     ssim_worst_view: float
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]
+    not_screened: Annotated[int, Field(description="Copies that it resembles, too many to look for: were not.")]
 
 
 @with_config(ConfigDict(extra="forbid"))

@@ -1,20 +1,20 @@
 """Registered assets that a suspect may derive from, and marks that an upload carries already."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from engine.errors import MalformedRecordError
-from engine.model import GaussianModel
 from engine.pipeline.attesting import attested_by
+from engine.pipeline.candidates import search
 from engine.pipeline.sealing import OpenedRecord, open_record
-from engine.pipeline.searching import Suspect, search
+from engine.pipeline.searching import Suspect
 from engine.pipeline.verification import VerifyConfig
 from engine.records.attestation import Witness
-from engine.watermark.claim import Verdict
 from engine.watermark.keys import OwnerKey
 from service.clock import LOG
+from service.work.inputs import load_model
 from service.work.process import Progress
 
 
@@ -23,6 +23,7 @@ class Candidate:
     """A registered asset."""
 
     asset: str  # its id, handed back as it came
+    original: str  # SHA-256 of the file that was marked
     record: Path
     key: OwnerKey
     logged: Mapping[str, str]  # what the service's log says of its registration; empty where it was not asked
@@ -43,21 +44,22 @@ def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
     found = []
     for plain in request.get("candidates") or ():
         key = OwnerKey(bytes.fromhex(plain["key"]))
-        found.append(Candidate(str(plain["asset"]), Path(plain["record"]), key, plain.get("logged") or {}))
+        names = str(plain["asset"]), str(plain["original"])
+        found.append(Candidate(*names, Path(plain["record"]), key, plain.get("logged") or {}))
     return found
 
 
-def find_marks(model: GaussianModel, candidates: Sequence[Candidate], progress: Progress) -> dict[str, Any]:
-    """Marks that a model carries already: `{"alike", "carries"}`, see docs/SERVICE.md.
+def find_marks(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+    """Task `marks`. Contract: docs/SERVICE.md.
 
     The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is found by
     `verify`. A record that cannot be opened is passed over: its owner learns that when verifying.
     """
-    config = VerifyConfig(route="model")
-    found = search(Suspect(model), candidates, config, lambda stage, fraction: progress("screen", fraction))
+    suspect, config = Suspect(load_model(request).model), VerifyConfig(route="model")
+    found = search(suspect, load_candidates(request), config, lambda stage, fraction: progress("screen", fraction))
     carries = [
         {"asset": each.candidate.asset, "log10_false_claim": each.claim.log10_false_claim, "z": each.claim.z}
         for each in found.outcomes
-        if each.claim is not None and each.claim.verdict is Verdict.MARKED
+        if each.claim is not None and each.marked
     ]
-    return {"alike": len(candidates), "carries": carries}
+    return {"carries": carries}

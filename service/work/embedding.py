@@ -17,7 +17,6 @@ from engine.sim.variants.marking import embed_variant
 from engine.sim.variants.scenes import encode_scene, notes_of, output_of, written_as
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
-from service.work.candidates import find_marks, load_candidates
 from service.work.inputs import load_cameras, load_model
 from service.work.pictures import draw_preview
 from service.work.process import Progress
@@ -43,10 +42,6 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
     kind = request.get("format") or output_of(loaded)
     written_as(loaded, kind)
     read_seconds = time.perf_counter() - began
-    found = find_marks(loaded.model, load_candidates(request), progress)
-    screen_seconds = time.perf_counter() - began - read_seconds
-    if {each["asset"] for each in found["carries"]} & set(request.get("disputes") or ()):
-        return {"screening": found}
     request_of_mark: dict[str, Any] = {
         "original_sha256": loaded.sha256,
         "message": message,
@@ -87,14 +82,12 @@ def embed_mark(request: Mapping[str, Any], folder: Path, progress: Progress) -> 
         "seconds": ended - began,
         "seconds_by_stage": {
             "read": read_seconds,
-            "screen": screen_seconds,
             **made.report["seconds_by_stage"],
             "write": drawing - started,
             "picture": ended - drawing,
         },
     }
     return {
-        "screening": found,
         "report": report,
         "record_id": made.report["record_id"],
         "message": made.report["message"],

@@ -8,6 +8,7 @@ from engine.catalogue.catalogue import Catalogue
 from engine.catalogue.entry import Entry
 from engine.catalogue.screening import screen_model, screen_pictures
 from engine.errors import FormatError
+from engine.formats import write_model
 from engine.registration.sketch import SuspectIndex
 from service.work.inputs import load_model, load_pictures
 from service.work.process import Progress
@@ -21,8 +22,9 @@ def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict
     catalogue, damaged = _open(request)
     progress("screen", 0.1)
     among = set(request["among"])
-    if request.get("model") is not None:
-        found = screen_model(catalogue, SuspectIndex(load_model(request).model), among)
+    model = None if request.get("model") is None else load_model(request).model
+    if model is not None:
+        found = screen_model(catalogue, SuspectIndex(model), among)
         few, unknown = LIKELY_MODELS, damaged
     else:
         found = screen_pictures(catalogue, load_pictures(request["images"]), among)
@@ -30,7 +32,12 @@ def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict
     progress("screen", 1.0)
     alike = [each.name for each in found if each.alike]
     likely = [each.name for each in found if not each.alike][:few]
-    return {"alike": alike, "likely": likely, "unknown": [name for name in unknown if name in among]}
+    unknown = [name for name in unknown if name in among]
+    files = {}
+    if request.get("plain") and model is not None and alike + unknown:
+        files["plain"] = "plain.ply"
+        write_model(model, folder / files["plain"])
+    return {"alike": alike, "likely": likely, "unknown": unknown, "files": files}
 
 
 def index(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:

@@ -25,6 +25,7 @@ TASKS: Mapping[str, Task] = {
     "embed": _task("embedding", "embed_mark"),
     "index": _task("screening", "index"),
     "inspect": _task("files", "inspect"),
+    "marks": _task("candidates", "find_marks"),
     "picture": _task("files", "look_at_picture"),
     "screen": _task("screening", "screen"),
     "sign": _task("credentials", "sign_model"),

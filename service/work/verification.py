@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from engine.pipeline.candidates import Outcome, Search, search
 from engine.pipeline.locating_mark import locate_mark
-from engine.pipeline.searching import Outcome, Search, Suspect, search
+from engine.pipeline.searching import Suspect
 from engine.pipeline.verification import VerifyConfig
 from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex

@@ -3,6 +3,8 @@
 upload     1 GB over loopback: MB/s, and the API's memory
 parallel   100 verifications sent at once: none may be refused or lost; /healthz while two embeds run
 overhead   an embed through the service against `mark3dgs embed`, same scene and profile
+fairness   another tenant's embed and lists beside 600 verifications and 44 conversions
+copies     the oldest of many copies of one asset: found among all, and by a stranger's embed
 kill       kill -9 of worker, API or both at random moments of embeds: nothing acknowledged may be lost or doubled
 
 Prints one JSON object. Only this machine is talked to.
@@ -30,6 +32,7 @@ import numpy as np
 from engine.numerics.machine import machine_info
 from tests.service import serving
 from tests.service.measure_kills import kill
+from tests.service.measure_load import copies, fairness
 from tests.service.measuring import FINAL, PLANT, client_of, resident_mb, wait_for
 
 
@@ -206,7 +209,14 @@ def overhead(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-WHAT = {"upload": upload, "parallel": parallel, "overhead": overhead, "kill": kill}
+WHAT = {
+    "upload": upload,
+    "parallel": parallel,
+    "overhead": overhead,
+    "fairness": fairness,
+    "copies": copies,
+    "kill": kill,
+}
 
 
 def main() -> None:
@@ -216,6 +226,8 @@ def main() -> None:
     parser.add_argument("--scene", default=str(PLANT), help="overhead: the model to mark")
     parser.add_argument("--profile", default="fast")
     parser.add_argument("--repeats", type=int, default=3, help="timed runs, or rounds of kills")
+    parser.add_argument("--jobs", type=int, default=600, help="fairness: verifications of the crowd")
+    parser.add_argument("--copies", type=int, default=41, help="copies: how many")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="mark3dgs-measure-"))

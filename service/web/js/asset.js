@@ -9,8 +9,8 @@ import { count, fileStem, when } from "./words.js";
 const FORMATS = ["ply", "compressed.ply", "splat", "spz", "sog", "glb"];
 const HEAVY = 1_500_000; // Gaussians; two of those are asked for, not sent
 
-/** View of an asset: {element, heading, opened(), destroy()}. */
-export function assetView(asset, { title, carries = [], again } = {}) {
+/** View of an asset: {element, heading, opened(), destroy()}; of one just made, `made` is the result of its job. */
+export function assetView(asset, { title, made = {}, again } = {}) {
   const name = asset.label || `${asset.original_format} model`;
   const heading = h("h1", { tabindex: "-1" }, title ? `${title}: ${name}` : name);
   const viewer = new Viewer(asset);
@@ -19,7 +19,9 @@ export function assetView(asset, { title, carries = [], again } = {}) {
   const element = h("div", { class: "result" },
     h("div", { class: "result-head" }, heading,
       again ? h("button", { type: "button", class: "quiet", onclick: again }, "Mark another") : null),
-    carries.length ? h("p", { class: "hint" }, "It carried a mark of yours before. Both can be read.") : null,
+    made.already_carries?.length ? h("p", { class: "hint" }, "It carried a mark of yours before. Both can be read.") : null,
+    made.not_screened ? h("p", { class: "hint" },
+      `It resembles more registered copies than were looked for: ${count(made.not_screened)} were not.`) : null,
     h("dl", { class: "facts" },
       fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
       fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, "SSIM, worst view")),

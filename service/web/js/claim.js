@@ -27,6 +27,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
     h("p", { class: "help" }, claim.meaning.record_time),
     claim.message ? section("message", "Message", summary, "message read", (said) => bits(claim.message, said)) : null,
     h("dl", { class: "facts texts" },
+      pictures.examined,
       claim.asset ? fact("marked model", link) : null,
       summary.facts.filter(({ label }) => !DRAWN.has(label)).map(({ label, text }) => fact(label, text)),
       fact("checked", when(claim.created_at)),

@@ -38,7 +38,7 @@ export function startEmbed() {
       if (running !== progress) return;
       if (job.state !== "succeeded") throw refusal(job);
       view = assetView(await getJson(`/v1/assets/${job.result.asset_id}`), {
-        title: "Marked", carries: job.result.already_carries, again: () => { clear(); again(); focusOn($("#mark-title")); },
+        title: "Marked", made: job.result, again: () => { clear(); again(); focusOn($("#mark-title")); },
       });
       intro.hidden = true;
       fill(result, view.element);

@@ -43,6 +43,7 @@ def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) 
     assert min(page.evaluate(HAS)) > 300
     page.locator("figcaption", has_text="Your model, marked").get_by_text(PLANT.name).wait_for()
     page.locator("figcaption", has_text="Suspect").get_by_text("stolen.ply and 2 more").wait_for()
+    assert page.get_by_text("examined", exact=True).is_hidden(), "it is named twice"
     verdict, pictures = box(page, ".verdict"), box(page, ".side-by-side")
     assert pictures["x"] > verdict["x"] + verdict["width"], "not beside it"
     assert [query["q"] for query in asked] == [[claim]]
@@ -52,6 +53,23 @@ def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) 
     page.set_viewport_size(PHONE)
     verdict, pictures = box(page, ".verdict"), box(page, ".side-by-side")
     assert pictures["y"] >= verdict["y"] + verdict["height"], "over it"
+
+
+def test_a_claim_without_pictures_names_what_was_examined(page: Page, served: Served) -> None:
+    """Nothing could be compared, or drawn: the file's name is all that tells one claim from another."""
+    _, claim = stock(served)
+    lists(page, claims=[a_claim(1, id=claim, suspect_names=["stolen.ply", "b.ply"])])
+
+    def bare(route: Route) -> None:
+        answer = route.fetch()
+        plain = answer.json()
+        plain["document"]["pictures"] = {}
+        route.fulfill(response=answer, json=plain)
+
+    page.route(f"**/v1/claims/{claim}", bare)
+    claim_of(page, served)
+    page.locator(".facts", has_text="stolen.ply and 1 more").wait_for()
+    assert page.locator(".side-by-side").count() == 0
 
 
 def test_a_claim_about_a_deleted_model_says_so(page: Page, served: Served) -> None:

@@ -35,7 +35,7 @@ class Marked:
         return self.folder / self.reply["files"][name]
 
     def candidate(self, asset: str = "plant", **changes: str | Path) -> dict[str, Any]:
-        plain = {"asset": asset, "record": self.path("record"), "key": KEY}
+        plain = {"asset": asset, "original": asset, "record": self.path("record"), "key": KEY}
         return {name: str(value) for name, value in (plain | changes).items()}
 
 

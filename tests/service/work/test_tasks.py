@@ -14,7 +14,7 @@ from PIL import Image
 
 from engine.catalogue.entry import Entry
 from engine.errors import CapacityError, FormatError, InputError
-from engine.formats import read_model
+from engine.formats import read_model, write_model
 from engine.pipeline.sealing import open_record
 from engine.pipeline.warm_steps import Step
 from engine.registration.sketch import make_sketch
@@ -22,7 +22,7 @@ from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
-from service.work.candidates import find_marks, load_candidates
+from service.work.candidates import find_marks
 from service.work.embedding import embed_mark
 from service.work.pictures import choose_view
 from service.work.tasks import TASKS, preload
@@ -149,38 +149,20 @@ def test_inspect_says_what_an_upload_is(inspect: Ask) -> None:
     assert (reply["bytes"], reply["sha256"]) == (FOREIGN.stat().st_size, read_model(FOREIGN).sha256)
 
 
-def test_a_registered_mark_is_found_and_only_that(marked: Marked) -> None:
+def test_a_registered_mark_is_found_and_only_that(marked: Marked, tmp_path: Path) -> None:
     piece = model_attack("crop").apply(read_model(marked.path("model")).model, 0.3, rng=1)
     stolen = model_attack("similarity").apply(piece, 3.0, rng=1)
-    request = {
-        "candidates": [
-            marked.candidate("broken", record=FOREIGN),
-            marked.candidate("gone", record=FOREIGN.parent / "nothing"),
-            marked.candidate("strange", key="33" * 16 + "44" * 16),
-            marked.candidate("mine"),
-        ]
-    }
-    candidates = load_candidates(request)
-    found = find_marks(stolen, candidates, silent)
+    write_model(stolen, tmp_path / "stolen.ply")
+    candidates = [
+        marked.candidate("broken", record=FOREIGN),
+        marked.candidate("gone", record=FOREIGN.parent / "nothing"),
+        marked.candidate("strange", key="33" * 16 + "44" * 16),
+        marked.candidate("mine"),
+    ]
+    found = find_marks({"model": str(tmp_path / "stolen.ply"), "candidates": candidates}, tmp_path, silent)
     assert [each["asset"] for each in found["carries"]] == ["mine"]
-    assert found["alike"] == 4
     assert found["carries"][0]["log10_false_claim"] < -100
-    assert find_marks(read_model(marked.original).model, candidates, silent)["carries"] == []
-
-
-def test_a_model_with_anothers_mark_is_not_marked_again(marked: Marked, tmp_path: Path) -> None:
-    request = {
-        "model": str(marked.path("model")),
-        "key": "55" * 16 + "66" * 16,
-        "bits": 16,
-        "profile": "fast",
-        "candidates": [marked.candidate("theirs")],
-        "disputes": ["theirs"],
-    }
-    reply = TASKS["embed"](request, tmp_path, silent)
-    assert [each["asset"] for each in reply["screening"]["carries"]] == ["theirs"]
-    assert set(reply) == {"screening"}
-    assert list(tmp_path.iterdir()) == []
+    assert find_marks({"model": str(marked.original), "candidates": candidates}, tmp_path, silent)["carries"] == []
 
 
 def test_who_waits_for_an_answer_waits_for_nothing_else(tmp_path: Path) -> None:

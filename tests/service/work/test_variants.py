@@ -36,7 +36,7 @@ def test_a_clip_is_marked_and_verified_as_a_clip(clip: Path, tmp_path: Path) -> 
     )
     for name in ("trbf_center", "trbf_scale", "motion", "omega"):
         np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
-    candidate = {"asset": "clip", "record": str(tmp_path / reply["files"]["record"]), "key": KEY}
+    candidate = {"asset": "clip", "original": "clip", "record": str(tmp_path / reply["files"]["record"]), "key": KEY}
     request: dict[str, Any] = {"candidates": [candidate], "false_claim_rate": 1e-9, "spz_frame": "auto"}
     for suspect, verdict in ((tmp_path / reply["files"]["model"], "marked"), (clip, "not_marked")):
         found = TASKS["verify"](request | {"model": str(suspect)}, tmp_path, silent)

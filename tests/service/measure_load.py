@@ -1,0 +1,139 @@
+"""What one tenant's load costs another, and what many copies of one asset cost their owner, on a running service."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from engine.cli.files import write_picture
+from engine.formats import read_model
+from engine.pipeline.rigs import make_rig
+from engine.raster import render
+from service.client import Client, ServiceError
+from tests.service import serving
+from tests.service.flow.commands import token_of
+from tests.service.measuring import PLANT
+
+FORMATS = ("splat", "spz", "sog", "glb", "compressed.ply")
+CONVERSIONS = 44
+
+
+def fairness(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """Another tenant's embed alone, behind many verifications, and after these; its list during conversions.
+
+    Limits are lifted, so that the crowd gets what it asks for.
+    """
+    lifted = {"QUEUED_JOBS": "10000", "VERIFIES_PER_HOUR": "10000", "CONVERSIONS_AT_ONCE": str(CONVERSIONS)}
+    served = serving.start(folder, workers=1, **lifted)
+    try:
+        keys = {name: token_of(served, name) for name in ("crowd", "other")}
+        crowd, other = (Client(served.address, key) for key in keys.values())
+        bare = httpx.Client(base_url=served.address, timeout=600, headers={"Authorization": f"Bearer {keys['crowd']}"})
+        assets = [crowd.embed(PLANT, profile="fast", copy_name=name).asset_id for name in "abcd"]
+        upload = crowd.upload(crowd.download(assets[0], folder / "copy.ply")).id
+
+        def embed() -> Any:
+            return other.embed(PLANT, profile="fast", timeout=7200)
+
+        embed()  # its owner key is made
+        time.sleep(5)  # the process in waiting is warm
+        alone = _seconds(embed)
+
+        def ask(_: int) -> int:
+            return bare.post("/v1/verify", json={"upload_id": upload, "asset_id": assets[0]}).status_code
+
+        began = time.perf_counter()
+        with ThreadPoolExecutor(32) as pool:
+            asked = Counter(pool.map(ask, range(args.jobs)))
+        queued = time.perf_counter() - began
+        behind = _seconds(embed)
+        left = _open_jobs(crowd)
+        began = time.perf_counter()
+        with ThreadPoolExecutor(32) as pool:
+            list(pool.map(lambda job: bare.delete(f"/v1/jobs/{job}"), left))
+        cancelled = time.perf_counter() - began
+        after = _seconds(embed)
+
+        def convert(number: int) -> int:
+            kind = FORMATS[number % len(FORMATS)]
+            return bare.get(f"/v1/assets/{assets[number % len(assets)]}/model", params={"format": kind}).status_code
+
+        stop, times = threading.Event(), list[float]()
+
+        def look() -> None:
+            while not stop.is_set():
+                times.append(_seconds(other.assets))
+                time.sleep(0.02)
+
+        looking = threading.Thread(target=look)
+        looking.start()
+        began = time.perf_counter()
+        with ThreadPoolExecutor(CONVERSIONS) as pool:
+            converted = Counter(pool.map(convert, range(CONVERSIONS)))
+        took = time.perf_counter() - began
+        stop.set()
+        looking.join()
+    finally:
+        served.stop()
+    return {
+        "embed_alone_s": alone,
+        "verifications": dict(asked),
+        "queued_in_s": queued,
+        "embed_behind_them_s": behind,
+        "left_when_it_ended": len(left),
+        "cancelled_in_s": cancelled,
+        "embed_after_that_s": after,
+        "conversions": dict(converted),
+        "converted_in_s": took,
+        "list_p50_ms": 1e3 * float(np.median(times)),
+        "list_most_ms": 1e3 * max(times),
+    }
+
+
+def copies(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """The oldest of many copies of one asset: its model and a picture of it among all; marked anew by a stranger."""
+    served = serving.start(folder, workers=1)
+    try:
+        owner, stranger = (Client(served.address, token_of(served, name)) for name in ("owner", "stranger"))
+        made = [owner.embed(PLANT, profile="fast", copy_name=f"c{number}").asset_id for number in range(args.copies)]
+        model = owner.download(made[0], folder / "leak.ply")
+        loaded = read_model(model).model
+        camera = make_rig(loaded, 1, 1200, 800, jitter=np.random.default_rng(args.seed).random((1, 4)))[0]
+        picture = folder / "leak.jpg"
+        write_picture(np.clip(render(loaded, camera), 0.0, 1.0), picture, picture, 90)
+        found: dict[str, Any] = {"copies": args.copies}
+        for name, suspect in (("model", model), ("picture", picture), ("original", PLANT)):
+            time.sleep(5)
+            began = time.perf_counter()
+            answer = owner.verify(suspect)
+            found |= {f"{name}_s": time.perf_counter() - began, f"{name}_verdict": answer.verdict}
+            found[f"{name}_named"] = answer.asset_id == made[0]
+        time.sleep(5)
+        began = time.perf_counter()
+        try:
+            stranger.embed(model, profile="fast")
+            found["stranger"] = "it was marked"
+        except ServiceError as error:
+            found["stranger"] = error.code
+        return found | {"stranger_s": time.perf_counter() - began}
+    finally:
+        served.stop()
+
+
+def _open_jobs(client: Client) -> list[str]:
+    return [job.id for state in ("queued", "running") for job in client.jobs(state=[state])]
+
+
+def _seconds(act: Callable[[], Any]) -> float:
+    began = time.perf_counter()
+    act()
+    return time.perf_counter() - began
