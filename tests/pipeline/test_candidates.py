@@ -14,7 +14,7 @@ from engine.errors import MalformedRecordError
 from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import GaussianModel
-from engine.pipeline.candidates import search
+from engine.pipeline.candidates import Outcome, search
 from engine.pipeline.embedding import embed_copies
 from engine.pipeline.locating_mark import locate_mark
 from engine.pipeline.profiles import profile
@@ -67,6 +67,14 @@ def test_the_best_answer_is_kept_and_a_damaged_record_hides_nobody(scene: Marked
     assert [outcome.found is None for outcome in found.outcomes] == [True, True, False]
     assert set(told) == {f"record {k} of 3" for k in (1, 2, 3)}
     assert {"open record", "register", "model"} <= set(found.seconds_by_stage)
+
+
+def test_what_was_read_as_another_copy_never_stands_first(scene: MarkedScene) -> None:
+    claim = verify_model(scene.marked, scene.opened, MODEL).claim
+    asked = Kept("right", scene.opened, "a")
+    unread = Outcome(asked, error=MalformedRecordError("it is damaged"))
+    partly, weak = Outcome(asked, claim, whole=False), Outcome(asked, replace(claim, verdict=Verdict.INCONCLUSIVE))
+    assert unread.worth < partly.worth < weak.worth < Outcome(asked, claim).worth
 
 
 def test_it_may_stop_at_the_first_mark_but_counts_all(scene: MarkedScene, other: MarkedScene) -> None:
