@@ -73,19 +73,14 @@ def metrics(core: Core, caller: Operator) -> Response:
     """Counts of jobs by kind and state, assets, claims, workers; sizes of queue and disk: of all tenants together, so
     for a key with the scope `operator`."""
     registry = CollectorRegistry()
+    by_state = Gauge("mark3dgs_jobs", "Jobs by kind and state", ["kind", "state"], registry=registry)
+    count = sa.select(sa.func.count())
     with core.db.read() as connection:
-        by_state = connection.execute(
-            sa.select(jobs.c.kind, jobs.c.state, sa.func.count()).group_by(jobs.c.kind, jobs.c.state)
-        ).all()
-        counts = {
-            table.name: connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
-            for table in (assets, claims)
-        }
-    gauge = Gauge("mark3dgs_jobs", "Jobs by kind and state", ["kind", "state"], registry=registry)
-    for kind, state, count in by_state:
-        gauge.labels(kind, state).set(count)
-    for name, count in counts.items():
-        Gauge(f"mark3dgs_{name}", f"Rows in {name}", registry=registry).set(count)
+        for row in connection.execute(count.add_columns(*(kinds := (jobs.c.kind, jobs.c.state))).group_by(*kinds)):
+            by_state.labels(row.kind, row.state).set(row[0])
+        for table in (assets, claims):
+            rows = connection.execute(count.select_from(table)).scalar_one()
+            Gauge(f"mark3dgs_{table.name}", f"Rows in {table.name}", registry=registry).set(rows)
     Gauge("mark3dgs_workers", "Workers heard of lately", registry=registry).set(_workers(core))
     Gauge("mark3dgs_disk_free_bytes", "Free bytes for scratch files", registry=registry).set(core.blobs.free_bytes())
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)

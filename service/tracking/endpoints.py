@@ -76,16 +76,13 @@ async def job_events(
 ) -> AsyncIterable[ServerSentEvent]:
     """Server-sent events: the job at every change, of its place in the queue, too, until it has ended."""
     told, waited = None, 0.0
-    while True:
-        job = await asyncio.to_thread(core.jobs.get, caller.tenant, job_id)
-        if job is None:
-            return
+    while (job := await asyncio.to_thread(core.jobs.get, caller.tenant, job_id)) is not None:
         (seen,) = await asyncio.to_thread(views, core, [job])
         if seen != told:
             told, waited = seen, 0.0
             yield ServerSentEvent(data=seen.model_dump(), event="progress", id=str(job.revision))
-            if job.state in FINAL:
-                return
+        if job.state in FINAL:
+            return
         await asyncio.sleep(POLL_SECONDS)
         waited += POLL_SECONDS
         if waited >= KEEP_ALIVE_SECONDS:

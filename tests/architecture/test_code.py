@@ -22,6 +22,28 @@ def offenders(rule: Rule, files: Iterable[Path] = ()) -> dict[str, list[object]]
     return {path: faults for path, faults in found.items() if faults}
 
 
+# --- handlers ----------------------------------------------------------------------------------------------
+
+MOST_LINES = 15
+
+
+def long_handlers(tree: ast.Module) -> Iterator[str]:
+    """Functions that answer requests and have more lines than that, docstring not counted."""
+    for node in ast.walk(tree):
+        if isinstance(node, Function) and any("router." in ast.unparse(each) for each in node.decorator_list):
+            body = node.body[1:] if ast.get_docstring(node) and len(node.body) > 1 else node.body
+            if (lines := (node.end_lineno or 0) - body[0].lineno + 1) > MOST_LINES:
+                yield f"{node.name}: {lines}"
+
+
+def test_handlers_are_short() -> None:
+    """What they do is said elsewhere, where it can be tested without a request."""
+    assert offenders(long_handlers) == {}
+    lines = "\n".join(f"    x = {number}" for number in range(16))
+    code = f'@router.get("/")\ndef handler():\n    """Its own words."""\n{lines}\n\ndef other():\n{lines}'
+    assert list(long_handlers(ast.parse(code))) == ["handler: 16"]
+
+
 # --- exports -----------------------------------------------------------------------------------------------
 
 
