@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from engine.pipeline.progress import Clock
-from engine.pipeline.reading import read_grain, read_tint
+from engine.pipeline.reading import compare_tint, read_grain, read_tint
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.searching import Reading, Suspect, readings
 from engine.watermark.grain import Grain
 from engine.watermark.image_evidence import gather_again
-from engine.watermark.model_evidence import Evidence
+from engine.watermark.model_evidence import Evidence, Residual
 
 __all__ = ["Copies", "asset_of"]
 
@@ -37,6 +37,7 @@ class Copies:
         self._readings = enumerate(readings(suspect, first, routes, seed, clock))
         self._route = -1
         self._tint = first.layout.chips  # of the copy that it is read as
+        self._compared: dict[int, Residual] = {}  # colours, by the width of the carriers
         self._grain: dict[Grain, Evidence] = {}  # of the Gaussians
         self.reading: Reading
 
@@ -63,11 +64,15 @@ class Copies:
             return pictures
         assert self._suspect.model is not None
         assert reading.registration is not None
-        model = read_tint(self._suspect.model, opened, reading.registration)
+        asked = self._suspect.model, opened, reading.registration
+        width = opened.layout.width
+        if width not in self._compared:
+            self._compared = {width: compare_tint(*asked)}
+        model = read_tint(*asked, self._compared[width])
         if opened.grain.there:
             if opened.grain not in self._grain:
                 if len(self._grain) == MOST_GRAINS:
                     self._grain.clear()
-                self._grain[opened.grain] = read_grain(self._suspect.model, opened, reading.registration)
+                self._grain[opened.grain] = read_grain(*asked)
             model = model.then(self._grain[opened.grain])
         return model.plus(pictures) if reading.route == "both" else model

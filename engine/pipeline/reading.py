@@ -25,10 +25,10 @@ from engine.raster import render
 from engine.registration.registering import Registration
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.image_evidence import PictureEvidence
-from engine.watermark.model_evidence import Evidence, gather_model_evidence
+from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 from engine.watermark.picture_agreement import Together
 
-__all__ = ["Seen", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
+__all__ = ["Seen", "compare_tint", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
 
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see
@@ -58,13 +58,22 @@ def read_gaussians(suspect: GaussianModel, opened: OpenedRecord, registration: R
     return tint.then(read_grain(suspect, opened, registration)) if opened.grain.there else tint
 
 
-def read_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:
-    """What the suspect's colours say, in the cells of this record's copy."""
+def read_tint(
+    suspect: GaussianModel, opened: OpenedRecord, registration: Registration, compared: Residual | None = None
+) -> Evidence:
+    """What the suspect's colours say, in the cells of this record's copy; `compared` as `compare_tint` gives it."""
+    if compared is None:
+        compared = compare_tint(suspect, opened, registration)
+    tint = gather_residual(opened.layout, compared)
+    return replace(tint, signal=opened.strength * tint.signal)
+
+
+def compare_tint(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Residual:
+    """How far the suspect's colours lie from the reference's: the same for copies with carriers of the same width."""
     seen = suspect if opened.layout.width == 3 else registration.place(suspect)  # DC is the same from everywhere
     reference, colors = (model.sh.reshape(len(model), -1) for model in (opened.reference, seen))
     width = min(opened.layout.width, colors.shape[1])
-    tint = gather_model_evidence(opened.layout, reference[:, :width], colors[:, :width], registration.mixtures)
-    return replace(tint, signal=opened.strength * tint.signal)
+    return compare_colors(reference[:, :width], colors[:, :width], registration.mixtures)
 
 
 def read_grain(suspect: GaussianModel, opened: OpenedRecord, registration: Registration) -> Evidence:

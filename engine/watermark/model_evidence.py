@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from engine.model import Bool, Float32, Float64
+from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.registration.mixtures import Mixtures
 from engine.watermark.code_shares import CodeShares
 from engine.watermark.layout import MARK_SCALE, Layout
@@ -77,8 +77,25 @@ def remove_affine_color(reference: Float64, residual: Float64, weights: Float64)
     return np.asarray(residual - design @ fit)
 
 
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """How far the colours of suspect Gaussians lie from those they are matched to: the same for all copies."""
+
+    values: Float64  # (n, D)
+    trust: Float64  # (n,)
+    # (E,) each: which of the n a share of which reference Gaussian is in, and that share
+    rows: Int64
+    reference_rows: Int32
+    shares: Float64
+
+
 def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Evidence:
-    """Displacement of every code vector along every carrier, "inverse SVD" of Eq 10 with Eq 11's compensation.
+    """What `compare_colors` finds in one call with what `gather_residual` makes of it."""
+    return gather_residual(layout, compare_colors(reference_dc, suspect_dc, mixtures))
+
+
+def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixtures) -> Residual:
+    """Differences of colours, without what a global change of them explains.
 
     Parameters
     ----------
@@ -104,13 +121,18 @@ def gather_model_evidence(layout: Layout, reference_dc: Float32, suspect_dc: Flo
     residual[:, :3] = remove_affine_color(reference[:, :3], residual[:, :3], trust)
     size = np.linalg.norm(residual, axis=1)
     scale = max(2.0 * float(np.median(size)) if len(size) else 0.0, 2.0 * MARK_SCALE)
-    trust = trust / (1.0 + (size / scale) ** 2)
+    return Residual(residual, trust / (1.0 + (size / scale) ** 2), of, target, shares)
+
+
+def gather_residual(layout: Layout, found: Residual) -> Evidence:
+    """Displacement of every code vector along every carrier, "inverse SVD" of Eq 10 with Eq 11's compensation."""
+    residual, trust, count = found.values, found.trust, len(found.values)
     stages = [
-        CodeShares(of, stage[target], shares, (len(rows), count))
-        for stage, count in zip(layout.labels, layout.codes, strict=True)
+        CodeShares(found.rows, stage[found.reference_rows], found.shares, (count, codes))
+        for stage, codes in zip(layout.labels, layout.codes, strict=True)
     ]
     means, left = _take_turns(stages, residual, trust)
-    if len(of) > len(rows):
+    if len(found.rows) > count:
         # Plain matches err each by itself. Mixtures err in what they are made of, too, and those that share a patch err
         # together: what they have in common is no excuse for them.
         left = residual

@@ -32,7 +32,8 @@ def fairness(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
 
     Limits are lifted, so that the crowd gets what it asks for.
     """
-    lifted = {"QUEUED_JOBS": "10000", "VERIFIES_PER_HOUR": "10000", "CONVERSIONS_AT_ONCE": str(CONVERSIONS)}
+    jobs = ("QUEUED_JOBS", "VERIFIES_PER_HOUR", "SUBJECT_VERIFIES_PER_DAY")
+    lifted = {**dict.fromkeys(jobs, "10000"), "CONVERSIONS_AT_ONCE": str(CONVERSIONS)}
     served = serving.start(folder, workers=1, **lifted)
     try:
         keys = {name: token_of(served, name) for name in ("crowd", "other")}
