@@ -105,7 +105,8 @@ def run(arguments: list[str]) -> int:
         found = failures.describe(error)
         console.note(f"mark3dgs: {found['message']}")
         if found["type"] == "UsageError":
-            console.note("Try 'mark3dgs --help', or a command's own --help.")
+            where = getattr(error, "ctx", None)  # the command that did not understand
+            console.note(f"Try '{where.command_path if where else 'mark3dgs'} --help'.")
         console.emit({"error": found})
         return code
 

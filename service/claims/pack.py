@@ -20,6 +20,7 @@ from service.claims.document import document_words
 from service.claims.report import captions_of, timeline
 from service.claims.told import Told
 from service.problems import Problem
+from service.trust.tenants import FIRST_TENANT
 
 PICTURES = ("suspect", "asset", "difference", "heatmap")
 """What a pack may show; `heatmap` where it is drawn over the `asset`, so not in claims of before."""
@@ -53,11 +54,13 @@ def make_pack(
     if pictures.keys() != set(shown_in_pack(pictures)):
         raise ValueError(f"not to be shown to strangers: {sorted(pictures)}")
     issuer, digests = document.get("issuer") or {}, document["pictures"]
+    owner = (document.get("owner") or {}).get("name", "")
     address = issuer.get("address") or "[address of the service that issued the claim]"
     about = {
         "claim": document,
         "words": document_words(document, PLAIN),
         "timeline": timeline(document, jws, timestamp),
+        "owner": "[name of the owner]" if owner == FIRST_TENANT else owner,
         "issuer": f"{issuer.get('name') or 'Mark3DGS'}, {address}",
         "keys": f"{address.rstrip('/')}/.well-known/jwks.json",
         "stamped": timestamp is not None,

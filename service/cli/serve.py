@@ -134,6 +134,7 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
     from service.db import Database
     from service.trust.api_keys import issue_first
     from service.trust.signing import ensure_key
+    from service.trust.tenants import FIRST_TENANT
 
     settings = settings_of()
     if not may_make and not Database(settings.database()).exists:
@@ -141,7 +142,7 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
         raise InputError(f"there is no service in {place}: 'mark3dgs serve' or 'mark3dgs init' makes one")
     service = Service.open(settings)
     ensure_key(service.db, service.master)
-    token = issue_first(service.db, service.master, "default", "first admin key")
+    token = issue_first(service.db, service.master, FIRST_TENANT, "first admin key")
     if token is not None:
         console.note("First start: the master key, the signing key and one admin API key were made.")
         if settings.master_key is None:
@@ -149,6 +150,11 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
                 f"  master key   {settings.data_dir / 'master.key'}  (seals all other keys: back it up, apart)"
             )
         _hand_over(console, token, settings.data_dir / "admin.key")
+        console.note(
+            f"  your name    is {FIRST_TENANT!r} in claims: mark3dgs tenant {FIRST_TENANT} 'WHAT PEOPLE CALL YOU'"
+        )
+        if not settings.public_url:
+            console.note("  address      none in claims: set MARK3DGS_PUBLIC_URL before you hand one out")
     return settings, service
 
 

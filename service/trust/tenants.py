@@ -8,6 +8,8 @@ from service.problems import Problem
 from service.trust import audit
 
 MOST_CHARACTERS = 100
+FIRST_TENANT = "default"
+"""Whom the first API key is of: nobody's name."""
 
 
 def check_tenant(tenant: str) -> None:

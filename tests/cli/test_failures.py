@@ -51,6 +51,7 @@ def test_usage_error_is_one_line_on_stderr(capsys: pytest.CaptureFixture[str]) -
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("mark3dgs: Missing argument")
+    assert captured.err.endswith("Try 'mark3dgs embed --help'.\n"), "which command's"
 
 
 def test_usage_error_is_json_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
@@ -62,7 +63,9 @@ def test_usage_error_is_json_for_machines(capsys: pytest.CaptureFixture[str]) ->
 
 def test_unknown_command_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["steal"]) == USAGE
-    assert "steal" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "steal" in said
+    assert said.endswith("Try 'mark3dgs --help'.\n")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("boom"), MemoryError()])

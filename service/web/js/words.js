@@ -69,7 +69,7 @@ export function took(seconds) {
 export const assetName = ({ label, id, copy_name: copy }) => (copy ? `${label || id}, copy for ${copy}` : label || id);
 
 /** What the files of a claim in a list were called; empty where nobody knows. */
-export function suspectName({ suspect_names: [first, ...others] = [] }) {
+export function suspectName({ suspects: [first, ...others] = [] }) {
   return others.length ? `${first} and ${others.length} more` : first ?? "";
 }
 

@@ -44,6 +44,18 @@ def test_the_same_claim_and_words_give_the_same_bytes(registry: Registry, monkey
     assert pack(registry, told=Told()) != first
 
 
+def test_a_tenant_that_nobody_named_is_a_blank(registry: Registry) -> None:
+    """The first tenant of a service is called "default": no platform knows what to make of that."""
+    claim = registry.issue(job="job_1")
+    for name, said in (("default", "[name of the owner]"), ("Studio Acme", "Studio Acme")):
+        document = {**claim.document, "owner": {"name": name}}
+        finding, notice = texts(make_pack(document, claim.jws, PICTURES, None, Told()))
+        assert f"registered by {said}." in notice
+        assert f" for {said}." in " ".join(finding.split())
+    finding, notice = texts(make_pack({**claim.document, "owner": None}, claim.jws, PICTURES, None, Told()))
+    assert "registered by" not in notice
+
+
 def test_what_it_holds_can_be_checked(registry: Registry) -> None:
     files = opened(pack(registry))
     pictures = {f"signed/{name}.png" for name in PICTURES}

@@ -49,6 +49,11 @@ def test_init_makes_one(mark3dgs: Mark3dgs, tmp_path: Path) -> None:
     assert (key.read_text()[:3], stat.S_IMODE(key.stat().st_mode)) == ("mk_", 0o600)
     assert "mk_" not in err + out, "a log is no place for a key"
     assert str(key) in err
+    assert "mark3dgs tenant default" in err
+    assert "MARK3DGS_PUBLIC_URL" in err
+    assert (
+        "MARK3DGS_PUBLIC_URL" not in mark3dgs("init", DATA_DIR=str(tmp_path / "b"), PUBLIC_URL="https://x.example")[2]
+    )
     assert mark3dgs("audit", "verify")[0] == 0
     code, out, err = mark3dgs("init")
     assert (code, "API key" in out + err) == (0, False), "twice is once"

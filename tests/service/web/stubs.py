@@ -6,6 +6,12 @@ import json
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
+from pydantic import BaseModel
+
+from service.assets.endpoints import Asset
+from service.claims.endpoints import ClaimSummary
+from service.http.answers import JobView
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page, Route
 
@@ -55,16 +61,23 @@ def a_job(number: int, **fields: Any) -> dict[str, Any]:
         plain["started_at"] = at(number)
     if plain["state"] not in ("queued", "running"):
         plain["finished_at"] = at(number + 1)
-    return plain
+    return _known(plain, JobView)
 
 
 def an_asset(number: int, **fields: Any) -> dict[str, Any]:
     """An asset as a list shows it."""
     plain = {"id": f"as_{number:024x}", "label": f"Model {number}", "copy_name": "", "gaussians": 1000 + number}
-    return plain | {"registered_at": at(number), "record_id": f"{number:032x}", **fields}
+    return _known(plain | {"registered_at": at(number), "record_id": f"{number:032x}", **fields}, Asset)
 
 
 def a_claim(number: int, **fields: Any) -> dict[str, Any]:
     """A claim as a list shows it."""
     plain = {"id": f"cl_{number:024x}", "asset_id": None, "verdict": "inconclusive", "headline": "Not recognised"}
-    return plain | {"finding": f"Nothing was recognised in suspect {number}.", "created_at": at(number), **fields}
+    plain |= {"finding": f"Nothing was recognised in suspect {number}.", "created_at": at(number), **fields}
+    return _known(plain, ClaimSummary)
+
+
+def _known(plain: dict[str, Any], shown_as: type[BaseModel]) -> dict[str, Any]:
+    """The page must not live on what no service says."""
+    assert plain.keys() <= shown_as.model_fields.keys(), plain.keys() - shown_as.model_fields.keys()
+    return plain

@@ -36,7 +36,7 @@ def box(page: Page, name: str) -> Any:
 
 def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) -> None:
     asset, claim = stock(served)
-    named = a_claim(1, id=claim, suspect_names=["stolen.ply", "b.ply", "c.ply"])
+    named = a_claim(1, id=claim, suspects=["stolen.ply", "b.ply", "c.ply"])
     asked = lists(page, claims=[named])
     claim_of(page, served)
     page.locator(".side-by-side img").nth(1).wait_for()
@@ -58,7 +58,7 @@ def test_suspect_and_asset_stand_beside_the_verdict(page: Page, served: Served) 
 def test_a_claim_without_pictures_names_what_was_examined(page: Page, served: Served) -> None:
     """Nothing could be compared, or drawn: the file's name is all that tells one claim from another."""
     _, claim = stock(served)
-    lists(page, claims=[a_claim(1, id=claim, suspect_names=["stolen.ply", "b.ply"])])
+    lists(page, claims=[a_claim(1, id=claim, suspects=["stolen.ply", "b.ply"])])
 
     def bare(route: Route) -> None:
         answer = route.fetch()

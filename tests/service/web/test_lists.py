@@ -83,7 +83,7 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
 
 def test_search_and_verdict_ask_the_service(page: Page) -> None:
     found = [an_asset(3), an_asset(2, label="Garden", copy_name="Acme"), an_asset(1)]
-    told = {"asset_id": found[1]["id"], "asset_label": "Garden", "copy_name": "Acme", "suspect_names": ["stolen.ply"]}
+    told = {"asset_id": found[1]["id"], "asset_label": "Garden", "copy_name": "Acme", "suspects": ["stolen.ply"]}
     claims = [a_claim(3, verdict="marked", headline="Mark found", **told), a_claim(2), a_claim(1)]
     asked = lists(page, assets=found, claims=claims)
     library(page)
@@ -154,13 +154,7 @@ def test_names_are_text_and_long_ones_stay_in_their_place(browser: Browser, serv
     for label in (HOSTILE, LONG_NAME):
         context = browser.new_context(viewport=PHONE)
         page = context.new_page()
-        named = {
-            "asset_label": label,
-            "copy_name": label,
-            "suspect_names": [label],
-            "headline": label,
-            "finding": label,
-        }
+        named = {"asset_label": label, "copy_name": label, "suspects": [label], "headline": label, "finding": label}
         failure = {"title": label, "detail": label, "type": "about:blank", "status": 422}
         jobs = [a_job(2, state="running", stage=label), a_job(1, state="failed", problem=failure)]
         asset = an_asset(1, label=label, copy_name=label)

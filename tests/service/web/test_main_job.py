@@ -76,6 +76,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert "32 of 32 bits" in result.inner_text().replace("\n", " ")
     assert result.locator(".scale.met").count() == 1
     assert page.evaluate("document.activeElement.textContent") == "Mark found"
+    result.locator("figcaption", has_text="Suspect").get_by_text("stolen.spz").wait_for()
     shoot(page, "claim")
 
     # 5. the claim leaves the house
