@@ -14,6 +14,7 @@ from service.core import Service
 from service.http import idempotency
 from service.http.failures import responses
 from service.http.results import Failure, Result, Time, TimeOrNot
+from service.jobs.course import course
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
 from service.trust.api_keys import Caller
@@ -32,6 +33,9 @@ class JobView(BaseModel):
     name: str = Field(description="What it is about: the label, or the names of the files; empty where nobody said.")
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
+    fraction_total: float | None = Field(
+        ge=0, le=1, description="How far the whole job is, by the time that its stages take; null where nobody knows."
+    )
     cancelling: bool
     position: int | None = Field(
         ge=1,
@@ -67,7 +71,7 @@ JOB_RESPONSES: dict[int | str, dict[str, Any]] = {
 def view(job: Job, position: int | None = None) -> JobView:
     """The job for the client."""
     name = job.request.get("label") or ", ".join(job.request.get("names") or ())
-    return JobView.model_validate({**vars(job), "position": position, "name": name})
+    return JobView.model_validate({**vars(job), "fraction_total": course(job), "position": position, "name": name})
 
 
 def views(service: Service, jobs: Sequence[Job]) -> list[JobView]:

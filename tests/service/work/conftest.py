@@ -30,6 +30,7 @@ class Marked:
     folder: Path
     original: Path
     reply: dict[str, Any]
+    stages: list[tuple[str, float]]  # as it went
 
     def path(self, name: str) -> Path:
         return self.folder / self.reply["files"][name]
@@ -60,7 +61,9 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> Marked:
         "spz_frame": "auto",
         "registered_at": "2026-01-02T03:04:05+00:00",
     }
-    return Marked(folder, original, TASKS["embed"](request, folder, silent))
+    stages: list[tuple[str, float]] = []
+    reply = TASKS["embed"](request, folder, lambda stage, fraction: stages.append((stage, fraction)))
+    return Marked(folder, original, reply, stages)
 
 
 @pytest.fixture
