@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from engine.errors import InputError
 from engine.pipeline.sealing import OpenedRecord
 from engine.registration.registering import Registration
-from engine.watermark.claim import Claim, ClaimConfig, decide
+from engine.watermark.claim import SCATTERED, Claim, ClaimConfig, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.layers import SCATTERED, layered_z, only
+from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper

@@ -27,6 +27,9 @@ from engine.watermark.statistics import (
     z_threshold,
 )
 
+SCATTERED = "_by_scatter"
+"""What follows the names of `layers.LAYERS` in a claim where pictures were read by their scatter."""
+
 
 class Verdict(StrEnum):
     """The three answers. "No mark found" is a result, not an error."""

@@ -17,8 +17,6 @@ from engine.watermark.statistics import weighted_evidence
 
 LAYERS = ("both", "tint", "grain")
 """What is asked of an evidence."""
-SCATTERED = "_by_scatter"
-"""What follows the names of the same questions to pictures that were read by their scatter."""
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ TORCH_MODULES = {"engine.pipeline.distortions", "engine.pipeline.refinement", "e
 """Modules that are nothing without torch; everybody else imports them (or torch) inside a function."""
 
 OPENING = """
-import json, sys, time
+import importlib, json, sys, time
 start = time.process_time()
-import engine
+importlib.import_module(sys.argv[1])
 seconds = time.process_time() - start
 print(json.dumps([seconds, sorted({"torch", "numba", "cv2", "scipy", "skimage"} & set(sys.modules))]))
 """
@@ -58,9 +58,14 @@ def imports_at_load(path: Path, package: str) -> bool:
 
 
 def test_engine_opens_at_once_and_brings_nothing_heavy() -> None:
-    runs = [json.loads(run(OPENING)) for _ in range(5)]
+    runs = [json.loads(run(OPENING, "engine")) for _ in range(5)]
     assert statistics.median(seconds for seconds, _ in runs) <= SECONDS
     assert all(heavy == [] for _, heavy in runs)
+
+
+def test_an_api_process_brings_nothing_that_works_on_models() -> None:
+    """It stays at half the memory: all of that is done in processes of their own."""
+    assert json.loads(run(OPENING, "service.app"))[1] == []
 
 
 def test_only_torch_modules_import_torch_when_loaded() -> None:

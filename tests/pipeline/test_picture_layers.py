@@ -17,7 +17,7 @@ from engine.pipeline.rigs import make_rig
 from engine.pipeline.tracing import trace_images
 from engine.pipeline.verification import verify_images
 from engine.raster import RasterSettings, render
-from engine.watermark.layers import SCATTERED
+from engine.watermark.claim import SCATTERED
 from engine.watermark.statistics import z_threshold
 
 SIDE = 512
