@@ -80,17 +80,20 @@ def _screen(service: Service, run: Run, model: dict[str, Any]) -> dict[str, Any]
 def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     """At most SCREENED rows of `assets`, those of one original next to each other.
 
-    Each owner's originals take turns, others before the tenant that asks: nobody hides a copy behind his own.
+    Owners take turns, others before the tenant that asks, and so do the originals of each: nobody hides a copy behind
+    many of his own.
     """
-    before: Counter[tuple[str, str]] = Counter()
-    turns = []
-    for row in alike:
-        of = row.tenant, row.original_sha256
-        turns.append((before[of], row.tenant == tenant))
-        before[of] += 1
-    first = sorted(range(len(alike)), key=turns.__getitem__)[:SCREENED]
+    seen: Counter[Any] = Counter()
+
+    def turn(of: Any) -> int:
+        seen[of] += 1
+        return seen[of]
+
+    by_copy = sorted(alike, key=lambda row: turn((row.tenant, row.original_sha256)))
+    chosen = sorted(by_copy, key=lambda row: (turn(row.tenant), row.tenant == tenant))[:SCREENED]
     order = {row.original_sha256: number for number, row in reversed(list(enumerate(alike)))}
-    return sorted((alike[number] for number in sorted(first)), key=lambda row: order[row.original_sha256])
+    ids = {row.id for row in chosen}
+    return sorted((row for row in alike if row.id in ids), key=lambda row: order[row.original_sha256])
 
 
 def _drawn(service: Service, job: Job) -> str:

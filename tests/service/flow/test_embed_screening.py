@@ -147,6 +147,8 @@ def test_nobody_hides_a_copy_behind_many_of_another(monkeypatch: pytest.MonkeyPa
     alike = [*me, *mallory, row("a0", "alice", "y"), row("a1", "alice", "y")]
     assert {each.id for each in choose(alike, "bob")} == {"m0", "a0", "b0", "m1"}
     assert choose(alike[:3], "bob") == alike[:3]
+    changed = [row(f"m{number}", "mallory", f"x{number}") for number in range(9)]
+    assert {each.id for each in choose([*changed, *alike[-2:]], "bob")} == {"m0", "a0", "m1", "a1"}, "by many originals"
 
 
 def test_copies_of_one_original_stand_together() -> None:
