@@ -149,6 +149,8 @@ def test_nobody_hides_a_copy_behind_many_of_another(monkeypatch: pytest.MonkeyPa
     assert choose(alike[:3], "bob") == alike[:3]
     changed = [row(f"m{number}", "mallory", f"x{number}") for number in range(9)]
     assert {each.id for each in choose([*changed, *alike[-2:]], "bob")} == {"m0", "a0", "m1", "a1"}, "by many originals"
+    two = [row("x0", "alice", "x"), row("x1", "alice", "x"), row("x2", "alice", "x"), row("x3", "alice", "x")]
+    assert "y0" in {each.id for each in choose([*two, row("y0", "alice", "y")], "bob")}, "nor one's own other original"
 
 
 def test_copies_of_one_original_stand_together() -> None:
