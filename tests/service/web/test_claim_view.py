@@ -219,3 +219,18 @@ def test_a_file_is_called_as_the_model_without_a_second_ending(page: Page, serve
         "ä" * 200: "ä" * 80,
     }
     assert dict(zip(names, page.evaluate(stems, list(names)), strict=True)) == names
+
+
+def test_what_marking_found_is_said_beside_the_model(page: Page, served: Served) -> None:
+    asset, _ = stock(served)
+    said = """async ([asset, made]) => {
+      const { assetView } = await import("/static/js/asset.js");
+      return assetView(asset, { title: "Marked", made }).element.textContent;
+    }"""
+    plain = ask(served, f"/v1/assets/{asset}")
+    found = page.evaluate(said, [plain, {"already_carries": ["as_1"], "not_screened": 3}])
+    assert "It carried a mark of yours before." in found
+    assert "more registered copies than were looked for: 3 were not." in found
+    found = page.evaluate(said, [plain, {"already_carries": [], "not_screened": 0}])
+    assert "carried a mark" not in found
+    assert "looked for" not in found
