@@ -23,6 +23,7 @@ def test_what_was_installed_is_taken_away(monkeypatch: pytest.MonkeyPatch) -> No
         )
         return subprocess.CompletedProcess(command, 0, said, "")
 
+    monkeypatch.setattr(engine, "_added", [])  # what was really installed stays on the list of what is to go
     monkeypatch.setattr(engine.subprocess, "run", run)
     monkeypatch.setattr(engine.os, "geteuid", lambda: 0)
     monkeypatch.setattr(engine.shutil, "which", lambda name: "/usr/bin/" + name if name == "apt-get" else None)
