@@ -1,4 +1,4 @@
-"""Merkle trees as in RFC 6962: hashes, roots and inclusion proofs. Pure functions, for the log and for readers.
+"""Merkle trees as in RFC 6962: hashes, roots, proofs of inclusion and of consistency. Pure functions, for all who check.
 
 A perfect subtree is named by `(level, position)`: it covers the leaves position * 2^level up to, but without,
 (position + 1) * 2^level.
@@ -74,6 +74,52 @@ def check_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes], 
             found = node_hash(found, sibling)
         here, last = here >> 1, last >> 1
     return last == 0 and found == root
+
+
+def consistency_proof(first: int, size: int, fetch: Fetch) -> list[bytes]:
+    """The hashes that show the tree of `first` leaves to be the beginning of that of `size` (RFC 6962 2.1.2)."""
+    if not 0 < first <= size:
+        raise ValueError(f"a tree of {first} leaves is not the beginning of one of {size}")
+    low, high, parts = 0, size, []
+    while high != first:
+        middle = low + (1 << (high - low - 1).bit_length() - 1)
+        if first <= middle:
+            parts.append(_cover(middle, high))
+            high = middle
+        else:
+            parts.append(_cover(low, middle))
+            low = middle
+    if low:  # else what is left is the first tree, whose root the reader has
+        parts.append(_cover(low, high))
+    hashes = fetch([node for nodes in parts for node in nodes])
+    return [_join(nodes, hashes) for nodes in reversed(parts)]
+
+
+def check_consistency(first: int, first_root: bytes, size: int, proof: Sequence[bytes], root: bytes) -> bool:
+    """Whether the proof shows the tree of `first` leaves under `first_root` to be the beginning of that of `size` under
+    `root` (RFC 9162 2.1.4.2)."""
+    if not 0 < first <= size:
+        return False
+    if first == size:
+        return not proof and first_root == root
+    steps = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
+    if not steps:
+        return False
+    here, last = first - 1, size - 1
+    while here & 1:
+        here, last = here >> 1, last >> 1
+    old = new = steps[0]
+    for step in steps[1:]:
+        if last == 0:
+            return False
+        if here & 1 or here == last:
+            old, new = node_hash(step, old), node_hash(step, new)
+            while not here & 1 and here:
+                here, last = here >> 1, last >> 1
+        else:
+            new = node_hash(new, step)
+        here, last = here >> 1, last >> 1
+    return last == 0 and old == first_root and new == root
 
 
 def _cover(low: int, high: int) -> list[Node]:

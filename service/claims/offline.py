@@ -1,7 +1,7 @@
 """Checking a claim with nothing but the service's public keys: no database, no network.
 
 1. Find the signed claim in the file.          5. The claim is under the log's root.
-2. The signature, by one of the given keys.    6. So is the asset's registration, before it.
+2. The signature, by one of the given keys.    6. So are the asset's registration and earlier logs.
 3. The document's form.                        7. What stands around the claim says what was signed.
 4. Its numbers and words follow from others.   8. The time stamp, if there is one.
 """
@@ -20,6 +20,7 @@ from engine.records.timestamps import TimestampFault, check_stamp, stamped_at
 from service.claims.arithmetic import Check, Status, arithmetic_fault, meaning_check
 from service.claims.carriers import Carried, UnreadableError, strict_json, unpack
 from service.claims.document import summary_of
+from service.claims.history import against_others, history_fault
 from service.claims.report import report_html
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.trust.canonical import canonical
@@ -44,9 +45,14 @@ class Findings:
         return {"valid": self.valid, **asdict(self)}
 
 
-def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequence[x509.Certificate] = ()) -> Findings:
+def verify_report(
+    data: bytes,
+    jwks: Mapping[str, Any],
+    tsa_certificates: Sequence[x509.Certificate] = (),
+    others: Sequence[bytes] = (),
+) -> Findings:
     """Check a signed claim, a claim as JSON, or a report, by the keys that are trusted to sign claims, and the
-    certificates that are trusted to vouch for a time-stamping service."""
+    certificates that are trusted to vouch for a time-stamping service; and whether `others` are of the same log."""
     checks: list[Check] = []
 
     def say(code: str, fault: str, good: str) -> bool:
@@ -75,6 +81,10 @@ def verify_report(data: bytes, jwks: Mapping[str, Any], tsa_certificates: Sequen
     if document["asset"] is not None:  # 6
         good = f"The asset was registered in the same log before, on {document['registered_at']}."
         say("registration", _registration_fault(document), good)
+    if earlier := audit.get("earlier"):
+        sizes = " and ".join(str(each["size"]) for each in earlier)
+        say("history", history_fault(audit), f"The log begins as it was when it had {sizes} entries.")
+    checks += against_others(document, others, jwks)
     checks += _around(data, carried, document, payload)  # 7
     if carried.timestamp is not None:  # 8
         checks.append(_stamp(carried.timestamp, carried.jws, tsa_certificates))

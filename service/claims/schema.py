@@ -167,6 +167,14 @@ class Registration(_Part):
     proof: list[str]
 
 
+class EarlierLog(_Part):
+    """The log as it was before, proven to be the beginning of what it is (RFC 6962)."""
+
+    size: int = Field(gt=0)
+    root: str = Hex64
+    proof: list[str]
+
+
 class Audit(_Part):
     """Where the claim stands in the audit log. The entry's digest is that of the document without this member."""
 
@@ -177,6 +185,9 @@ class Audit(_Part):
     entry: LogEntry
     registration: Registration | None
     first_registration: Registration | None = Field(None, description="Of the original: its first copy's.")
+    earlier: list[EarlierLog] = Field(
+        default_factory=list, description="Right after the asset's registration, and right after the claim before."
+    )
 
 
 class ClaimDocument(_Part):

@@ -20,6 +20,9 @@ def verify_report(
     file: Annotated[Path, typer.Argument(help="Claim: .jws, .json, or the HTML report.")],
     jwks: Annotated[Path, typer.Option("--jwks", help="The service's public keys, from /.well-known/jwks.json.")],
     tsa_certificates: TsaCertificates = None,
+    other: Annotated[
+        list[Path] | None, typer.Option("--other", help="Another claim of the service: is its log the same one?")
+    ] = None,
     json: Json = False,
 ) -> int:
     """Check a claim offline: signature, document, place in the audit log, report.
@@ -33,6 +36,7 @@ def verify_report(
 
       mark3dgs verify-report claim.jws --jwks jwks.json
       mark3dgs verify-report report.html --jwks jwks.json --json
+      mark3dgs verify-report claim.jws --jwks jwks.json --other last-year.jws
     """
     from engine.watermark.numerals import PLAIN
     from service.claims import offline
@@ -42,9 +46,8 @@ def verify_report(
     console = Console(json)
     keys = read_jwks(jwks)
     trusted = read_certificates(tsa_certificates) if tsa_certificates is not None else []
-    with file.open("rb") as opened:
-        data = opened.read(MOST_BYTES + 1)
-    found = offline.verify_report(data, keys, trusted)
+    data, *others = (_read(path, MOST_BYTES + 1) for path in (file, *(other or ())))
+    found = offline.verify_report(data, keys, trusted, others)
     for check in found.checks:
         console.say(f"{_SIGNS[check.status]} {check.code}: {check.text}")
     if found.document is not None:
@@ -59,3 +62,8 @@ def verify_report(
     console.say("VALID" if found.valid else "NOT VALID")
     console.emit({"file": str(file), **found.to_json()})
     return OK if found.valid else NOT_VALID
+
+
+def _read(path: Path, most: int) -> bytes:
+    with path.open("rb") as opened:
+        return opened.read(most)

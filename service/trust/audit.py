@@ -88,6 +88,12 @@ def inclusion_proof(connection: sa.Connection, index: int, size: int) -> list[st
     return [step.hex() for step in proof]
 
 
+def consistency_proof(connection: sa.Connection, first: int, size: int) -> list[str]:
+    """Proof that the log of `first` entries is the beginning of that of `size`; hex, lowest first."""
+    proof = merkle.consistency_proof(first, size, lambda nodes: _fetch(connection, nodes))
+    return [step.hex() for step in proof]
+
+
 def find(connection: sa.Connection, event: str, subject: str) -> Entry | None:
     """The first entry of this event about this subject."""
     query = audit.select().where(audit.c.event == event, audit.c.subject == subject)
@@ -97,6 +103,13 @@ def find(connection: sa.Connection, event: str, subject: str) -> Entry | None:
     before = sa.select(audit.c.hash).where(audit.c.index == row[0] - 1)
     previous: str | None = connection.execute(before).scalar_one_or_none()
     return entry_of(tuple(row), previous or NO_PREVIOUS)
+
+
+def last(connection: sa.Connection, event: str) -> int | None:
+    """Index of the last entry of this event."""
+    query = sa.select(audit.c.index).where(audit.c.event == event).order_by(audit.c.index.desc()).limit(1)
+    found: int | None = connection.execute(query).scalar()
+    return found
 
 
 def entry_of(row: Sequence[Any], previous: str) -> Entry:

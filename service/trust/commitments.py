@@ -70,8 +70,10 @@ def commit_claim(
     """Log a claim, and return its member `audit`: the entry, and the proof that it is in the log.
 
     The registration of the asset, and the `first` of its original, are proven under the same root, so that a reader
-    sees which came first.
+    sees which came first. The log right after the registration, whose root the record's attestation has, and that right
+    after the claim before are proven to be the beginning of this one.
     """
+    ends = {None if registration is None else registration.index, audit.last(connection, CLAIM_ISSUED)}
     payload = {"asset": document["asset"], "digest": claim_digest(document)}
     entry = audit.append(connection, tenant, CLAIM_ISSUED, payload, document["claim_id"])
     size = entry.index + 1
@@ -79,6 +81,11 @@ def commit_claim(
     def proven(logged: Entry) -> dict[str, Any]:
         return {"entry": logged.to_json(), "proof": audit.inclusion_proof(connection, logged.index, size)}
 
+    def begun(first: int) -> dict[str, Any]:
+        proof = audit.consistency_proof(connection, first, size)
+        return {"size": first, "root": audit.root(connection, first), "proof": proof}
+
     place = {"index": entry.index, "size": size, "root": audit.root(connection, size), **proven(entry)}
+    place["earlier"] = [begun(index + 1) for index in sorted(index for index in ends if index is not None)]
     named = {"registration": registration, "first_registration": first}
     return place | {name: proven(logged) if logged is not None else None for name, logged in named.items()}

@@ -107,3 +107,32 @@ def test_known_answer() -> None:
 def test_leaves_outside_have_no_proof(index: int, size: int) -> None:
     with pytest.raises(ValueError, match="is not in a tree"):
         merkle.inclusion_proof(index, size, Store([b"a", b"b", b"c"]))
+
+
+@given(LEAVES, st.data())
+def test_beginnings_are_proven_as_the_twin_does_and_nothing_else_is(leaves: list[bytes], data: st.DataObject) -> None:
+    size = data.draw(st.integers(1, len(leaves)))
+    first = data.draw(st.integers(1, size))
+    proof = merkle.consistency_proof(first, size, Store(leaves))
+    assert proof == twin.proof(first, leaves[:size])
+    old, new = twin.tree_hash(leaves[:first]), twin.tree_hash(leaves[:size])
+    assert merkle.check_consistency(first, old, size, proof, new)
+    for wrong in (merkle.node_hash(old, new), twin.tree_hash([*leaves[: first - 1], b"another"])):
+        if wrong != old:
+            assert not merkle.check_consistency(first, wrong, size, proof, new)
+        if wrong != new:
+            assert not merkle.check_consistency(first, old, size, proof, wrong)
+    assert not merkle.check_consistency(first, old, size, [*proof, old], new)
+    for number in range(len(proof)):
+        assert not merkle.check_consistency(first, old, size, proof[:number] + proof[number + 1 :], new)
+        changed = [*proof[:number], merkle.node_hash(proof[number], old), *proof[number + 1 :]]
+        assert not merkle.check_consistency(first, old, size, changed, new)
+
+
+@given(st.integers(-2, 80), st.integers(-2, 80), st.lists(st.binary(min_size=32, max_size=32), max_size=8))
+def test_a_made_up_proof_proves_no_beginning(first: int, size: int, proof: list[bytes]) -> None:
+    old, new = merkle.leaf_hash(b"old"), merkle.leaf_hash(b"new")
+    assert not merkle.check_consistency(first, old, size, proof, new)
+    for sizes in ((0, 5), (6, 5)):
+        with pytest.raises(ValueError, match="not the beginning"):
+            merkle.consistency_proof(*sizes, Store([b"x"] * 6))

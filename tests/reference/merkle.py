@@ -25,6 +25,21 @@ def path(m: int, leaves: list[bytes]) -> list[bytes]:
     return [*path(m - k, leaves[k:]), tree_hash(leaves[:k])]
 
 
+def proof(m: int, leaves: list[bytes]) -> list[bytes]:
+    """PROOF(m, D[n]), section 2.1.2."""
+    return subproof(m, leaves, True)
+
+
+def subproof(m: int, leaves: list[bytes], whole: bool) -> list[bytes]:
+    """SUBPROOF(m, D[n], b), section 2.1.2."""
+    if m == len(leaves):
+        return [] if whole else [tree_hash(leaves)]
+    k = split(len(leaves))
+    if m <= k:
+        return [*subproof(m, leaves[:k], whole), tree_hash(leaves[k:])]
+    return [*subproof(m - k, leaves[k:], False), tree_hash(leaves[:k])]
+
+
 def root_from_path(leaf: bytes, m: int, n: int, proof: list[bytes]) -> bytes:
     """The root that a proof leads to, by walking PATH backwards; IndexError where it is too short or too long."""
     if n == 1:

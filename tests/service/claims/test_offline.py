@@ -53,7 +53,7 @@ def test_whole_claims_hold(registry: Registry, kind: str) -> None:
         assert found.signed_by == registry.jwks["keys"][0]["kid"]
         codes = [check.code for check in found.checks]
         around = {"jws": [], "json": ["document"], "html": ["pictures", "page"]}[form]
-        assert codes == ["signature", "schema", "arithmetic", "meaning", "log", "registration", *around]
+        assert codes == ["signature", "schema", "arithmetic", "meaning", "log", "registration", "history", *around]
 
 
 def test_a_claim_about_nothing_holds(registry: Registry) -> None:
