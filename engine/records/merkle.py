@@ -1,4 +1,4 @@
-"""Merkle trees as in RFC 6962: hashes, roots, proofs of inclusion and of consistency. Pure functions, for all who check.
+"""Merkle trees as in RFC 6962: roots, proofs of inclusion and of consistency. Pure functions, for log and readers.
 
 A perfect subtree is named by `(level, position)`: it covers the leaves position * 2^level up to, but without,
 (position + 1) * 2^level.

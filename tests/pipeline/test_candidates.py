@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import engine.pipeline.candidates as candidates
 import engine.pipeline.searching as searching
 from engine.errors import MalformedRecordError
 from engine.evaluate.bench.attacks import to_8_bit
@@ -92,10 +93,14 @@ class Copies:
 
     def picture(self, number: int) -> Suspect:
         """Two pictures of a copy, whose cameras are known."""
-        opened = self.candidates[0].record
-        assert opened is not None
-        cameras = [camera.resized(256, 256) for camera in opened.cameras[:2]]
+        cameras = [camera.resized(256, 256) for camera in opened_of(self, 0).cameras[:2]]
         return Suspect(None, [to_8_bit(render(self.models[number], camera)) for camera in cameras], cameras)
+
+
+def opened_of(copies: Copies, number: int) -> OpenedRecord:
+    opened = copies.candidates[number].record
+    assert opened is not None
+    return opened
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +188,16 @@ def test_a_picture_of_one_copy_names_it_after_two_readings(copies: Copies, reads
     assert found.best.candidate.name == "buyer 3"
     alone = verify(suspect, found.best.candidate.record, VerifyConfig(tries=found.tries)).claim
     assert found.best.claim == alone, "with its own cells, in full"
+
+
+def test_a_mark_that_a_full_reading_does_not_confirm_ends_nothing(
+    copies: Copies, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubted = verify(copies.picture(3), opened_of(copies, 0), VerifyConfig())
+    monkeypatch.setattr(candidates, "verify", lambda *_: doubted)
+    found = search(copies.picture(3), copies.candidates, VerifyConfig(), silent, stop_at_first=True)
+    assert len(found.outcomes) == 5, "those behind it are asked, too"
+    assert not any(each.marked for each in found.outcomes)
 
 
 def test_a_picture_of_none_is_read_once(copies: Copies, small_plant: GaussianModel, reads: Counter[str]) -> None:
