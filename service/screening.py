@@ -19,10 +19,7 @@ from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Run
 
-__all__ = ["PLAIN", "screen"]
-
-PLAIN = "plain.ply"
-"""In a step's folder: a suspect model, written anew by a process without keys, for one that has them."""
+__all__ = ["screen"]
 
 MOST_MISSING = 32
 """Assets that the kept index may lack: every screening reads their entries anew."""
@@ -36,8 +33,8 @@ def screen(
     """The rows of `assets`, of those given, that a suspect (`model`, or `images`) may come from, the likeliest first.
 
     Those alike, or else, where asked for, the few that are likeliest; and those whose entry cannot be read or says
-    nothing, since it does not rule them out. Of a suspect that asks to be left `plain` a model lies in the step's
-    folder, where there are any.
+    nothing, since it does not rule them out. Where there are any, and the suspect names a `plain` file, its model lies
+    under that name in the step's folder.
     """
     if not rows:
         return []

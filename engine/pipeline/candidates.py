@@ -110,7 +110,8 @@ def search(
 def _with_best(outcomes: Sequence[Outcome[C]]) -> list[Outcome[C]]:
     """The same, with what the best one alone keeps."""
     best = max(outcomes, key=lambda each: each.worth)
-    return [each if each is best else replace(each, opened=None, found=None) for each in outcomes]
+    keep = [each is best or each.opened is None for each in outcomes]
+    return [each if kept else replace(each, opened=None, found=None) for each, kept in zip(outcomes, keep, strict=True)]
 
 
 class _Asked:

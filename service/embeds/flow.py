@@ -12,11 +12,13 @@ from service.core import Service
 from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
-from service.screening import PLAIN, screen
+from service.screening import screen
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
 
+PLAIN = "plain.ply"
+"""In a step's folder: a suspect model, written anew by a process without keys, for one that has them."""
 SCREENED = 1024
 """Copies of assets that an upload resembles and that are looked for in it, at most; each takes a tenth of a second."""
 
@@ -64,7 +66,7 @@ def _screen(service: Service, run: Run, model: dict[str, Any]) -> dict[str, Any]
     query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
     with service.db.read() as connection:
         rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
-    alike = screen(service, run, {**model, "plain": True}, rows)
+    alike = screen(service, run, {**model, "plain": PLAIN}, rows)
     chosen = choose(alike, run.job.tenant)
     known = service.candidates(chosen, run)
     asked = {"model": str(run.folder / PLAIN), "candidates": known}

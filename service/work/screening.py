@@ -33,11 +33,9 @@ def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict
     alike = [each.name for each in found if each.alike]
     likely = [each.name for each in found if not each.alike][:few]
     unknown = [name for name in unknown if name in among]
-    files = {}
     if request.get("plain") and model is not None and alike + unknown:
-        files["plain"] = "plain.ply"
-        write_model(model, folder / files["plain"])
-    return {"alike": alike, "likely": likely, "unknown": unknown, "files": files}
+        write_model(model, folder / request["plain"])
+    return {"alike": alike, "likely": likely, "unknown": unknown}
 
 
 def index(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:

@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from engine.evaluate.marked_scene import MarkedScene, mark_scene
+from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
 from engine.formats import read_model
 from engine.model import GaussianModel
+from engine.pipeline.embedding import embed_copies
 from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import OpenedRecord, open_record
 from tests.scenes import sparse_plant
 
 SCENE = Path(__file__).parents[1] / "data" / "plant.splat"
@@ -23,6 +26,23 @@ def plant() -> GaussianModel:
 def small_plant(plant: GaussianModel) -> GaussianModel:
     """Every sixth Gaussian: enough of a scene to be fast."""
     return plant.take(np.arange(0, len(plant), 6))
+
+
+@dataclass(frozen=True)
+class FiveCopies:
+    """Of one asset, under one key."""
+
+    models: list[GaussianModel]
+    opened: list[OpenedRecord]
+
+
+@pytest.fixture(scope="session")
+def five_copies(small_plant: GaussianModel) -> FiveCopies:
+    """For "buyer 0" to "buyer 4"; no landmark bank."""
+    key, names = bench_key(5), [f"buyer {number}" for number in range(5)]
+    config = profile("fast", landmark_views=0, views=3, view_size=160)
+    made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=config))
+    return FiveCopies([each.model for each in made], [open_record(each.record.to_bytes(key), key) for each in made])
 
 
 @pytest.fixture(scope="session")

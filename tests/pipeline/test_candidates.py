@@ -13,21 +13,19 @@ import engine.pipeline.candidates as candidates
 import engine.pipeline.searching as searching
 from engine.errors import MalformedRecordError
 from engine.evaluate.bench.attacks import to_8_bit
-from engine.evaluate.marked_scene import MarkedScene, bench_key
+from engine.evaluate.marked_scene import MarkedScene
 from engine.model import GaussianModel
 from engine.pipeline.candidates import Outcome, search
-from engine.pipeline.embedding import embed_copies
 from engine.pipeline.locating_mark import locate_mark
-from engine.pipeline.profiles import profile
-from engine.pipeline.sealing import OpenedRecord, open_record
+from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.searching import Suspect, verify
 from engine.pipeline.verification import VerifyConfig, verify_model
 from engine.raster import render
 from engine.sim.adversaries.collusion import collude
 from engine.watermark.claim import Verdict
+from tests.pipeline.conftest import FiveCopies
 
 MODEL = VerifyConfig(route="model")
-CONFIG = profile("fast", landmark_views=0, views=3, view_size=160)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,22 +101,10 @@ def opened_of(copies: Copies, number: int) -> OpenedRecord:
     return opened
 
 
-@pytest.fixture(scope="module")
-def made(small_plant: GaussianModel) -> Copies:
-    """Five copies of one asset."""
-    key = bench_key(5)
-    names = [f"buyer {i}" for i in range(5)]
-    copies = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=CONFIG))
-    opened = [open_record(each.record.to_bytes(key), key) for each in copies]
-    # Strengths follow from each copy's own look: these differ in any case.
-    return Copies([each.model for each in copies], [Kept(o.copy, o, "plant") for o in opened])
-
-
 @pytest.fixture
-def copies(made: Copies, small_renders: None) -> Copies:
-    for each in made.candidates:
-        each.opened.clear()
-    return made
+def copies(five_copies: FiveCopies, small_renders: None) -> Copies:
+    """Strengths follow from each copy's own look, so that they differ."""
+    return Copies(five_copies.models, [Kept(each.copy, each, "plant") for each in five_copies.opened])
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from engine.errors import InputError
 from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
-from engine.pipeline.embedding import embed, embed_copies
+from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import OpenedRecord, draw_spreading, open_record, plan_of
 from engine.pipeline.tracing import trace_images, trace_model
@@ -21,6 +21,7 @@ from engine.sim.adversaries.collusion import collude
 from engine.sim.attacks import model_attack
 from engine.watermark.messages import derive_message
 from engine.watermark.statistics import z_threshold
+from tests.pipeline.conftest import FiveCopies
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
@@ -40,13 +41,9 @@ class Copies:
 
 
 @pytest.fixture(scope="module")
-def copies(small_plant: GaussianModel) -> Copies:
+def copies(five_copies: FiveCopies) -> Copies:
     """Five copies of one asset, and the records of copies that nobody leaked."""
-    key = bench_key(5)
-    names = [f"buyer {i}" for i in range(5)]
-    made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=CONFIG))
-    opened = [open_record(m.record.to_bytes(key), key) for m in made]
-    first = opened[0]
+    key, first = bench_key(5), five_copies.opened[0]
     digest = bytes.fromhex(first.header.reference_digest)
 
     def innocent(number: int) -> OpenedRecord:
@@ -57,7 +54,7 @@ def copies(small_plant: GaussianModel) -> Copies:
         chips, grain_key = draw_spreading(key, digest, name, first.layout, plan)
         return replace(first, header=header, copy=name, message=message, spreading=chips, grain_key=grain_key)
 
-    return Copies([m.model for m in made], opened, [innocent(i) for i in range(INNOCENT)])
+    return Copies(five_copies.models, five_copies.opened, [innocent(i) for i in range(INNOCENT)])
 
 
 @pytest.mark.parametrize("rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"])

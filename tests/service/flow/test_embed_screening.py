@@ -17,9 +17,8 @@ from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.db.schema import assets
 from service.embeds import flow
-from service.embeds.flow import choose, embed_flow
+from service.embeds.flow import PLAIN, choose, embed_flow
 from service.jobs.port import Job, Run, State
-from service.screening import PLAIN
 from service.settings import Settings
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import store
