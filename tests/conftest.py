@@ -5,16 +5,14 @@ import os
 import hypothesis
 import pytest
 
-# A pool of two on a machine with one core, too: tests compare what one and two threads answer (`tests.threads`).
-os.environ.setdefault("NUMBA_NUM_THREADS", "2")
-
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Before BLAS and OpenMP are loaded, which look only once.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-    import numba
+    from engine.numerics.crew import use_threads
 
-    numba.set_num_threads(1)
+    _alone = use_threads(1)
+    _alone.__enter__()
 
 
 # Of an example, by the clock: on a machine that is shared it says nothing of the code.

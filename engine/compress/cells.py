@@ -5,11 +5,10 @@ feature. A Gaussian weighs as much as an error in its colour would show in the k
 shows about as much, so every chip and every bit gets about the same evidence. No k-means is needed.
 """
 
-import numba as nb
 import numpy as np
 
-from engine.model import Float32, Float64, GaussianModel, Int32, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.numerics.jit import parallel_kernel, share_of
 
 COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
@@ -17,11 +16,11 @@ COLOR_WEIGHT = 0.06
 _KERNEL_VERSION = 2  # numba's cache looks at this file only
 
 
-@parallel_kernel
-def _split_level(features: Float32, weights: Float64, order: Int64, starts: Int64, scratch: Int64, cuts: Int64) -> None:
+@parallel_kernel(allocates=True)
+def _split_level(features, weights, order, starts, scratch, cuts, call):  # type: ignore[no-untyped-def]
     """Split every node [starts[k], starts[k+1]) of `order` at its weighted median along its widest feature."""
     dims = features.shape[1]
-    for k in nb.prange(len(starts) - 1):
+    for k in share_of(len(starts) - 1, call):
         begin, end = starts[k], starts[k + 1]
         count = end - begin
         if count < 2:
@@ -89,8 +88,7 @@ def split_cells(features: Float32, weights: Float64, count: int) -> Int32:
     scratch = np.empty(n, dtype=np.int64)
     for _ in range(depth):
         cuts = np.empty(len(starts) - 1, dtype=np.int64)
-        with parallel_section():
-            _split_level(features, weights, order, starts, scratch, cuts)
+        _split_level(features, weights, order, starts, scratch, cuts)
         starts = np.unique(np.concatenate([starts, cuts]))
     labels = np.empty(n, dtype=np.int32)
     labels[order] = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))

@@ -7,11 +7,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 
 from engine.errors import InputError
 from engine.model import Float32
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["AdamMoments", "adam_step"]
 
@@ -71,29 +70,28 @@ def adam_step(
     row = int(np.prod(parameter.shape[1:], dtype=np.int64)) if parameter.ndim > 1 else 1
     head = row if rate_rest is None else row // parameter.shape[1]
     correction = math.sqrt(1.0 - _BETA2**step) / (1.0 - _BETA1**step)
-    with parallel_section():
-        _update(
-            parameter.reshape(-1),
-            gradient.reshape(-1),
-            moments.first.reshape(-1),
-            moments.second.reshape(-1),
-            row,
-            head,
-            np.float32(rate * correction),
-            np.float32((rate if rate_rest is None else rate_rest) * correction),
-            np.float32(_EPSILON * math.sqrt(1.0 - _BETA2**step)),
-        )
+    _update(
+        parameter.reshape(-1),
+        gradient.reshape(-1),
+        moments.first.reshape(-1),
+        moments.second.reshape(-1),
+        row,
+        head,
+        np.float32(rate * correction),
+        np.float32((rate if rate_rest is None else rate_rest) * correction),
+        np.float32(_EPSILON * math.sqrt(1.0 - _BETA2**step)),
+    )
 
 
 @parallel_kernel
-def _update(parameter, gradient, first, second, row, head, rate, rate_rest, epsilon):
+def _update(parameter, gradient, first, second, row, head, rate, rate_rest, epsilon, call):
     """`head` leading numbers of every row of `row` numbers move at `rate`, the others at `rate_rest`."""
     size = parameter.shape[0]
     b1, b2 = np.float32(_BETA1), np.float32(_BETA2)
     r1, r2 = np.float32(1.0 - _BETA1), np.float32(1.0 - _BETA2)
     rows_each = max(1, _BLOCK // row)
     rows = size // row
-    for block in prange((rows + rows_each - 1) // rows_each):
+    for block in share_of((rows + rows_each - 1) // rows_each, call):
         for i in range(block * rows_each, min(rows, (block + 1) * rows_each)):
             for k in range(i * row, i * row + head):
                 g = gradient[k]

@@ -10,11 +10,10 @@ memory.
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from engine.model import Float32, Int32
-from engine.numerics.jit import inlined, kernel, parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 _KERNEL_VERSION = 2
 
@@ -62,21 +61,25 @@ class WhitenedGrid:
         self.axes = np.ascontiguousarray(np.argsort(-spread[:hard], kind="stable")[:AXES].astype(np.int64))
         cells = int(np.clip(round(1.2 * len(points) ** (1 / AXES)), 1, MAX_CELLS))
         self.edges = np.stack([_edges(points[:, a], cells) for a in self.axes])  # (AXES, cells - 1)
-        with parallel_section():
-            cell = _cells(points, self.axes, self.edges)
-            self.start, self.order = _counting_sort(cell, cells**AXES)
-            self.points = _gather(points, self.order)
-            self.quats = _gather(quats, self.order)
+        cell = self._cells_of(points)
+        self.start, self.order = _counting_sort(cell, cells**AXES)
+        self.points, self.quats = np.empty_like(points), np.empty_like(quats)
+        _gather(points, self.order, self.points)
+        _gather(quats, self.order, self.quats)
         self.quat_weight = np.float32(quat_weight)
         self.hard, self.soft_cap = hard, np.float32(soft_cap)
+
+    def _cells_of(self, points: Float32) -> Int32:
+        out = np.empty(len(points), np.int32)
+        _cells(points, self.axes, self.edges, out)
+        return out
 
     def query(self, points: Float32, quats: Float32, *, box: float, limit2: float) -> Neighbours:
         """Nearest reference point of each of M points (M, D), with quaternions (M, 4) in the reference's frame already.
 
         `box` is the largest deviation in each of the grid's five coordinates, `limit2` the largest squared distance.
         """
-        with parallel_section():
-            cell = _cells(points, self.axes, self.edges)
+        cell = self._cells_of(points)
         # neighbours in space are neighbours in the cache
         if len(cell) < len(self.start) // 16:
             order = np.argsort(cell, kind="stable").astype(np.int32)
@@ -86,11 +89,10 @@ class WhitenedGrid:
         index = np.full(m, -1, np.int32)
         distance2 = np.full(m, np.inf, np.float32)
         probability = np.zeros(m, np.float32)
-        with parallel_section():
-            grid = (self.points, self.quats, self.start, self.order, self.axes, self.edges)
-            rules = (self.hard, self.soft_cap, self.quat_weight)
-            found = (index, distance2, probability)
-            _search(grid, *rules, points, quats, order, np.float32(box), np.float32(limit2), found)
+        grid = (self.points, self.quats, self.start, self.order, self.axes, self.edges)
+        rules = (self.hard, self.soft_cap, self.quat_weight)
+        found = (index, distance2, probability)
+        _search(grid, *rules, points, quats, order, np.float32(box), np.float32(limit2), found)
         return Neighbours(index, distance2, probability)
 
 
@@ -115,18 +117,16 @@ def _cell_along(edges, g, value):
 
 
 @parallel_kernel
-def _cells(points, axes, edges):
-    n, per_axis = len(points), edges.shape[1] + 1
-    out = np.empty(n, np.int32)
-    for i in numba.prange(n):
+def _cells(points, axes, edges, out, call):
+    per_axis = edges.shape[1] + 1
+    for i in share_of(len(points), call):
         cell = 0
         for g in range(AXES):
             cell = cell * per_axis + _cell_along(edges, g, points[i, axes[g]])
         out[i] = cell
-    return out
 
 
-@kernel
+@kernel(allocates=True)
 def _counting_sort(cell, count):
     """Offsets (count + 1,) and the stable order of the points by cell."""
     start = np.zeros(count + 1, np.int32)
@@ -144,12 +144,10 @@ def _counting_sort(cell, count):
 
 
 @parallel_kernel
-def _gather(rows, order):
-    out = np.empty((len(order), rows.shape[1]), rows.dtype)
-    for i in numba.prange(len(order)):
+def _gather(rows, order, out, call):
+    for i in share_of(len(order), call):
         for k in range(rows.shape[1]):
             out[i, k] = rows[order[i], k]
-    return out
 
 
 @inlined
@@ -203,11 +201,11 @@ def _scan(refs, ref_quats, first, last, hard, soft_cap, quat_weight, points, qua
 
 
 @parallel_kernel
-def _search(grid, hard, soft_cap, quat_weight, points, quats, order, box, limit2, found):
+def _search(grid, hard, soft_cap, quat_weight, points, quats, order, box, limit2, found, call):
     refs, ref_quats, start, ref_order, axes, edges = grid
     index, distance2, probability = found
     per_axis = edges.shape[1] + 1
-    for rank in numba.prange(len(order)):
+    for rank in share_of(len(order), call):
         i = order[rank]
         z0, z1, z2 = points[i, axes[0]], points[i, axes[1]], points[i, axes[2]]
         z3, z4 = points[i, axes[3]], points[i, axes[4]]

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from engine.model import Bool, Float32, Float64
-from engine.numerics.jit import inlined, kernel, parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 __all__ = ["map_points", "remap", "resized", "sample", "smooth", "warp"]
 
@@ -50,8 +49,8 @@ def _cubic_pixel(image, u, v, pixel):
 
 
 @parallel_kernel
-def _warp(image, m, out, inside):
-    for j in prange(out.shape[0]):
+def _warp(image, m, out, inside, call):
+    for j in share_of(out.shape[0], call):
         for i in range(out.shape[1]):
             x, y = i + 0.5, j + 0.5
             w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
@@ -63,8 +62,8 @@ def _warp(image, m, out, inside):
 
 
 @parallel_kernel
-def _remap(image, positions, out, inside):
-    for j in prange(out.shape[0]):
+def _remap(image, positions, out, inside, call):
+    for j in share_of(out.shape[0], call):
         for i in range(out.shape[1]):
             inside[j, i] = _cubic_pixel(image, positions[j, i, 0], positions[j, i, 1], out[j, i])
 
@@ -98,8 +97,7 @@ def warp(image: Float32, matrix: Float64, height: int, width: int) -> tuple[Floa
     """
     out = np.zeros((height, width, image.shape[2]), dtype=np.float32)
     inside = np.zeros((height, width), dtype=np.bool_)
-    with parallel_section():
-        _warp(np.ascontiguousarray(image), np.ascontiguousarray(matrix, dtype=np.float64), out, inside)
+    _warp(np.ascontiguousarray(image), np.ascontiguousarray(matrix, dtype=np.float64), out, inside)
     return out, inside
 
 
@@ -109,8 +107,7 @@ def remap(image: Float32, positions: Float64) -> tuple[Float32, Bool]:
     height, width = positions.shape[:2]
     out = np.zeros((height, width, image.shape[2]), dtype=np.float32)
     inside = np.zeros((height, width), dtype=np.bool_)
-    with parallel_section():
-        _remap(np.ascontiguousarray(image), np.ascontiguousarray(positions, dtype=np.float64), out, inside)
+    _remap(np.ascontiguousarray(image), np.ascontiguousarray(positions, dtype=np.float64), out, inside)
     return out, inside
 
 

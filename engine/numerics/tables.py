@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from engine.model import Float32, Float64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["look_up"]
 
@@ -17,10 +16,10 @@ _KERNEL_VERSION = 1
 
 
 @parallel_kernel
-def _look_up(x, low, high, values, out):
+def _look_up(x, low, high, values, out, call):
     last = values.size - 1
     scale = last / (high - low)
-    for j in prange(x.shape[0]):
+    for j in share_of(x.shape[0], call):
         for i in range(x.shape[1]):
             place = (x[j, i] - low) * scale
             if not place > 0.0:
@@ -36,6 +35,5 @@ def look_up(image: npt.NDArray[Any], low: float, high: float, values: Float64) -
     """(H, W) a function of each pixel of an image (H, W), linear between `values` (K,) that it takes at evenly spaced
     places from `low` to `high`, and constant beyond."""
     out = np.empty(image.shape, dtype=np.float32)
-    with parallel_section():
-        _look_up(image, low, high, np.ascontiguousarray(values, dtype=np.float64), out)
+    _look_up(image, low, high, np.ascontiguousarray(values, dtype=np.float64), out)
     return out

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 from scipy.fft import dctn
 
 from engine.model import Bool, Float32, Float64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.pictures.features import LUMA
 
 __all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
@@ -145,8 +144,7 @@ def find_quality(picture: Float32) -> int | None:
     coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1:COARSEST].T)
     tables = np.stack([luma_table(quality).reshape(-1)[1:COARSEST] for quality in QUALITIES])
     fits = np.empty(len(tables))
-    with parallel_section():
-        _fit_tables(coefficients, tables, fits)
+    _fit_tables(coefficients, tables, fits)
     best, least = None, 0.5
     for quality, fit in zip(QUALITIES, fits, strict=True):
         # The steps of a finer table may divide the true ones: it must fit clearly better than a coarser one.
@@ -156,10 +154,10 @@ def find_quality(picture: Float32) -> int | None:
 
 
 @parallel_kernel
-def _fit_tables(coefficients, tables, fits):
+def _fit_tables(coefficients, tables, fits, call):
     """How far coefficients (K, B) are off the multiples of tables (Q, K), in what they would be off any others: `fits`
     (Q,), infinite where too few tell."""
-    for q in prange(tables.shape[0]):
+    for q in share_of(tables.shape[0], call):
         off = expected = 0.0
         used = busy = 0
         for k in range(tables.shape[1]):

@@ -9,10 +9,9 @@ camera is roughly known, by where the landmarks project.
 # mypy: allow-untyped-defs
 
 import numpy as np
-from numba import prange
 
 from engine.model import Camera, Float32, Float64, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.pictures.camera_motion import project
 from engine.pictures.features import Keypoints
 from engine.pictures.landmarks import Landmarks
@@ -28,9 +27,9 @@ MOST_UNLIKE = 0.55 * 512.0
 
 
 @parallel_kernel
-def _rank(products, squares, points, starts, radius, best, first, rival, in_view):
+def _rank(products, squares, points, starts, radius, best, first, rival, in_view, call):
     """For each row: best landmark, its distance, the best distance elsewhere; and by view the best two."""
-    for k in prange(products.shape[0]):
+    for k in share_of(products.shape[0], call):
         nearest, distance = 0, np.float32(np.inf)
         for v in range(len(starts) - 1):
             place, low, high = starts[v], np.float32(np.inf), np.float32(np.inf)
@@ -64,10 +63,10 @@ def _rank(products, squares, points, starts, radius, best, first, rival, in_view
 
 
 @parallel_kernel
-def _nearest_look(pixels, descriptors, places, rows, order, targets, radius, best, distance):
+def _nearest_look(pixels, descriptors, places, rows, order, targets, radius, best, distance, call):
     """Of each keypoint, the target that looks most like it among those whose place is near; `order` is theirs from top
     to bottom, `rows` the y of that order."""
-    for k in prange(len(pixels)):
+    for k in share_of(len(pixels), call):
         x, y = pixels[k, 0], pixels[k, 1]
         nearest, low = np.int64(-1), np.int32(_UNLIKE)
         for place in range(np.searchsorted(rows, y - radius), np.searchsorted(rows, y + radius)):
@@ -108,18 +107,9 @@ def match_landmarks(
     for low in range(0, count, _CHUNK):
         part = slice(low, low + _CHUNK)
         products = query[part] @ target.T  # exact: sums of integers below 2^24
-        with parallel_section():
-            _rank(
-                products,
-                squares,
-                points,
-                starts,
-                np.float32(radius),
-                best[part],
-                first[part],
-                rival[part],
-                in_view[part],
-            )
+        _rank(
+            products, squares, points, starts, np.float32(radius), best[part], first[part], rival[part], in_view[part]
+        )
     own = np.einsum("ij,ij->i", query, query)
     everywhere = np.nonzero(first + own < ratios[0] ** 2 * (rival + own))[0]
     sure = in_view[..., 1] + own[:, None] < ratios[1] ** 2 * (in_view[..., 2] + own[:, None])  # (P, V)
@@ -142,17 +132,16 @@ def match_projected(keypoints: Keypoints, landmarks: Landmarks, camera: Camera, 
     order = np.argsort(places[inside, 1], kind="stable")
     best = np.empty(len(keypoints), dtype=np.int64)
     distance = np.empty(len(keypoints), dtype=np.int64)
-    with parallel_section():
-        _nearest_look(
-            keypoints.points,
-            keypoints.descriptors,
-            places[inside],
-            places[inside[order], 1],
-            order,
-            landmarks.descriptors[inside],
-            radius,
-            best,
-            distance,
-        )
+    _nearest_look(
+        keypoints.points,
+        keypoints.descriptors,
+        places[inside],
+        places[inside[order], 1],
+        order,
+        landmarks.descriptors[inside],
+        radius,
+        best,
+        distance,
+    )
     alike = np.nonzero((best >= 0) & (distance < MOST_UNLIKE**2))[0]
     return alike, inside[best[alike]].astype(np.int64)

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, Int64
-from engine.numerics.jit import parallel_section
 from engine.numerics.resampling import smooth
 from engine.pictures.camera_motion import swung
 from engine.pictures.view_points import SOFT, ViewPoints, gradient
@@ -73,9 +72,8 @@ class PictureEdges:
         scores, poses = np.empty(len(which), dtype=np.float32), np.zeros((len(which), 4))
         sharp, inside = self._near
         edges, directions = (stacked(views, name) for name in ("edges", "directions"))
-        with parallel_section():
-            # One kernel for a column of finds and for views in a row.
-            look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
+        # One kernel for a column of finds and for views in a row.
+        look_again(sharp, inside, edges, directions, np.ascontiguousarray(which), starts, scores, poses)
         scores *= (poses[:, 1] / SIDE).astype(np.float32) ** LARGER
         return scores + np.float32(COLORED) * self._colored(views, which, poses), poses
 

@@ -14,10 +14,9 @@ Gradients are those of the noise-free render, so noise in the picture does not b
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.resampling import smooth
 from engine.pictures.background import MARGIN, fill_background
 from engine.pictures.brightness_fit import robust_line, robust_scale
@@ -102,10 +101,10 @@ class Refined:
         return -0.5 * self.pixels * float(np.log(max(1.0 - max(self.correlation, 0.0) ** 2, 1e-9)))
 
 
-@parallel_kernel
-def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, rows, flows):
+@parallel_kernel(allocates=True)
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, rows, flows, call):
     height, width = base.shape
-    for j in prange(height):
+    for j in share_of(height, call):
         column = np.zeros(PARAMETERS + 2)
         u = np.zeros(PARAMETERS)
         v = np.zeros(PARAMETERS)
@@ -177,22 +176,21 @@ def refine_level(
         gy, gx = gy - by * behind, gx - bx * behind
         rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
         flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
-        with parallel_section():
-            _normal_equations(
-                base,
-                cover,
-                residual,
-                np.ascontiguousarray(gx),
-                np.ascontiguousarray(gy),
-                np.where(used, depth / np.float32(unit), np.float32(1.0)),
-                weight,
-                camera.K[0, 0],
-                camera.K[0, 2],
-                camera.K[1, 2],
-                outlying,
-                rows,
-                flows,
-            )
+        _normal_equations(
+            base,
+            cover,
+            residual,
+            np.ascontiguousarray(gx),
+            np.ascontiguousarray(gy),
+            np.where(used, depth / np.float32(unit), np.float32(1.0)),
+            weight,
+            camera.K[0, 0],
+            camera.K[0, 2],
+            camera.K[1, 2],
+            outlying,
+            rows,
+            flows,
+        )
         system = rows.sum(axis=0)
         motion, brightness = _solve(system, free)
         flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)

@@ -8,11 +8,10 @@ there. A picture of the asset puts many votes into one view of 48, in their plac
 
 import math
 
-import numba
 import numpy as np
 
 from engine.model import Float64, Int64
-from engine.numerics.jit import inlined, parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["agreement_of_views"]
 
@@ -59,10 +58,10 @@ def _fitted(carried, begin, end, x, y, u, v, gain):
 
 
 @parallel_kernel
-def _agreements(starts, x, y, u, v, spot, place, gain, best, maps):
+def _agreements(starts, x, y, u, v, spot, place, gain, best, maps, call):
     """best (V,) of each slice of votes: the loudest sum that one map of (x, y) to (u, v) carries over, each spot and
     each place counted once; and those maps (V, 4)."""
-    for n in numba.prange(len(starts) - 1):
+    for n in share_of(len(starts) - 1, call):
         begin, end = starts[n], starts[n + 1]
         most = 0.0
         for i in range(begin, end):
@@ -119,8 +118,7 @@ def agreement_of_views(view: Int64, spots: Float64, places: Float64, gain: Float
     x, y = np.ascontiguousarray(spots[order].T)
     u, v = np.ascontiguousarray(places[order].T)
     best, maps = np.zeros(len(names)), np.zeros((len(names), 4))
-    with parallel_section():
-        _agreements(begin, x, y, u, v, _numbered(x, y, begin), _numbered(u, v, begin), gain[order], best, maps)
+    _agreements(begin, x, y, u, v, _numbered(x, y, begin), _numbered(u, v, begin), gain[order], best, maps)
     return names, best, maps
 
 

@@ -4,9 +4,8 @@ roll, size and place."""
 # mypy: allow-untyped-defs
 
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import kernel, parallel_kernel
+from engine.numerics.jit import kernel, parallel_kernel, share_of
 
 __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
 
@@ -27,8 +26,8 @@ RUN = 8
 """Jobs that share their memory."""
 
 
-@parallel_kernel
-def look_again(maps, inside, places, directions, views, starts, scores, poses):
+@parallel_kernel(allocates=True)
+def look_again(maps, inside, places, directions, views, starts, scores, poses, call):
     """The best pose near each of F finds: roll within 7.5 degrees, size within 11 %, place within 2 pixels.
 
     Parameters
@@ -41,7 +40,7 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
     scores, poses : (F,), (F, 4) out
     """
     points = directions.shape[1]
-    for f in prange(views.shape[0]):
+    for f in share_of(views.shape[0], call):
         view = views[f]
         best = np.float32(-1e9)
         columns, rows = np.empty(points, dtype=np.int64), np.empty(points, dtype=np.int64)
@@ -73,8 +72,8 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses):
         scores[f] = best
 
 
-@parallel_kernel
-def score_views(maps, places, directions, jobs, radii, size, scores, found):
+@parallel_kernel(allocates=True)
+def score_views(maps, places, directions, jobs, radii, size, scores, found, call):
     """Best place of each job: a view, a roll and a size.
 
     Parameters
@@ -96,7 +95,7 @@ def score_views(maps, places, directions, jobs, radii, size, scores, found):
     height, width = size[0], size[1]
     rows, columns = (height + 2 * BEYOND) // step, (width + 2 * BEYOND) // step
     roots = np.sqrt(np.arange(points + 1).astype(np.float32))
-    for run in prange((len(jobs) + RUN - 1) // RUN):
+    for run in share_of((len(jobs) + RUN - 1) // RUN, call):
         said = np.empty((rows, columns), dtype=np.float32)
         counted = np.empty((rows + 1, columns + 1), dtype=np.int32)
         for job in range(run * RUN, min(run * RUN + RUN, len(jobs))):
@@ -138,7 +137,7 @@ def score_views(maps, places, directions, jobs, radii, size, scores, found):
             scores[job] = best
 
 
-@kernel
+@kernel(allocates=True)
 def spread_out(strength, order, count, free, reach):
     """(P, 2) x, y of at most `count` pixels of `strength` (h, w), in `order` of it, while it is above 0: those that are
     `free` (h, w) and more than `reach` pixels, along an axis, from those before. `free` is used up."""

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, Int64
-from engine.numerics.jit import parallel_section
 from engine.pictures.picture_edges import PictureEdges, stacked
 from engine.pictures.view_points import ViewPoints
 from engine.pictures.view_scores import ROLLS, SIDE, score_views
@@ -50,8 +49,7 @@ def search_views(
     def best_places(maps: Float32, points: slice, jobs: Int64) -> tuple[Float32, Int64]:
         scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
         asked = (np.ascontiguousarray(each[:, points]) for each in (edges, directions))
-        with parallel_section():
-            score_views(maps, *asked, jobs, sizes, shape, scores, found)
+        score_views(maps, *asked, jobs, sizes, shape, scores, found)
         return scores, found
 
     maps, coarse = picture.maps

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, Float64
+from engine.numerics.crew import thread_count
 from engine.numerics.image_metrics import psnr, ssim
-from engine.numerics.jit import thread_count
 from engine.pipeline.scenes import ViewSet
 
 ROUNDS = 10

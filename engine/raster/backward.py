@@ -11,9 +11,8 @@ whatever the number of threads. The gather is a sixth of the pass (real scene, 5
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
 from engine.raster.lane_sums import max_rows, sum_rows
 from engine.raster.lanes import fma, maximum, spread
@@ -25,15 +24,15 @@ from engine.raster.tiles import (
     STAGE_ROW,
     STATE,
     blend,
+    fill_field,
     lay_grid,
     living_blocks,
     open_item,
     open_tile,
-    place_of,
     stage_batch,
 )
 
-_KERNEL_VERSION = 4
+_KERNEL_VERSION = 5
 
 _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory
@@ -51,16 +50,6 @@ def pair_width(channels: int) -> int:
 def backward_scratch(fields: int, width: int) -> int:
     """Floats of scratch a worker needs."""
     return FIELDS + fields * FIELD + (BATCH + 1) * STAGE_ROW + BATCH * width * 16 + 16
-
-
-@inlined
-def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):
-    """One channel of an image to a field of the tile at (x0, y0); zero outside the image."""
-    for place in range(FIELD):
-        own[field + place] = _f(0.0)
-    for y in range(y0, min(y0 + TILE, height)):
-        for x in range(x0, min(x0 + TILE, width)):
-            own[field + place_of(x - x0, y - y0)] = pixels[(y * width + x) * channels + channel]
 
 
 @inlined
@@ -83,7 +72,7 @@ def write_sums(own, rows, count, spare, out, to):
 
 
 @parallel_kernel
-def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench):
+def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench, call):
     """Per pair and channel: sum over the tile's pixels of w * cotangent.
 
     `cotangent` is flat (H, W, C), C the length of `channel_tuple`; `out` is flat (pairs, length of
@@ -97,8 +86,7 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench):
     stage = FIELDS + channels * FIELD
     rows = stage + (BATCH + 1) * STAGE_ROW
     spare = rows + BATCH * pair * 16
-    counter[0] = 0
-    for worker in prange(scratch.shape[0]):
+    for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
         lay_grid(own)
@@ -137,7 +125,7 @@ def pair_colors(lists, channel_tuple, pair_tuple, cotangent, out, bench):
 
 
 @parallel_kernel
-def pair_weights(lists, pixel_map, sums, maxima, bench):
+def pair_weights(lists, pixel_map, sums, maxima, bench, call):
     """Per pair: sums over the tile's pixels of w, w^2, w * map, w^2 * map (`sums`), and the largest w (`maxima`)."""
     records, discs, ids, starts, width, height, tiles_x, limits = lists
     scratch, items, counter = bench
@@ -147,8 +135,7 @@ def pair_weights(lists, pixel_map, sums, maxima, bench):
     rows = stage + (BATCH + 1) * STAGE_ROW
     peaks = rows + BATCH * WEIGHT_SUMS * 16
     spare = peaks + BATCH * 16
-    counter[0] = 0
-    for worker in prange(scratch.shape[0]):
+    for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
         lay_grid(own)
@@ -197,14 +184,14 @@ def pair_weights(lists, pixel_map, sums, maxima, bench):
 
 
 @parallel_kernel
-def gather_sums(values, pair_tuple, firsts, slots, shares, out):
+def gather_sums(values, pair_tuple, firsts, slots, shares, out, call):
     """out[i] (N, C) = sum of the pairs of Gaussian i, in the order of tiles; `values` is flat (pairs, pair
     width)."""
     n, channels = out.shape
     pair = len(pair_tuple)
     total = np.int64(firsts[n])
     share = (n + shares - 1) // shares
-    for part in prange(shares):
+    for part in share_of(shares, call):
         for i in range(part * share, min(n, (part + 1) * share)):
             for channel in range(channels):
                 out[i, channel] = _f(0.0)
@@ -217,11 +204,11 @@ def gather_sums(values, pair_tuple, firsts, slots, shares, out):
 
 
 @parallel_kernel
-def gather_maxima(values, firsts, slots, shares, out):
+def gather_maxima(values, firsts, slots, shares, out, call):
     """out[i] = largest value among the pairs of Gaussian i, 0 if it has none."""
     n = out.shape[0]
     share = (n + shares - 1) // shares
-    for part in prange(shares):
+    for part in share_of(shares, call):
         for i in range(part * share, min(n, (part + 1) * share)):
             largest = _f(0.0)
             for s in range(np.int64(firsts[i]), np.int64(firsts[i + 1])):

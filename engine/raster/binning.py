@@ -1,25 +1,24 @@
 """Pass 3: per tile, the list of Gaussians that touch it, front to back.
 
-A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: per row
-of tiles the ellipse's span in x. One walk over the depth order notes the pairs and counts them per tile, a
-second pass puts them in place. Both split the order into contiguous shares, so lists come out in depth
-order whatever the number of shares. A tile mask leaves tiles out altogether.
+A Gaussian enters exactly the tiles whose pixel centres its ellipse {alpha >= alpha_skip} can reach: those that pass 1
+has told by bits where it is small, else per row of tiles the ellipse's span in x. One walk over the depth order notes
+the pairs and counts them per tile, a second pass puts them in place. Both split the order into contiguous shares, so
+lists come out in depth order whatever the number of shares. A tile mask leaves tiles out altogether.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import inlined, kernel, parallel_kernel
-from engine.raster.lane_memory import prefetch
+from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
+from engine.raster.lane_memory import lowest_bit, prefetch
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 
 __all__ = ["list_pairs", "list_starts", "place_pairs"]
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 _f = np.float32
 _AHEAD = 16  # Gaussians: about the time that a line takes from memory
@@ -60,24 +59,36 @@ def _columns(records, extents, rects, i, row, log2_skip):
     return first, last
 
 
+@inlined
+def _note(histogram, pairs, count, tile, i, tile_mask):
+    """One more pair, if the tile is drawn; returns how many there are, noted or not."""
+    if tile_mask.shape[0] > 0 and not tile_mask[tile]:
+        return count
+    tiles, owners = pairs
+    histogram[tile] += 1
+    if count < tiles.shape[0]:
+        tiles[count] = tile
+        owners[count] = i
+    return count + 1
+
+
 @parallel_kernel
 def list_pairs(
-    order, visible, records, extents, rects, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles, owners, counts
+    order, visible, records, bounds, tiles_x, tile_mask, log2_skip, histograms, sizes, tiles, owners, counts, call
 ):
     """Walk the Gaussians front to back and note every (tile, Gaussian) pair.
 
-    Each share of the order fills its own row of `tiles` and `owners` (shares, capacity) and counts its
-    pairs per tile in `histograms` (shares, tiles) and altogether in `counts` (shares,); `sizes` (N,) gets
-    the tiles of every Gaussian. Where a row is too short the walk goes on counting: the caller makes longer
-    rows and calls again.
+    `bounds` is what `projection.project` wrote. Each share of the order fills its own row of `tiles` and `owners`
+    (shares, capacity) and counts its pairs per tile in `histograms` (shares, tiles) and altogether in `counts`
+    (shares,); `sizes` (N,) gets the tiles of every Gaussian. Where a row is too short the walk goes on counting: the
+    caller makes longer rows and calls again.
     """
+    extents, rects, covers = bounds
     shares = histograms.shape[0]
     share = (visible + shares - 1) // shares
-    masked = tile_mask.shape[0] > 0
-    capacity = tiles.shape[1]
-    for part in prange(shares):
+    for part in share_of(shares, call):
         own = histograms[part]
-        own_tiles, own_owners = tiles[part], owners[part]
+        pairs = (tiles[part], owners[part])
         for tile in range(own.shape[0]):
             own[tile] = 0
         count = np.int64(0)
@@ -86,27 +97,26 @@ def list_pairs(
             if k + _AHEAD < end:
                 ahead = np.int64(order[k + _AHEAD])
                 prefetch(rects, 4 * ahead)
-                prefetch(records, RECORD * ahead)
-                prefetch(extents, 2 * ahead)
+                prefetch(covers, ahead)
             i = np.int64(order[k])
             before = count
-            for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
-                first, last = _columns(records, extents, rects, i, row, log2_skip)
-                for column in range(first, last + 1):
-                    tile = row * tiles_x + column
-                    if masked and not tile_mask[tile]:
-                        continue
-                    own[tile] += 1
-                    if count < capacity:
-                        own_tiles[count] = tile
-                        own_owners[count] = i
-                    count += 1
+            cover = np.int32(covers[i])
+            corner = np.int64(rects[4 * i + 2]) * tiles_x + np.int64(rects[4 * i])
+            if cover == 0:
+                for row in range(np.int64(rects[4 * i + 2]), np.int64(rects[4 * i + 3]) + 1):
+                    first, last = _columns(records, extents, rects, i, row, log2_skip)
+                    for column in range(first, last + 1):
+                        count = _note(own, pairs, count, row * tiles_x + column, i, tile_mask)
+            while cover != 0:
+                bit = np.int64(lowest_bit(cover))
+                cover &= cover - np.int32(1)
+                count = _note(own, pairs, count, corner + (bit >> 2) * tiles_x + (bit & 3), i, tile_mask)
             sizes[i] = count - before
         counts[part] = count
 
 
 @parallel_kernel
-def place_pairs(tiles, owners, counts, histograms, ids, firsts, slots):
+def place_pairs(tiles, owners, counts, histograms, ids, firsts, slots, call):
     """Write the lists from the rows of `list_pairs`.
 
     `histograms` (shares, tiles) holds where each share writes next in each tile. `ids` (pairs,) are the
@@ -114,7 +124,7 @@ def place_pairs(tiles, owners, counts, histograms, ids, firsts, slots):
     out if `slots` is empty.
     """
     keep = slots.shape[0] > 0
-    for part in prange(counts.shape[0]):
+    for part in share_of(counts.shape[0], call):
         own = histograms[part]
         own_tiles, own_owners = tiles[part], owners[part]
         previous, run = np.int64(-1), np.int64(0)

@@ -27,15 +27,14 @@ its focus in the origin and the eccentricity e = r |k|; centre and axes follow. 
 import math
 
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.raster.projection import RECORD
 from engine.raster.settings import MAX_SIGMA_PX, TILE
 
 __all__ = ["LOW_PASS", "project_discs"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 LOW_PASS = 2.0
 """The screen-space kernel is exp(-LOW_PASS |d|^2 / 2), d in pixels: sigma sqrt(2) / 2."""
@@ -112,20 +111,21 @@ def _tile(pixels, tiles):
 
 
 @parallel_kernel
-def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs, extents, rects, depths, index, counts):
+def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs, bounds, depths, index, counts, call):
     """Project every disc; its third scale is not looked at.
 
     Parameters
     ----------
     discs : flat, `RECORD` numbers a disc, out
-        See above. The rest as for `engine.raster.projection.project`.
+        See above. The rest as for `engine.raster.projection.project`, but for `lens`, which is float64, and scratch.
     """
+    extents, rects, covers = bounds
     n = logits.shape[0]
-    L = lens.astype(np.float64)
+    L = lens
     R = (L[0], L[1], L[2], L[3], L[4], L[5], L[6], L[7], L[8])
     fx, fy, cx, cy = L[12], L[13], L[14], L[15]
     width, height, near, log2_skip, by_distance = L[20], L[21], L[23], L[24], L[28] != 0.0
-    for part in prange(counts.shape[0]):
+    for part in share_of(counts.shape[0], call):
         filled = part * chunk
         for i in range(part * chunk, min(n, (part + 1) * chunk)):
             mean = (np.float64(means[3 * i]), np.float64(means[3 * i + 1]), np.float64(means[3 * i + 2]))
@@ -162,6 +162,7 @@ def project_discs(means, quats, log_scales, logits, lens, chunk, records, discs,
             extents[2 * i], extents[2 * i + 1] = np.float32(hx), np.float32(hy)
             rects[4 * i], rects[4 * i + 1] = _tile(ex - hx, L[25]), _tile(ex + hx, L[25])
             rects[4 * i + 2], rects[4 * i + 3] = _tile(ey - hy, L[26]), _tile(ey + hy, L[26])
+            covers[i] = 0
             depths[filled], index[filled] = np.float32(math.sqrt(x * x + y * y + z * z) if by_distance else z), i
             filled += 1
         counts[part] = filled - part * chunk

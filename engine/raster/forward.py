@@ -2,11 +2,11 @@
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import parallel_kernel
-from engine.raster.lane_memory import entry, fetch_add, load, number, store
-from engine.raster.lanes import fma, minimum, minus_magnitude, select, spread
+from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store
+from engine.raster.lane_order import zip3
+from engine.raster.lanes import fma, magnitude, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
 from engine.raster.tiles import (
@@ -16,6 +16,7 @@ from engine.raster.tiles import (
     STAGE_ROW,
     STATE,
     blend,
+    is_inside,
     lay_grid,
     living_blocks,
     open_item,
@@ -26,7 +27,7 @@ from engine.raster.tiles import (
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 4
+_KERNEL_VERSION = 5
 
 _f = np.float32
 
@@ -36,8 +37,37 @@ def forward_scratch(channels: int) -> int:
     return FIELDS + channels * FIELD + (BATCH + 1) * STAGE_ROW
 
 
+@inlined
+def write_tile(own, channels, background, image, alpha, x0, y0, width, height):
+    """What has been blended, over the background, to the image."""
+    if (channels == 1 or channels == 3) and is_inside(x0, y0, width, height):
+        for row in range(TILE):
+            at, place = (y0 + row) * width + x0, place_of(0, row)
+            rest = magnitude(load_quarters(own, STATE + place))
+            store(alpha, at, _f(1.0) - rest)
+            first = fma(rest, background[0], load_quarters(own, FIELDS + place))
+            if channels == 1:
+                store(image, at, first)
+            else:
+                second = fma(rest, background[1], load_quarters(own, FIELDS + FIELD + place))
+                third = fma(rest, background[2], load_quarters(own, FIELDS + 2 * FIELD + place))
+                vectors = zip3(first, second, third)
+                for part in range(3):
+                    store(image, 3 * at + 16 * part, vectors[part])
+        return
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            place = place_of(x - x0, y - y0)
+            rest = abs(own[STATE + place])
+            pixel = y * width + x
+            alpha[pixel] = _f(1.0) - rest
+            for channel in range(channels):
+                value = own[FIELDS + channel * FIELD + place] + rest * background[channel]
+                image[pixel * channels + channel] = value
+
+
 @parallel_kernel
-def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluated, bench, tau):
+def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluated, bench, tau, call):
     """Image and accumulated alpha.
 
     Parameters
@@ -58,8 +88,7 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
     log2_skip, clamp, stop = limits[0], limits[1], limits[2]
     tiles = starts.shape[0] - 1
     stage = FIELDS + channels * FIELD
-    counter[0] = 0
-    for worker in prange(scratch.shape[0]):
+    for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
         lay_grid(own)
@@ -97,12 +126,4 @@ def blend_tiles(lists, channel_tuple, colors, background, image, alpha, evaluate
                 at += size
                 alive = living_blocks(own, alive, stop)
             evaluated[tile] = work
-            for y in range(y0, min(y0 + TILE, height)):
-                for x in range(x0, min(x0 + TILE, width)):
-                    place = place_of(x - x0, y - y0)
-                    rest = abs(own[STATE + place])
-                    pixel = y * width + x
-                    alpha[pixel] = _f(1.0) - rest
-                    for channel in range(channels):
-                        value = own[FIELDS + channel * FIELD + place] + rest * background[channel]
-                        image[pixel * channels + channel] = value
+            write_tile(own, channels, background, image, alpha, x0, y0, width, height)

@@ -8,13 +8,13 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
-from engine.numerics.jit import parallel_section, thread_count
+from engine.numerics.crew import thread_count
 from engine.raster.binning import list_pairs, list_starts, place_pairs
 from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned
 from engine.raster.projection import LANE_SCRATCH, RECORD, pack_lens, project
 from engine.raster.settings import TILE, RasterSettings
-from engine.raster.sorting import BUCKETS, sort_by_depth
+from engine.raster.sorting import BUCKETS, sort_by_depth, workers_for
 from engine.raster.workspace import Workspace, borrow_workspace
 
 __all__ = ["Geometry", "build_geometry", "count_overlaps"]
@@ -86,8 +86,7 @@ class _Projected:
     rows: int
     records: Float32
     discs: Float32 | None
-    extents: Float32
-    rects: np.ndarray[Any, Any]  # int16
+    bounds: tuple[Any, ...]  # extents (float32), rects (int16) and covers (uint16)
     depths: Float32
     index: Int32
     chunk: int
@@ -114,18 +113,22 @@ def _project(
     model = padded(model)
     rows = len(model)
     records = lasting("records", (rows + 2) * RECORD, np.float32)
-    extents, rects = work.array("extents", (2 * rows,)), work.array("rects", (4 * rows,), np.int16)
+    bounds = (
+        work.array("extents", (2 * rows,)),
+        work.array("rects", (4 * rows,), np.int16),
+        work.array("covers", (rows,), np.uint16),
+    )
     depths, index = work.array("depths", (rows,)), work.array("index", (rows,), np.int32)
     chunk = -(-rows // (_CHUNKS * _LANES)) * _LANES
     counts = np.zeros(-(-rows // chunk), dtype=np.int64)
     raw = (model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits)
-    lens, found = pack_lens(camera, settings), (extents, rects, depths, index, counts)
+    lens, found = pack_lens(camera, settings), (bounds, depths, index, counts)
     discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else None
     if discs is None:
         project(*raw, lens, chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)), records, *found)
     else:
-        project_discs(*raw, lens, chunk, records, discs, *found)
-    return settings, _Projected(rows, records, discs, extents, rects, depths, index, chunk, counts)
+        project_discs(*raw, lens.astype(np.float64), chunk, records, discs, *found)
+    return settings, _Projected(rows, records, discs, bounds, depths, index, chunk, counts)
 
 
 def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSettings = RasterSettings()) -> Int64:
@@ -134,10 +137,10 @@ def count_overlaps(model: GaussianModel, camera: Camera, settings: RasterSetting
     Costs one pass over the Gaussians, whatever they cover: what drawing them would cost is known before it is paid.
     """
     found_in = np.zeros(len(model), dtype=np.int64)
-    with parallel_section(), borrow_workspace() as work:
+    with borrow_workspace() as work:
         _, found = _project(model, camera, settings, work, lambda name, size, dtype: work.array(name, (size,), dtype))
         seen = found.seen
-        left, right, top, bottom = found.rects.reshape(-1, 4)[seen].astype(np.int64).T
+        left, right, top, bottom = found.bounds[1].reshape(-1, 4)[seen].astype(np.int64).T
     found_in[seen] = (right - left + 1) * (bottom - top + 1)
     return found_in
 
@@ -169,15 +172,13 @@ def build_geometry(
         return aligned((size,), dtype) if keep else work.array(name, (size,), dtype)
 
     settings, found = _project(model, camera, settings, work, lasting)
-    rows, records, discs, extents, rects = found.rows, found.records, found.discs, found.extents, found.rects
+    rows, records, discs = found.rows, found.records, found.discs
 
     workers = thread_count()
-    keys = (work.array(f"keys {half}", (rows,), np.uint32) for half in "ab")
-    other, order = (work.array(f"order {half}", (rows,), np.int32) for half in "ab")
-    radix = work.array("radix", (workers, BUCKETS), np.int64)
-    seen = sort_by_depth(
-        found.depths.view(np.uint32), found.index, found.counts, found.chunk, *keys, other, order, radix
-    )
+    keys = [work.array(f"keys {half}", (rows,), np.uint64) for half in "ab"]
+    radix = [work.array(f"radix {half}", (workers_for(rows), BUCKETS), np.int64) for half in "ab"]
+    order = work.array("order", (rows,), np.int32)
+    seen = sort_by_depth(found.depths.view(np.uint32), found.index, found.counts, found.chunk, keys, order, radix)
 
     tiles = tiles_x * tiles_y
     sizes = work.array("sizes", (rows,), np.int32)
@@ -189,7 +190,7 @@ def build_geometry(
         noted = work.array("pair tiles", (workers, capacity), np.int32)
         owners = work.array("pair owners", (workers, capacity), np.int32)
         counts = np.zeros(workers, dtype=np.int64)
-        list_pairs(order, seen, records, extents, rects, tiles_x, mask, skip, histograms, sizes, noted, owners, counts)
+        list_pairs(order, seen, records, found.bounds, tiles_x, mask, skip, histograms, sizes, noted, owners, counts)
         if counts.sum() > _MOST_PAIRS:
             raise InputError(
                 f"{counts.sum()} pairs of tile and Gaussian are too many to draw at once, at most "

@@ -10,15 +10,13 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, Float64, GaussianModel
-from engine.numerics.jit import parallel_section, thread_count
-from engine.raster.backward import gather_sums
 from engine.raster.geometry import padded
 from engine.raster.lane_memory import aligned
 from engine.raster.moments import MOMENTS, PAIR_NUMBERS, moments_scratch, pair_moments
-from engine.raster.parameter_gradients import CHUNK, GRADIENT_SCRATCH, parameter_gradients
+from engine.raster.parameter_gradients import GRADIENT_SCRATCH, chunks_of, parameter_gradients
 from engine.raster.projection import pack_lens
 from engine.raster.settings import RasterSettings
-from engine.raster.sh_kernels import SH_SCRATCH, differentiate_sh
+from engine.raster.sh_kernels import SH_SCRATCH
 from engine.raster.spherical_harmonics import sh_colors
 from engine.raster.view import View, prepare_view
 from engine.raster.workspace import Workspace, borrow_workspace
@@ -112,10 +110,8 @@ def backward(
     result = Gradients.empty(model, with_sh=not rendering.own_colors) if out is None else out
     if result.means.shape != model.means.shape:
         raise InputError(f"out is for {len(result.means)} Gaussians, the model has {len(model)}")
-    with parallel_section(), borrow_workspace() as work:
-        sums = _moments(rendering, cotangent, cotangent_alpha, work)
-        toward = _color_gradients(rendering, sums, result, work)
-        totals = _geometry_gradients(model, view, sums, toward, result)
+    with borrow_workspace() as work:
+        totals = _parameter_gradients(rendering, _moments(rendering, cotangent, cotangent_alpha, work), result)
     _camera_gradients(camera, totals, result)
     return result
 
@@ -131,38 +127,27 @@ def _moments(rendering: Rendering, cotangent: Float32, cotangent_alpha: Float32,
     return sums
 
 
-def _color_gradients(rendering: Rendering, sums: Float32, result: Gradients, work: Workspace) -> Float32:
-    """Fill `colors` and `sh`; returns dL/dmeans by way of the viewing direction (flat; empty for given
-    colours)."""
-    model, geometry, workers = rendering.model, rendering.view.geometry, thread_count()
-    gather_sums(sums[MOMENTS:], (0,) * PAIR_NUMBERS, geometry.firsts, geometry.slots, workers, result.colors)
-    if rendering.own_colors:
-        return _NONE
-    toward: Float32 = work.array("toward", (3 * max(16, len(model)),))
-    toward[3 * len(model) :] = 0.0
-    cotangent, colors, sh = (array.reshape(-1) for array in (result.colors, rendering.colors, model.sh))
-    centre = rendering.view.camera.position.astype(np.float32)
-    means, scratch, d_sh = model.means.reshape(-1), work.array("sh", (workers, SH_SCRATCH)), result.sh.reshape(-1)
-    differentiate_sh(cotangent, colors, sh, model.sh.shape[1], means, centre, scratch, d_sh, toward)
-    return toward
-
-
-def _geometry_gradients(model: GaussianModel, view: View, sums: Float32, toward: Float32, result: Gradients) -> Float64:
-    """Fill means, quats, log_scales and opacity_logits; returns the camera's sums."""
-    geometry = view.geometry
+def _parameter_gradients(rendering: Rendering, sums: Float32, result: Gradients) -> Float64:
+    """Fill all but the camera's; returns the camera's sums."""
+    geometry, model = rendering.view.geometry, rendering.model
     n, full = len(model), padded(model)
-    chunks = -(-len(full) // CHUNK)
-    into = result if n == len(full) else Gradients.empty(full, with_sh=False)
+    chunks = chunks_of(len(full))
+    into, colors = result, rendering.colors
+    if n < len(full):
+        into = Gradients.empty(full, with_sh=not rendering.own_colors)
+        colors = np.concatenate([colors, np.zeros((len(full) - n, 3), dtype=np.float32)])
     by_chunk = np.empty((chunks, 32), dtype=np.float32)
     raw = tuple(array.reshape(-1) for array in (full.means, full.quats, full.log_scales, full.opacity_logits))
-    written = (into.means, into.quats, into.log_scales, into.opacity_logits, into.centers)
-    out = (*(array.reshape(-1) for array in written), by_chunk)
-    lens, scratch = pack_lens(view.camera, geometry.settings), aligned((chunks, GRADIENT_SCRATCH))
-    parameter_gradients(raw, lens, sums, geometry.firsts, geometry.slots, toward, scratch, out)
+    names = ("means", "quats", "log_scales", "opacity_logits", "centers", "colors", "sh")
+    out = (*(getattr(into, name).reshape(-1) for name in names), by_chunk)
+    sh = _NONE if rendering.own_colors else full.sh.reshape(-1)
+    shading = (sh, full.sh.shape[1], colors.reshape(-1), rendering.view.camera.position.astype(np.float32))
+    lens = pack_lens(rendering.view.camera, geometry.settings)
+    scratches = aligned((chunks, GRADIENT_SCRATCH)), aligned((chunks, SH_SCRATCH))
+    parameter_gradients(raw, lens, sums, geometry.firsts, geometry.slots, shading, scratches, out)
     if into is not result:
-        for name in ("means", "quats", "log_scales", "opacity_logits"):
-            getattr(result, name)[:] = getattr(into, name)[:n]
-        result.centers[:] = into.centers[:, :n]
+        for name in names:
+            getattr(result, name)[:] = into.centers[:, :n] if name == "centers" else getattr(into, name)[:n]
     return np.asarray(by_chunk.sum(axis=0, dtype=np.float64))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 
+from engine.raster.lane_order import joined, permute
 from engine.raster.lanes import (
     FLOAT,
     FLOATS,
@@ -26,6 +26,7 @@ from engine.raster.lanes import (
 )
 
 _EIGHT_BYTES, _EIGHT_INTS = ir.VectorType(ir.IntType(8), 8), ir.VectorType(INT32, 8)
+_FOUR_FLOATS = ir.VectorType(FLOAT, 4)
 _LANE_NUMBERS = ir.Constant(INTS, list(range(LANES)))
 _CACHE_LINE = 64
 _HUGE_PAGE = 2 << 20
@@ -92,6 +93,30 @@ def store(b, at, index, value):
     b.store(value, vector_at(b, at(index))).align = 4
 
 
+def _quarter(b: Any, at: Any, index: Any, block: int) -> Any:
+    """IR: the address of four numbers, in the vector so many vectors on from an index."""
+    return b.gep(b.bitcast(at(index), _FOUR_FLOATS.as_pointer()), [ir.Constant(INT32, block * LANES // 4)])
+
+
+@on_array(lanes, types.intp)
+def load_quarters(b, at, index):
+    """Four numbers each of four vectors in a row, of which the first begins at array[index]."""
+    return joined(b, [_load_quarter(b, _quarter(b, at, index, block)) for block in range(4)])[0]
+
+
+def _load_quarter(b: Any, pointer: Any) -> Any:
+    value = b.load(pointer, typ=_FOUR_FLOATS)
+    value.align = 4
+    return value
+
+
+@on_array(types.void, types.intp, lanes)
+def store_quarters(b, at, index, value):
+    """The inverse of `load_quarters`."""
+    for block in range(4):
+        b.store(permute(b, value, [4 * block + k for k in range(4)]), _quarter(b, at, index, block)).align = 4
+
+
 @on_array(types.float32, types.intp)
 def number(b, at, index):
     """array[index], which may not be negative: Python's count from the end costs a comparison at every access."""
@@ -127,58 +152,6 @@ def store_some(b, at, index, count, value):
     """array[index : index + count] = the first lanes; count may be anything, also negative."""
     arguments = [value, vector_at(b, at(index)), ir.Constant(INT32, 4), _first_lanes(b, count)]
     call_llvm(b, f"llvm.masked.store.v{LANES}f32.p0", ir.VoidType(), arguments)
-
-
-def shuffle(b: Any, x: Any, y: Any, lanes_of_xy: list[int]) -> Any:
-    """IR: lanes 0-15 are x, 16-31 are y."""
-    return b.shuffle_vector(x, y, ir.Constant(INTS, lanes_of_xy))
-
-
-_THREE, _FOUR = types.UniTuple(lanes, 3), types.UniTuple(lanes, 4)
-
-
-@ir_function(_THREE, lanes, lanes, lanes)
-def unzip3(b, x, y, z):
-    """48 numbers r g b r g b ... in three vectors, as (r, g, b)."""
-    parts = []
-    for channel in range(3):
-        wanted = [3 * i + channel for i in range(LANES)]  # positions in the 48
-        low = shuffle(b, x, y, [p if p < 32 else 0 for p in wanted])
-        parts.append(shuffle(b, low, z, [i if p < 32 else p - 16 for i, p in enumerate(wanted)]))
-    return cgutils.pack_array(b, parts)
-
-
-@ir_function(_THREE, lanes, lanes, lanes)
-def zip3(b, x, y, z):
-    """(r, g, b) as 48 numbers r g b r g b ... in three vectors: the inverse of `unzip3`."""
-    parts = []
-    for part in range(3):
-        sources = [divmod(part * LANES + i, 3) for i in range(LANES)]  # (lane, channel)
-        pair = shuffle(b, x, y, [lane + 16 * min(c, 1) for lane, c in sources])
-        parts.append(shuffle(b, pair, z, [i if c < 2 else 16 + lane for i, (lane, c) in enumerate(sources)]))
-    return cgutils.pack_array(b, parts)
-
-
-@ir_function(_FOUR, lanes, lanes, lanes, lanes)
-def unzip4(b, w, x, y, z):
-    """64 numbers w x y z w x y z ... in four vectors, as (w, x, y, z)."""
-    parts = []
-    for channel in range(4):
-        picks = [4 * i + channel for i in range(8)] * 2  # of 32 numbers, 8 belong to the channel
-        low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
-        parts.append(shuffle(b, low, high, [*range(8), *range(16, 24)]))
-    return cgutils.pack_array(b, parts)
-
-
-@ir_function(_FOUR, lanes, lanes, lanes, lanes)
-def zip4(b, w, x, y, z):
-    """(w, x, y, z) as 64 numbers w x y z w x y z ... in four vectors: the inverse of `unzip4`."""
-    parts = []
-    for part in range(4):
-        picks = [part * 4 + i // 4 + 16 * (i % 2) for i in range(LANES)]
-        low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
-        parts.append(shuffle(b, low, high, [i if i % 4 < 2 else 16 + i for i in range(LANES)]))
-    return cgutils.pack_array(b, parts)
 
 
 @on_array(types.void, types.intp)

@@ -5,7 +5,8 @@ from typing import Any
 
 from numba import types
 
-from engine.raster.lane_memory import load_vector, on_array, shuffle, vector_at
+from engine.raster.lane_memory import load_vector, on_array, vector_at
+from engine.raster.lane_order import shuffle
 from engine.raster.lanes import FLAGS, LANES, floats, lanes
 
 

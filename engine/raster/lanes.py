@@ -13,15 +13,20 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, config
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from engine.numerics.jit import FLOAT_FLAGS
 
 LANES = 16
+
+_FEATURES = config.CPU_FEATURES or binding.get_host_cpu_features().flatten()
+REGISTER = next((size for feature, size in {"+avx512f": 16, "+avx": 8}.items() if feature in _FEATURES.split(",")), 4)
+"""Lanes that one register of this processor holds, or of the one that numba was told to compile for."""
+
 FLAGS = tuple(sorted(FLOAT_FLAGS))
 
 FLOAT = ir.FloatType()
@@ -192,6 +197,12 @@ def select(b, condition, x, y):
 def bits_of(b, condition):
     """The mask as the low 16 bits of an int32, lane 0 first."""
     return b.zext(b.bitcast(condition, ir.IntType(LANES)), INT32)
+
+
+@ir_function(lanes, lanes)
+def magnitude(b, x):
+    """|x|: clears the sign bit."""
+    return b.bitcast(b.and_(b.bitcast(x, INTS), ints(2**31 - 1)), FLOATS)
 
 
 @ir_function(lanes, lanes)

@@ -10,11 +10,10 @@ final pixel still lies behind), dL/dalpha = T (cotangent . color) - D / (1 - alp
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import inlined, parallel_kernel
-from engine.raster.backward import clear_rows, fill_field
-from engine.raster.lane_memory import entry, fetch_add, load, number, store
+from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.raster.backward import clear_rows
+from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store, store_quarters
 from engine.raster.lane_sums import sum_rows
 from engine.raster.lanes import fma, minimum, select, spread
 from engine.raster.projection import RECORD
@@ -26,17 +25,20 @@ from engine.raster.tiles import (
     STAGE_ROW,
     STATE,
     blend,
+    fill_field,
+    is_inside,
     lay_grid,
     living_blocks,
     open_item,
     open_tile,
+    pixels_of_row,
     place_of,
     stage_batch,
 )
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
-_KERNEL_VERSION = 4
+_KERNEL_VERSION = 5
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""
@@ -56,6 +58,15 @@ def moments_scratch(channels: int) -> int:
 @inlined
 def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0, y0, width, height):
     """Field of D = cotangent . image + cotangent_alpha alpha; the cotangents' fields begin at `first`."""
+    if is_inside(x0, y0, width, height):
+        for row in range(TILE):
+            at, place = (y0 + row) * width + x0, place_of(0, row)
+            lanes = load(cotangent_alpha, at) * load(alpha, at)
+            for channel in range(channels):
+                seen = pixels_of_row(image, at * channels, channel, channels)
+                lanes = fma(load_quarters(own, first + channel * FIELD + place), seen, lanes)
+            store_quarters(own, behind + place, lanes)
+        return
     for place in range(FIELD):
         own[behind + place] = _f(0.0)
     for y in range(y0, min(y0 + TILE, height)):
@@ -69,7 +80,7 @@ def fill_behind(own, behind, first, channels, image, alpha, cotangent_alpha, x0,
 
 
 @parallel_kernel
-def pair_moments(lists, channel_tuple, row_tuple, colors, image, alpha, cotangent, cotangent_alpha, out, bench):
+def pair_moments(lists, channel_tuple, row_tuple, colors, image, alpha, cotangent, cotangent_alpha, out, bench, call):
     """Per pair: six moments and C colour sums, in `PAIR_NUMBERS` numbers of the flat `out`.
 
     `image` and `alpha` are what `forward.blend_tiles` returned, `cotangent` and `cotangent_alpha` their
@@ -84,8 +95,7 @@ def pair_moments(lists, channel_tuple, row_tuple, colors, image, alpha, cotangen
     behind_field = alpha_field + FIELD
     stage = behind_field + FIELD
     rows = stage + (BATCH + 1) * STAGE_ROW
-    counter[0] = 0
-    for worker in prange(scratch.shape[0]):
+    for worker in share_of(scratch.shape[0], call):
         own = scratch[worker]
         list_ = items[worker]
         lay_grid(own)

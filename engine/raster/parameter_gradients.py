@@ -1,29 +1,36 @@
-"""From the moments of a Gaussian to the gradients of its parameters and of the camera, sixteen at a time.
+"""From the sums of a Gaussian to the gradients of its parameters and of the camera, sixteen at a time.
 
-The chain of `projection.project` backwards. Gaussians come in chunks of fixed size; each leaves its own
-sums for the camera, added up in order, so the camera's gradient too has the same bits on any number of
-threads.
+The chain of `projection.project` and of `sh_kernels.evaluate_sh` backwards: every pair is read once. Gaussians
+come in chunks of fixed size; each leaves its own sums for the camera, added up in order, so the camera's gradient too
+has the same bits on any number of threads.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_algebra import add, dot, row_times, scale_columns, times
 from engine.raster.lane_math import exp2
-from engine.raster.lane_memory import load, prefetch, store, zip3, zip4
+from engine.raster.lane_memory import load, prefetch, store
+from engine.raster.lane_order import zip3, zip4
 from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import constant_lanes, maximum, minimum, select, spread
 from engine.raster.moments import PAIR_NUMBERS
 from engine.raster.projection import affine_rows, covariance, log2_opacity, rotation, rows3, scale_lanes, unit_quats
+from engine.raster.sh_kernels import differentiate_group
 
-__all__ = ["CHUNK", "GRADIENT_SCRATCH", "parameter_gradients"]
+__all__ = ["CHUNK", "GRADIENT_SCRATCH", "chunks_of", "parameter_gradients"]
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""
+
+
+def chunks_of(n: int) -> int:
+    """Chunks of n >= 16 Gaussians: the last has up to 15 more, so that no group reaches into another thread's."""
+    return (n - 16) // CHUNK + 1
+
 
 GRADIENT_SCRATCH = 3 * 256 + 32 * 16
 """Floats of scratch a chunk needs."""
@@ -36,7 +43,7 @@ _lane_number = constant_lanes([float(lane) for lane in range(16)])
 
 
 @inlined
-def gather_moments(own, values, firsts, slots, first):
+def gather_pairs(own, values, firsts, slots, first):
     """Row k at own[_TURNED] becomes quantity k of 16 Gaussians; own[_SEEN] tells which of them have pairs."""
     total = np.int64(firsts[firsts.shape[0] - 1])
     for g in range(16):
@@ -126,8 +133,28 @@ def add_row(own, row, g, mean, j0, t0, j1, t1, counted):
         add_to(own, row + k, g * mean[k] + j0 * t0[k] + j1 * t1[k], counted)
 
 
+@inlined
+def differentiate_colors(own, sh_scratch, shading, means, first, end, d_means, d_colors, d_sh):
+    """From dL/dcolors of 16 Gaussians from `first` on to dL/dSH, and on to their centres and the camera's."""
+    sh, coefficients, colors, position = shading
+    i = min(first, end - 16)  # rows below `first` have been counted
+    zero, counted = spread(_f(0.0)), _lane_number() >= _f(first - i)
+    shown, by_color = rows3(colors, i), rows3(d_colors, i)
+    pulls = (
+        select(shown[0] > zero, by_color[0], zero),
+        select(shown[1] > zero, by_color[1], zero),
+        select(shown[2] > zero, by_color[2], zero),
+    )
+    x, y, z = differentiate_group(sh_scratch, sh, coefficients, i, 16, end, rows3(means, i), position, pulls, d_sh)
+    toward = (select(counted, x, zero), select(counted, y, zero), select(counted, z, zero))
+    world = zip3(*add(rows3(d_means, i), toward))
+    for part in range(3):
+        store(d_means, 3 * i + 16 * part, world[part])
+        add_to(own, 16 + part, -toward[part], counted)
+
+
 @parallel_kernel
-def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
+def parameter_gradients(raw, lens, values, firsts, slots, shading, scratches, out, call):
     """Gradients of N >= 16 Gaussians and of the camera.
 
     Parameters
@@ -135,28 +162,31 @@ def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
     raw : means, quats, log_scales, logits; they and `lens` as for `projection.project`
     values : flat (pairs, PAIR_NUMBERS), from `moments.pair_moments`
     firsts, slots : see `geometry.Geometry`
-    toward : flat (N, 3), dL/dmeans by way of the colours' viewing direction, or empty
-    scratch : (chunks, GRADIENT_SCRATCH)
-    out : gradients of raw, as flat; of the projected centres, pixels, flat (2, N); and (chunks, 32), of which 19 are
-        the camera's sums: rotation (9) and translation (3) in its frame; fx, fy, cx, cy; its position by way of the
-        colours (3)
+    shading : SH (flat, empty if colours were given), coefficients, colours (flat), the camera's position
+    scratches : (chunks, GRADIENT_SCRATCH) and (chunks, SH_SCRATCH)
+    out : gradients of raw, as flat; of the projected centres, pixels, flat (2, N); of colours and SH, flat; and
+        (chunks, 32), of which 19 are the camera's sums: rotation (9) and translation (3) in its frame; fx, fy, cx, cy;
+        its position by way of the colours (3)
     """
     means, quats, log_scales, logits = raw
-    d_means, d_quats, d_log_scales, d_logits, d_centers, d_camera = out
+    d_means, d_quats, d_log_scales, d_logits, d_centers, d_colors, d_sh, d_camera = out
+    sh, _, _, _ = shading
+    scratch, sh_scratch = scratches
     n = logits.shape[0]
     R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])
     t = (lens[9], lens[10], lens[11])
     fx, fy = lens[12], lens[13]
     right, left, bottom, top = lens[16], lens[17], lens[18], lens[19]
     eps2d = lens[22]
-    for part in prange(scratch.shape[0]):
+    for part in share_of(scratch.shape[0], call):
         own = scratch[part]
         zero, one, two, minus_half = spread(_f(0.0)), spread(_f(1.0)), _f(2.0), _f(-0.5)
         for row in range(32):
             store(own, _SUMS + row * 16, zero)
-        for first in range(part * CHUNK, min(n, (part + 1) * CHUNK), 16):
-            i = min(first, n - 16)  # the last group overlaps the one before, which has already been counted
-            gather_moments(own, values, firsts, slots, i)
+        end = n if part == scratch.shape[0] - 1 else (part + 1) * CHUNK
+        for first in range(part * CHUNK, end, 16):
+            i = min(first, end - 16)  # the last group overlaps the one before, which has already been counted
+            gather_pairs(own, values, firsts, slots, i)
             seen = load(own, _SEEN) > _f(0.5)
             counted = seen & (_lane_number() >= _f(first - i))
 
@@ -184,6 +214,9 @@ def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
             store(d_centers, n + i, select(seen, dv, zero))
             h00, h01, h10, h11 = ca * ga + cb * gb, ca * gb + cb * gc, cb * ga + cc * gb, cb * gb + cc * gc
             e00, e01, e11 = -(h00 * ca + h01 * cb), -(h00 * cb + h01 * cc), -(h10 * cb + h11 * cc)
+
+            by_color = (load(own, _TURNED + 96), load(own, _TURNED + 112), load(own, _TURNED + 128))
+            write_rows3(d_colors, i, seen, by_color[0], by_color[1], by_color[2])
 
             # 3. To P, and through it to M = R S and T = J W
             dp, dq = weighted_rows(e00, p, e01, q), weighted_rows(e01, p, e11, q)
@@ -213,11 +246,6 @@ def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
 
             # 6. The centre in the world, opacity, and what moves the camera
             world = row_times((gx, gy, gz), R)
-            if toward.shape[0] > 0:
-                seen_along = rows3(toward, i)
-                world = add(world, seen_along)
-                for k in range(3):
-                    add_to(own, 16 + k, -seen_along[k], counted)
             write_rows3(d_means, i, seen, world[0], world[1], world[2])
             store(d_logits, i, select(seen, g0 * (one - exp2(log2_opacity(logits, i))), zero))
             add_row(own, 0, gx, mean, jx, ta, zero, tb, counted)
@@ -230,5 +258,9 @@ def parameter_gradients(raw, lens, values, firsts, slots, toward, scratch, out):
             add_to(own, 13, dv * yz + iz * (djy - select(free_y, yz * djyz, zero)), counted)
             add_to(own, 14, du + select(free_x, zero, iz * djxz), counted)
             add_to(own, 15, dv + select(free_y, zero, iz * djyz), counted)
+        # 7. Colours to SH, apart from the rest: fewer streams of memory at a time.
+        if sh.shape[0] > 0:
+            for first in range(part * CHUNK, end, 16):
+                differentiate_colors(own, sh_scratch[part], shading, means, first, end, d_means, d_colors, d_sh)
         store(d_camera[part], 0, sum_rows(own, _SUMS, _SIXTEEN))
         store(d_camera[part], 16, sum_rows(own, _SUMS + 256, _SIXTEEN))

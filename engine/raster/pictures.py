@@ -5,7 +5,6 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
-from engine.numerics.jit import parallel_section
 from engine.raster.geometry import build_geometry
 from engine.raster.settings import RasterSettings
 from engine.raster.spherical_harmonics import evaluate
@@ -25,7 +24,7 @@ def render(
         behind[:] = background
     except ValueError as error:
         raise InputError("background must be one number or three") from error
-    with parallel_section(), borrow_workspace() as work:
+    with borrow_workspace() as work:
         geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
         colors = work.array("colors", (len(model), 3))
         evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)
@@ -43,7 +42,7 @@ def render_depth(
     behind = np.zeros(4, dtype=np.float32)
     behind[:3] = background
     row = camera.viewmat[2]
-    with parallel_section(), borrow_workspace() as work:
+    with borrow_workspace() as work:
         geometry, sizes = build_geometry(model, camera, settings, work, keep=False)
         colors, shades = work.array("colors", (len(model), 3)), work.array("shades", (len(model), 4))
         evaluate(model.sh, model.means, camera.position.astype(np.float32), sizes, colors)

@@ -7,33 +7,36 @@ map):
     a, b, c, l         alpha = 2^q with q = a dx^2 + b dx dy + c dy^2 + l (a, c < 0; l = log2 of the opacity)
     slope_x, slope_y   for a given dy, q peaks at dx = slope_x dy; for a given dx, at dy = slope_y dx
 
-and, for the later passes, the half extents of {alpha >= alpha_skip}, the rectangle of tiles they touch, and a
-compact list (depth, index) per chunk. The extent follows from opacity and threshold exactly, so tight lists
-change no pixel.
+and, for the later passes, the half extents of {alpha >= alpha_skip}, the rectangle of tiles they touch, which tiles of
+it the ellipse reaches where it is small, and a compact list (depth, index) per chunk. The extent follows from opacity
+and threshold exactly, so tight lists change no pixel.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
 import numpy as np
-from numba import prange
 
 from engine.model import Camera, Float32
-from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_algebra import cross, dot, row_times, scale_columns
 from engine.raster.lane_math import exp2, log2
-from engine.raster.lane_memory import load, lowest_bit, store, unzip3, unzip4
-from engine.raster.lanes import bits_of, maximum, minimum, root, round_down, spread
+from engine.raster.lane_memory import load, lowest_bit, store
+from engine.raster.lane_order import unzip3, unzip4
+from engine.raster.lanes import bits_of, maximum, minimum, root, round_down, select, spread
 from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, TILE, RasterSettings
 
-__all__ = ["LANE_SCRATCH", "RECORD", "pack_lens", "project"]
+__all__ = ["COVER", "LANE_SCRATCH", "RECORD", "pack_lens", "project"]
 
-_KERNEL_VERSION = 3
+_KERNEL_VERSION = 4
 
 RECORD = 8
 """Floats per record."""
 
-LANE_SCRATCH = 16 * 16
+COVER = 4
+"""Sides of the largest rectangle of tiles whose tiles are told by bits: one of 16 for each, row by row."""
+
+LANE_SCRATCH = 17 * 16
 """Floats of scratch a chunk needs."""
 
 _f = np.float32
@@ -144,8 +147,53 @@ def tile_of(pixels, last):
     return minimum(maximum(round_down((pixels - _f(0.5)) * _TILES_PER_PIXEL), _f(0.0)), last)
 
 
+@inlined
+def span_ends(dy, a, b, c, below):
+    """The larger and the smaller root dx of a dx^2 + b dx dy + c dy^2 + below = 0; a < 0."""
+    inside = root(maximum((b * dy) * (b * dy) - a * (c * dy * dy + below) * _f(4.0), _f(0.0)))
+    middle, half = b * dy, _f(-0.5) / a
+    return (middle + inside) * half, (middle - inside) * half
+
+
+@inlined
+def tile_cover(wanted, u, v, hx, hy, ellipse, rect):
+    """Bits of `project`'s covers, as floats, of 16 ellipses with centres (u, v), half extents (hx, hy), tiles `rect`.
+
+    ``ellipse``: a, b, c of the record, l above its threshold, slope_y. Per row of tiles the ellipse's span in x: it
+    reaches its largest dx at dy = slope_y hx, and grows towards it.
+    """
+    a, b, c, below, slope_y = ellipse
+    left, right, top, bottom = rect
+    zero = spread(_f(0.0))
+    columns, rows = right - left, bottom - top
+    exact = (columns < _f(0.5)) | (rows < _f(0.5))  # one column or one row: all of the rectangle
+    small = (columns < _f(COVER - 0.5)) & (rows < _f(COVER - 0.5))
+    peak = slope_y * hx
+    cover = zero
+    y = _f(0.0)
+    weight = _f(1.0)  # of the first bit of the row
+    while y < _f(COVER) and (bits_of(small & (rows >= y)) & wanted) != 0:
+        begins, ends = zero, columns
+        if (bits_of(small & (rows >= y) & (rows > _f(0.5)) & (columns > _f(0.5))) & wanted) != 0:
+            edge = (top + y) * _f(TILE) - v
+            first, last = maximum(edge + _f(0.5), -hy), minimum(edge + _f(TILE - 0.5), hy)
+            high, _ = span_ends(minimum(maximum(peak, first), last), a, b, c, below)
+            _, low = span_ends(minimum(maximum(-peak, first), last), a, b, c, below)
+            from_ = maximum(round_down((u + maximum(low, -hx) - _f(0.5)) * _TILES_PER_PIXEL) - left, zero)
+            to = minimum(round_down((u + minimum(high, hx) - _f(0.5)) * _TILES_PER_PIXEL) - left, columns)
+            to = select(first <= last, to, spread(_f(-1.0)))
+            begins, ends = select(exact, begins, from_), select(exact, ends, to)
+        ends = select(rows >= y, ends, spread(_f(-1.0)))
+        for x in range(COVER):
+            column = _f(x)
+            cover += select((begins <= column) & (ends >= column), spread(weight), zero)
+            weight += weight
+        y += _f(1.0)
+    return select(small, cover, zero)
+
+
 @parallel_kernel
-def project(means, quats, log_scales, logits, lens, chunk, scratch, records, extents, rects, depths, index, counts):
+def project(means, quats, log_scales, logits, lens, chunk, scratch, records, bounds, depths, index, counts, call):
     """Project every Gaussian.
 
     Parameters
@@ -154,13 +202,16 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
     lens : see `pack_lens`
     chunk : Gaussians per chunk, a multiple of 16
     scratch : (chunks, LANE_SCRATCH)
-    records, extents, rects : flat
-        RECORD, 2 and 4 (int16: first and last tile column, row) numbers a Gaussian
+    records : flat, RECORD numbers a Gaussian, out
+    bounds : (extents, rects, covers), out
+        Flat: 2, 4 (int16: first and last tile column, row) numbers a Gaussian, and one (uint16): bit ``COVER y + x``
+        where the ellipse reaches the tile in column x and row y of its rectangle; 0 where that is larger than COVER.
     depths, index : (N,) out
         Each chunk fills its own stretch from the front.
     counts : (chunks,) out
         How many it wrote.
     """
+    extents, rects, covers = bounds
     n = logits.shape[0]
     R = (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8])
     t = (lens[9], lens[10], lens[11])
@@ -169,7 +220,7 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
     width, height, eps2d, near, log2_skip = lens[20], lens[21], lens[22], lens[23], lens[24]
     last_column, last_row = lens[25] - _f(1.0), lens[26] - _f(1.0)
     antialiased, by_distance = lens[27] != _f(0.0), lens[28] != _f(0.0)
-    for part in prange(counts.shape[0]):
+    for part in share_of(counts.shape[0], call):
         own = scratch[part]
         begin = part * chunk
         end = min(n, begin + chunk)
@@ -211,18 +262,24 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
             k = _f(-0.5 * math.log2(math.e)) / det
             store(own, 0, u)
             store(own, 16, v)
-            store(own, 32, k * var_y)
-            store(own, 48, k * cov * _f(-2.0))
-            store(own, 64, k * var_x)
+            ellipse = (k * var_y, k * cov * _f(-2.0), k * var_x, l - log2_skip, cov / var_x)
+            store(own, 32, ellipse[0])
+            store(own, 48, ellipse[1])
+            store(own, 64, ellipse[2])
             store(own, 80, l)
             store(own, 96, cov / var_y)
-            store(own, 112, cov / var_x)
+            store(own, 112, ellipse[4])
             store(own, 128, hx)
             store(own, 144, hy)
-            store(own, 160, tile_of(u - hx, last_column))
-            store(own, 176, tile_of(u + hx, last_column))
-            store(own, 192, tile_of(v - hy, last_row))
-            store(own, 208, tile_of(v + hy, last_row))
+            rect = (
+                tile_of(u - hx, last_column),
+                tile_of(u + hx, last_column),
+                tile_of(v - hy, last_row),
+                tile_of(v + hy, last_row),
+            )
+            for side in range(4):
+                store(own, 160 + 16 * side, rect[side])
+            store(own, 240, tile_cover(wanted, u, v, hx, hy, ellipse, rect))
             store(own, 224, z)
             if by_distance:
                 store(own, 224, z * root(xz * xz + yz * yz + _f(1.0)))
@@ -236,6 +293,7 @@ def project(means, quats, log_scales, logits, lens, chunk, scratch, records, ext
                 extents[2 * j + 1] = own[144 + lane]
                 for side in range(4):
                     rects[4 * j + side] = np.int16(own[160 + side * 16 + lane])
+                covers[j] = np.uint16(own[240 + lane])
                 depths[filled] = own[224 + lane]
                 index[filled] = j
                 filled += 1

@@ -6,18 +6,18 @@ lie next to each other, meet its basis values in one multiplication per channel.
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
-from numba import prange
 
 from engine.model import SH_C0
-from engine.numerics.jit import inlined, parallel_kernel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
-from engine.raster.lane_memory import load, load_some, store, store_some, unzip3, zip3
+from engine.raster.lane_memory import load, load_some, store, store_some
+from engine.raster.lane_order import unzip3, zip3
 from engine.raster.lane_sums import sum_rows, transpose
 from engine.raster.lanes import maximum, root, spread
 
-__all__ = ["SH_SCRATCH", "differentiate_sh", "evaluate_sh", "spread_sh"]
+__all__ = ["SH_SCRATCH", "differentiate_group", "evaluate_sh", "spread_sh"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 SH_SCRATCH = 3 * 16 + 5 * 256
 """Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""
@@ -42,15 +42,27 @@ def unit_directions(own):
 @inlined
 def load_colors(array, at, row):
     """(r, g, b) of the first `row` / 3 <= 16 colours from array[at] on, zeros after them."""
+    if row == 48:
+        return unzip3(load(array, at), load(array, at + 16), load(array, at + 32))
     return unzip3(
         load_some(array, at, _i(row)), load_some(array, at + 16, _i(row - 16)), load_some(array, at + 32, _i(row - 32))
     )
 
 
 @inlined
-def store_colors(array, at, row, r, g, b):
-    """The first `row` / 3 <= 16 colours to array[at] and on."""
+def store_colors(array, at, row, end, r, g, b):
+    """The first `row` / 3 <= 16 colours to array[at] and on; what stands between them and `end` may be overwritten.
+
+    Masked stores take microcode on processors without AVX-512.
+    """
     first, second, third = zip3(r, g, b)
+    if at + 48 <= end:
+        store(array, at, first)
+        if row > 16:
+            store(array, at + 16, second)
+        if row > 32:
+            store(array, at + 32, third)
+        return
     store_some(array, at, _i(row), first)
     store_some(array, at + 16, _i(row - 16), second)
     store_some(array, at + 32, _i(row - 32), third)
@@ -94,19 +106,20 @@ def set_direction(own, lane, means, i, position):
 
 
 @parallel_kernel
-def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
+def evaluate_sh(sh, coefficients, means, position, wanted, scratch, rows, colors, call):
     """colors[i] = max(0, 0.5 + sum_k Y_k sh[i, k]).
 
     `sh`, `means` and `colors` are flat. `wanted` (N,) int32 leaves out Gaussians where it is 0; empty: none
-    is left out. `scratch` has one row per share of the Gaussians.
+    is left out. `scratch` (shares, SH_SCRATCH) and `rows` (shares, 16) int64 have one row per
+    share of the Gaussians.
     """
     n = means.shape[0] // 3
     shares = scratch.shape[0]
     share = (n + shares - 1) // shares
     row = 3 * coefficients
-    for part in prange(shares):
+    for part in share_of(shares, call):
         own = scratch[part]
-        who = np.empty(16, np.int64)
+        who = rows[part]
         i, end = part * share, min(n, (part + 1) * share)
         while i < end:
             filled = 0
@@ -133,13 +146,13 @@ def evaluate_sh(sh, coefficients, means, position, wanted, scratch, colors):
 
 
 @parallel_kernel
-def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):
+def spread_sh(cotangent, colors, coefficients, means, position, scratch, out, call):
     """out[i, k] = Y_k cotangent[i] where the colour was not clamped to 0, else 0. All arrays flat."""
     n = means.shape[0] // 3
     shares = scratch.shape[0]
     share = (n + shares - 1) // shares
     row = 3 * coefficients
-    for part in prange(shares):
+    for part in share_of(shares, call):
         own = scratch[part]
         end = min(n, (part + 1) * share)
         for first in range(part * share, end, 16):
@@ -153,7 +166,7 @@ def spread_sh(cotangent, colors, coefficients, means, position, scratch, out):
                 for channel in range(3):
                     value = cotangent[3 * i + channel] if colors[3 * i + channel] > _f(0.0) else _f(0.0)
                     store(own, channel * 16, y * value)
-                store_colors(out, i * row, row, load(own, 0), load(own, 16), load(own, 32))
+                store_colors(out, i * row, row, end * row, load(own, 0), load(own, 16), load(own, 32))
 
 
 @inlined
@@ -200,37 +213,27 @@ def direction_gradient(own, coefficients):
     return gx, gy, gz, x, y, z, scale
 
 
-@parallel_kernel
-def differentiate_sh(cotangent, colors, sh, coefficients, means, position, scratch, out, toward):
-    """`spread_sh`, and dL/dmeans by way of the direction in `toward` (flat, N * 3)."""
-    n = means.shape[0] // 3
-    shares = scratch.shape[0]
-    share = (n + shares - 1) // shares
+@inlined
+def differentiate_group(own, sh, coefficients, first, size, end, mean, position, values, d_sh):
+    """`spread_sh` of up to 16 Gaussians from row `first` on, into d_sh; returns dL/dmeans by way of the direction.
+
+    mean : their centres (lanes); values : dL/dcolors (lanes), 0 where the colour was clamped; only rows below `end` may
+    be written.
+    """
     row = 3 * coefficients
-    for part in prange(shares):
-        own = scratch[part]
-        end = min(n, (part + 1) * share)
-        for first in range(part * share, end, 16):
-            size = min(16, end - first)
-            for g in range(size):
-                set_direction(own, g, means, first + g, position)
-            sh_lanes(own, coefficients)
-            for g in range(size):
-                i = first + g
-                at = i * row
-                y = load(own, _TURNED + g * 16)
-                v0 = cotangent[3 * i] if colors[3 * i] > _f(0.0) else _f(0.0)
-                v1 = cotangent[3 * i + 1] if colors[3 * i + 1] > _f(0.0) else _f(0.0)
-                v2 = cotangent[3 * i + 2] if colors[3 * i + 2] > _f(0.0) else _f(0.0)
-                store_colors(out, at, row, y * v0, y * v1, y * v2)
-                r, g_, b = unzip3(  # not `load_colors`: by it LLVM fuses another of the products below
-                    load_some(sh, at, _i(row)),
-                    load_some(sh, at + 16, _i(row - 16)),
-                    load_some(sh, at + 32, _i(row - 32)),
-                )
-                store(own, _BASIS + g * 16, r * v0 + g_ * v1 + b * v2)
-            transpose(own, _BASIS, _PRODUCTS)
-            gx, gy, gz, x, y_, z, scale = direction_gradient(own, coefficients)
-            along = gx * x + gy * y_ + gz * z  # a unit vector moves only across itself
-            tx, ty, tz = (gx - along * x) * scale, (gy - along * y_) * scale, (gz - along * z) * scale
-            store_colors(toward, 3 * first, 3 * size, tx, ty, tz)
+    for axis in range(3):
+        store(own, axis * 16, mean[axis] - position[axis])
+    sh_lanes(own, coefficients)
+    for channel in range(3):
+        store(own, _PRODUCTS + 256 + channel * 16, values[channel])
+    for g in range(size):
+        at = (first + g) * row
+        y = load(own, _TURNED + g * 16)
+        v0, v1, v2 = own[_PRODUCTS + 256 + g], own[_PRODUCTS + 272 + g], own[_PRODUCTS + 288 + g]
+        store_colors(d_sh, at, row, end * row, y * v0, y * v1, y * v2)
+        r, g_, b = load_colors(sh, at, row)
+        store(own, _BASIS + g * 16, r * v0 + g_ * v1 + b * v2)
+    transpose(own, _BASIS, _PRODUCTS)
+    gx, gy, gz, x, y_, z, scale = direction_gradient(own, coefficients)
+    along = gx * x + gy * y_ + gz * z  # a unit vector moves only across itself
+    return (gx - along * x) * scale, (gy - along * y_) * scale, (gz - along * z) * scale

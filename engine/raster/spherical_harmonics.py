@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float32, Int32
-from engine.numerics.jit import parallel_section, thread_count
+from engine.numerics.crew import thread_count
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster.lane_memory import aligned
 from engine.raster.sh_kernels import SH_SCRATCH, evaluate_sh, spread_sh
@@ -42,9 +42,8 @@ def sh_colors(sh: Float32, means: Float32, camera_position: npt.ArrayLike, wante
 
 def evaluate(sh: Float32, means: Float32, position: Float32, wanted: Int32, colors: Float32) -> None:
     """`sh_colors` into an array of the caller's, shapes unchecked."""
-    scratch = aligned((thread_count(), SH_SCRATCH))
-    with parallel_section():
-        evaluate_sh(sh.ravel(), sh.shape[1], means.ravel(), position, wanted, scratch, colors.reshape(-1))
+    scratch, rows = aligned((thread_count(), SH_SCRATCH)), np.empty((thread_count(), 16), dtype=np.int64)
+    evaluate_sh(sh.ravel(), sh.shape[1], means.ravel(), position, wanted, scratch, rows, colors.reshape(-1))
 
 
 def sh_colors_backward(
@@ -74,6 +73,5 @@ def sh_colors_backward(
     if result.dtype != np.float32 or not result.flags.c_contiguous:
         raise InputError("out must be a C-contiguous float32 array")
     scratch, out = aligned((thread_count(), SH_SCRATCH)), result.reshape(-1)
-    with parallel_section():
-        spread_sh(cotangent.ravel(), seen.ravel(), sh.shape[1], means.ravel(), position, scratch, out)
+    spread_sh(cotangent.ravel(), seen.ravel(), sh.shape[1], means.ravel(), position, scratch, out)
     return result

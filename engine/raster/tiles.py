@@ -20,7 +20,19 @@ import numpy as np
 from engine.numerics.jit import inlined
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.lane_math import exp2
-from engine.raster.lane_memory import append_set_bits, count_bits, entry, load, lowest_bit, number, prefetch, put, store
+from engine.raster.lane_memory import (
+    append_set_bits,
+    count_bits,
+    entry,
+    load,
+    lowest_bit,
+    number,
+    prefetch,
+    put,
+    store,
+    store_quarters,
+)
+from engine.raster.lane_order import unzip3
 from engine.raster.lanes import bits_of, constant_lanes, fma, maximum, minimum, minus_magnitude, select, spread
 from engine.raster.projection import RECORD
 from engine.raster.settings import BLOCK, TILE
@@ -59,6 +71,35 @@ def lay_grid(own):
 def place_of(p, q):
     """Place in a field of the pixel in column p and row q of a tile."""
     return ((q >> 2) * 4 + (p >> 2)) * 16 + (q & 3) * 4 + (p & 3)
+
+
+@inlined
+def is_inside(x0, y0, width, height):
+    """Whether all of a tile lies inside the image: its rows are then read and written as vectors."""
+    return x0 + TILE <= width and y0 + TILE <= height
+
+
+@inlined
+def pixels_of_row(pixels, at, channel, channels):
+    """One of one or three channels of 16 pixels, from the flat image's index of the first one's first channel on."""
+    if channels == 1:
+        return load(pixels, at)
+    return unzip3(load(pixels, at), load(pixels, at + 16), load(pixels, at + 32))[channel]
+
+
+@inlined
+def fill_field(own, field, pixels, channels, channel, x0, y0, width, height):
+    """One channel of an image to a field of the tile at (x0, y0); zero outside the image."""
+    if (channels == 1 or channels == 3) and is_inside(x0, y0, width, height):
+        for row in range(TILE):
+            at = ((y0 + row) * width + x0) * channels
+            store_quarters(own, field + place_of(0, row), pixels_of_row(pixels, at, channel, channels))
+        return
+    for place in range(FIELD):
+        own[field + place] = _f(0.0)
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            own[field + place_of(x - x0, y - y0)] = pixels[(y * width + x) * channels + channel]
 
 
 @inlined

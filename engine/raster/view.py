@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32
-from engine.numerics.jit import parallel_section, thread_count
+from engine.numerics.crew import thread_count
 from engine.raster.backward import (
     WEIGHT_SUMS,
     backward_scratch,
@@ -112,7 +112,7 @@ class View:
         if early is not None:
             return self._stopped(colors, behind, early)
         images = []
-        with parallel_section(), borrow_workspace() as work:
+        with borrow_workspace() as work:
             for first, last, width in channel_groups(colors.shape[1]):
                 shades, rest = widened(colors, first, last, width), widened(behind, first, last, width)
                 image, alpha, _ = blend_colors(self.geometry, shades, rest, work)
@@ -126,7 +126,7 @@ class View:
                 f"{early.weights.shape}"
             )
         weighted = np.concatenate([colors, early.weights[:, None]], axis=1).astype(np.float32)  # (N, 4)
-        with parallel_section(), borrow_workspace() as work:
+        with borrow_workspace() as work:
             image, alpha, _ = blend_colors(self.geometry, weighted, np.append(behind, np.float32(0.0)), work, early.tau)
         return np.ascontiguousarray(image[..., :3]), alpha
 
@@ -144,7 +144,7 @@ class View:
             raise InputError(f"cotangent has shape {cotangent.shape}, expected ({camera.height}, {camera.width}, C)")
         out = np.empty((geometry.count, cotangent.shape[2]), dtype=np.float32)
         workers = thread_count()
-        with parallel_section(), borrow_workspace() as work:
+        with borrow_workspace() as work:
             for first, last, width in channel_groups(cotangent.shape[2]):
                 pair = pair_width(width)
                 sums = work.array("pairs", (len(geometry.ids) * pair,))
@@ -182,7 +182,7 @@ class View:
         pairs = len(geometry.ids)
         out = np.empty((geometry.count, WEIGHT_SUMS), dtype=np.float32)
         largest = np.empty(geometry.count, dtype=np.float32)
-        with parallel_section(), borrow_workspace() as work:
+        with borrow_workspace() as work:
             sums, maxima = work.array("pairs", (pairs * WEIGHT_SUMS,)), work.array("pair maxima", (pairs,))
             bench = work.tile_bench(backward_scratch(1, WEIGHT_SUMS + 1))
             pair_weights(geometry.lists, pixel_map.reshape(-1), sums, maxima, bench)
@@ -199,7 +199,7 @@ def prepare_view(
     `tile_mask` (ceil(H / 16), ceil(W / 16)) are the tiles to draw; the others show the background. Cost follows the
     mask. InputError if a shape is wrong or the image is too large.
     """
-    with parallel_section(), borrow_workspace() as work:
+    with borrow_workspace() as work:
         geometry, _ = build_geometry(model, camera, settings, work, keep=True, tile_mask=tile_mask)
     row = camera.viewmat[2]
     depths = (model.means @ row[:3].astype(np.float32) + np.float32(row[3])).astype(np.float32)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.numerics.jit import thread_count
+from engine.numerics.crew import thread_count
 from engine.raster.lane_memory import aligned
 from engine.raster.tiles import ITEMS
 
@@ -43,10 +43,12 @@ class Workspace:
 
     def tile_bench(self, numbers: int) -> tuple[Any, ...]:
         """What the workers of a pass over tiles write to: scratch of so many floats each, a list of items each, and
-        the queue of tiles that they share."""
+        the queue of tiles that they share, at its start."""
         workers = thread_count()
         scratch, items = self.array("tile scratch", (workers, numbers)), self.array("items", (workers, ITEMS), np.int32)
-        return scratch, items, self.array("queue", (1,), np.int64)
+        queue = self.array("queue", (1,), np.int64)
+        queue[0] = 0
+        return scratch, items, queue
 
 
 @contextmanager

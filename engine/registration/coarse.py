@@ -16,11 +16,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.similarity import MIRROR
 from engine.registration.hypotheses import chance_table
 from engine.registration.kernels import best_triples, evidence
@@ -69,12 +68,10 @@ class Coarse:
 
 
 @parallel_kernel
-def _moments(mass, where, color, places, window, reach):
+def _moments(mass, where, color, places, window, reach, out, count, call):
     """About each place, at half the window and at the whole: mass, its first (3) and second (6) moments, colour (3) and
-    colour times offset (9); and how many voxels are within reach."""
-    out = np.zeros((len(places), 2, 22))
-    count = np.zeros(len(places), np.int64)
-    for p in numba.prange(len(places)):
+    colour times offset (9), to `out`; and to `count` how many voxels are within reach. Both hold zeros."""
+    for p in share_of(len(places), call):
         for v in range(len(mass)):
             x, y, z = where[v, 0] - places[p, 0], where[v, 1] - places[p, 1], where[v, 2] - places[p, 2]
             d2 = x * x + y * y + z * z
@@ -100,7 +97,6 @@ def _moments(mass, where, color, places, window, reach):
                     row[13 + 3 * c] += g * color[v, c] * x
                     row[14 + 3 * c] += g * color[v, c] * y
                     row[15 + 3 * c] += g * color[v, c] * z
-    return out, count
 
 
 def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
@@ -121,8 +117,8 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
         places = at[heavy > 0.2 * np.median(heavy)]  # not about floaters
         if len(places) > most:
             places = places[np.sort(np.random.default_rng(0).choice(len(places), most, replace=False))]
-        with parallel_section():
-            moments, count = _moments(weight, where, color, places, window, REACH * window)
+        moments, count = np.zeros((len(places), 2, 22)), np.zeros(len(places), np.int64)
+        _moments(weight, where, color, places, window, REACH * window, moments, count)
         told = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
         features = np.concatenate([_features(moments[told, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
         found.append((places[told], features, np.full(told.sum(), window)))
@@ -162,11 +158,10 @@ def agreement(sketch: Coarse, suspect: Crowd) -> float:
     seeds = np.arange(0, len(y), max(1, len(y) // SEEDS), dtype=np.int64)
     best = 0.0
     for mirror in (np.ones(3), MIRROR):
-        x = suspect.suspect.places[partner] * mirror.astype(np.float64)
-        with parallel_section():
-            turns, moves, scores, _, _ = best_triples(
-                x, y, size, turn, seeds, DRAWS, SIZE, EDGE, -1.0, -1.0, extent, chance, 0
-            )
+        x = suspect.suspect.places[partner].astype(np.float64) * mirror
+        turns, moves, scores, _, _ = best_triples(
+            x, y, size, turn, seeds, DRAWS, SIZE, EDGE, -1.0, -1.0, extent, chance, 0
+        )
         at = int(np.argmax(scores))
         if scores[at] <= best:
             continue

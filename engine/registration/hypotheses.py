@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Float64, Int64
-from engine.numerics.jit import parallel_section
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.candidates import Candidates
 from engine.registration.kernels import BINS, best_triples, degrees_of_agreement, evidence
@@ -79,14 +78,12 @@ def propose(
     cos_half = math.cos(agreement.angle / 2) if trusted else -1.0
     cos_line = math.cos(agreement.angle) if trusted else -1.0
     rules = (agreement.size, agreement.edge, cos_half, cos_line)
-    with parallel_section():
-        degrees = degrees_of_agreement(pairs.x, pairs.y, pairs.size, turn, *rules)
+    degrees = degrees_of_agreement(pairs.x, pairs.y, pairs.size, turn, *rules)
     chosen = np.argsort(-degrees, kind="stable")[:seeds].astype(np.int64)
     tol_size = 2.0 * agreement.size
-    with parallel_section():
-        turns, moves, scores, bins, tries = best_triples(
-            pairs.x, pairs.y, pairs.size, turn, chosen, draws, *rules, extent, chance, seed
-        )
+    turns, moves, scores, bins, tries = best_triples(
+        pairs.x, pairs.y, pairs.size, turn, chosen, draws, *rules, extent, chance, seed
+    )
     shuffles = [np.random.default_rng([seed, i]).permutation(len(pairs)) for i in range(3)]
     found: list[Hypothesis] = []
     for s in np.argsort(-scores, kind="stable")[:8]:

@@ -4,12 +4,12 @@
 
 import math
 
-import numba
 import numpy as np
 
-from engine.numerics.jit import inlined, kernel, parallel_kernel
+from engine.model import Float64, Int32, Int64
+from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
-_KERNEL_VERSION = 1
+_KERNEL_VERSION = 2
 
 BINS = 48
 """Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
@@ -40,18 +40,32 @@ def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
     return cx * bx + cy * by + cz * bz >= cos_line * math.sqrt(la * lb)
 
 
+def degrees_of_agreement(
+    x: Float64,
+    y: Float64,
+    size: Float64,
+    turn: Float64,
+    tol_size: float,
+    tol_edge: float,
+    cos_half: float,
+    cos_line: float,
+) -> Int32:
+    """With how many others each candidate agrees, (n,) int32."""
+    out = np.zeros(len(x), np.int32)
+    count_agreeing(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line, out)
+    return out
+
+
 @parallel_kernel
-def degrees_of_agreement(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line):
-    """With how many others each candidate agrees."""
+def count_agreeing(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line, out, call):
+    """`degrees_of_agreement`, to `out`."""
     n = len(x)
-    out = np.zeros(n, np.int32)
-    for i in numba.prange(n):
+    for i in share_of(n, call):
         count = 0
         for j in range(n):
             if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
                 count += 1
         out[i] = count
-    return out
 
 
 @kernel
@@ -72,7 +86,7 @@ def _frame(p, out):
     return True
 
 
-@kernel
+@kernel(allocates=True)
 def _triple(x, y, i, j, k, turn, moved):
     """Similarity of three pairs: R into turn, (scale, t) into moved; False if degenerate."""
     a, b = np.empty((3, 3)), np.empty((3, 3))
@@ -99,7 +113,7 @@ def _triple(x, y, i, j, k, turn, moved):
     return True
 
 
-@kernel
+@kernel(allocates=True)
 def evidence(x, y, size, turn, moved, tol_size, extent, chance):
     """Best log likelihood ratio over the tolerances, and which; after Moisan and Stival, IJCV 2004."""
     n, log_scale = len(x), math.log(moved[0])
@@ -128,13 +142,36 @@ def evidence(x, y, size, turn, moved, tol_size, extent, chance):
     return best, at
 
 
-@parallel_kernel
-def best_triples(x, y, size, turn, seeds, draws, tol_size, tol_edge, cos_half, cos_line, extent, chance, seed):
+def best_triples(
+    x: Float64,
+    y: Float64,
+    size: Float64,
+    turn: Float64,
+    seeds: Int64,
+    draws: int,
+    tol_size: float,
+    tol_edge: float,
+    cos_half: float,
+    cos_line: float,
+    extent: float,
+    chance: Float64,
+    seed: int,
+) -> tuple[Float64, Float64, Float64, Int64, Int64]:
     """Best triple around each seed: R (n, 3, 3), (scale, t) (n, 4), evidence, bin and tries (n,) each."""
     count = len(seeds)
     turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))
     scores, bins, tries = np.zeros(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
-    for s in numba.prange(count):
+    rules, found = (tol_size, tol_edge, cos_half, cos_line, extent), (turns, moves, scores, bins, tries)
+    draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found)
+    return found
+
+
+@parallel_kernel(allocates=True)
+def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found, call):
+    """`best_triples`, to `found`, which holds zeros, and -1 in the bins."""
+    tol_size, tol_edge, cos_half, cos_line, extent = rules
+    turns, moves, scores, bins, tries = found
+    for s in share_of(len(seeds), call):
         i = seeds[s]
         friends = np.empty(len(x), np.int64)
         many = 0
@@ -167,4 +204,3 @@ def best_triples(x, y, size, turn, seeds, draws, tol_size, tol_edge, cos_half, c
                 scores[s], bins[s] = score, at
                 turns[s] = R
                 moves[s] = moved
-    return turns, moves, scores, bins, tries

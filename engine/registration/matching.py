@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
 from engine.model import Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.nearest import Neighbours, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
@@ -97,9 +96,8 @@ def floor_deviations(extent: float) -> Deviations:
 
 
 @parallel_kernel
-def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, smallest, inverse):
-    out = np.empty((len(means), 10), np.float32)
-    for i in numba.prange(len(means)):
+def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, smallest, inverse, out, call):
+    for i in share_of(len(means), call):
         for a in range(3):
             x = shift[a]
             for b in range(3):
@@ -116,7 +114,6 @@ def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, 
         out[i, 4] = max(middle + log_scale, least) * inverse[4]
         out[i, 5] = max(top + log_scale, least) * inverse[5]
         out[i, 6] = min(max(logits[i], -LOGIT_CLIP), LOGIT_CLIP) * inverse[6]
-    return out
 
 
 def joint_vectors(
@@ -126,20 +123,21 @@ def joint_vectors(
     each over its expected error; `fit` takes the model into the reference's frame, the colour change applies to a
     `suspect` only."""
     gain, offset = (deviations.gain, deviations.offset) if suspect else (np.ones(3), np.zeros(3))
-    with parallel_section():
-        vectors: Float32 = _joint(
-            model.means,
-            model.log_scales,
-            model.opacity_logits,
-            model.sh,
-            fit.scale * fit.R,
-            fit.t - centre,
-            np.log(fit.scale),
-            gain,
-            offset,
-            deviations.smallest,
-            1.0 / deviations.sigmas.astype(np.float64),
-        )
+    vectors = np.empty((len(model), 10), np.float32)
+    _joint(
+        model.means,
+        model.log_scales,
+        model.opacity_logits,
+        model.sh,
+        fit.scale * fit.R,
+        fit.t - centre,
+        np.log(fit.scale),
+        gain,
+        offset,
+        deviations.smallest,
+        1.0 / deviations.sigmas.astype(np.float64),
+        vectors,
+    )
     return vectors
 
 

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.gaussians import covariances, surface_mass
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
 
@@ -84,10 +83,10 @@ class Wholes:
         points = back.apply(parts.means)
         near = np.asarray(self.tree.query(points, k=k, workers=2)[1]).reshape(len(points), k)
         sigma = turn @ parts.sigma @ turn.T
-        with parallel_section():
-            found: tuple[Int32, Float64] = likeliest_wholes(
-                points, sigma, parts.colors, near, self.centres, self.precision, self.log_det, self.colors
-            )
+        found = np.full(len(points), -1, np.int32), np.full(len(points), np.inf)
+        likeliest_wholes(
+            points, sigma, parts.colors, near, self.centres, self.precision, self.log_det, self.colors, found
+        )
         return found
 
 
@@ -157,12 +156,12 @@ def agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32) -> tu
 
 
 @parallel_kernel
-def likeliest_wholes(points, sigma, colors, near, centres, precision, log_det, whole_colors):
+def likeliest_wholes(points, sigma, colors, near, centres, precision, log_det, whole_colors, found, call):
     """Of the candidates `near` (n, k) of each part the one under whose distribution, blurred by the part's own, it is
-    likeliest; -1 where the best lies beyond the limit. And the squared distance, infinity there."""
-    n = len(points)
-    owner, distance2 = np.full(n, -1, np.int32), np.full(n, np.inf)
-    for i in numba.prange(n):
+    likeliest; -1 where the best lies beyond the limit. And the squared distance, infinity there. Both to `found`, which
+    holds -1 and infinity."""
+    owner, distance2 = found
+    for i in share_of(len(points), call):
         best = np.inf
         for at in range(near.shape[1]):
             j = near[i, at]
@@ -180,7 +179,6 @@ def likeliest_wholes(points, sigma, colors, near, centres, precision, log_det, w
                 owner[i], distance2[i] = j, d2
         if not distance2[i] <= LIMIT:
             owner[i], distance2[i] = -1, np.inf
-    return owner, distance2
 
 
 def _solid(sigma: Float64) -> Float64:

@@ -24,7 +24,6 @@ import numpy as np
 
 from engine.errors import FormatError
 from engine.model import Float32, Float64, GaussianModel, Int64
-from engine.numerics.jit import parallel_section
 from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import MIRROR
 from engine.registration.candidates import by_region, invariant_features, log_sizes
@@ -174,10 +173,9 @@ class SuspectIndex:
         for mirrored in (False, True):
             means = self.model.means[theirs] * (MIRROR if mirrored else 1.0)
             turn = turns(sketch.quats[mine], self.model.quats[theirs], mirrored)
-            with parallel_section():
-                degrees = degrees_of_agreement(
-                    means.astype(np.float64), sketch.means[mine].astype(np.float64), size, turn, *rules
-                )
+            degrees = degrees_of_agreement(
+                means.astype(np.float64), sketch.means[mine].astype(np.float64), size, turn, *rules
+            )
             best = max(best, int(degrees.max()))
         return best
 

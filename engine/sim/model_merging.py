@@ -7,13 +7,12 @@ Each survivor is the sum of those it replaces: their mass, mean and covariance (
 
 import math
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
 from engine.model import GaussianModel, Int64
 from engine.numerics.gaussians import covariances, surface_mass, volume_mass
-from engine.numerics.jit import kernel, parallel_kernel, parallel_section
+from engine.numerics.jit import kernel, parallel_kernel, share_of
 from engine.numerics.merging import merge_groups
 from engine.sim.attack import Attacks
 
@@ -101,25 +100,24 @@ def _pairs(model: GaussianModel, wanted: int, *, surface: bool) -> Int64:
     mass = surface_mass(model) if surface else volume_mass(model)
     sigma = covariances(model)
     sigma += (_THIN * np.trace(sigma, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3)
-    with parallel_section():
-        means, looks = model.means.astype(np.float64), model.sh.reshape(len(model), -1)
-        cost = merging_costs(means, sigma, mass, looks, near, COLOR_STD)
+    means, looks = model.means.astype(np.float64), model.sh.reshape(len(model), -1)
+    cost = np.full(near.shape, np.inf)
+    merging_costs(means, sigma, mass, looks, near, COLOR_STD, cost)
     edges = np.flatnonzero(np.isfinite(cost))
     edges = edges[np.argsort(cost.reshape(-1)[edges], kind="stable")]
     pairs: Int64 = disjoint_pairs(edges // k, near.reshape(-1)[edges], len(model), wanted)
     return pairs
 
 
-@parallel_kernel
-def merging_costs(means, sigma, mass, looks, near, color_std):
-    """(n, k) what merging each of n Gaussians with each of its neighbours `near` (n, k) loses; infinity where the
-    neighbour does not come after it.
+@parallel_kernel(allocates=True)
+def merging_costs(means, sigma, mass, looks, near, color_std, out, call):
+    """To `out` (n, k) what merging each of n Gaussians with each of its neighbours `near` (n, k) loses; it holds
+    infinity, which stays where the neighbour does not come after it.
 
     Runnalls' bound on the divergence of mixture and merged Gaussian, per mass (IEEE Trans. Aerosp. Electron. Syst. 43,
     2007, equation 18), and the spread of the colours.
     """
-    out = np.full(near.shape, np.inf)
-    for i in numba.prange(len(means)):
+    for i in share_of(len(means), call):
         own = math.log(_determinant(sigma[i]))
         joint = np.empty((3, 3))
         for at in range(near.shape[1]):
@@ -137,7 +135,6 @@ def merging_costs(means, sigma, mass, looks, near, color_std):
                 apart += (looks[i, c] - looks[j, c]) ** 2
             shape = math.log(_determinant(joint)) - p * own - q * math.log(_determinant(sigma[j]))
             out[i, at] = 0.5 * shape + 0.5 * apart / (color_std * color_std)
-    return out
 
 
 @kernel
@@ -148,7 +145,7 @@ def _determinant(s):
     return max(s[0, 0] * minor0 - s[0, 1] * minor1 + s[0, 2] * minor2, 1e-300)
 
 
-@kernel
+@kernel(allocates=True)
 def disjoint_pairs(first, second, n, wanted):
     """(p, 2) of the pairs (first, second) in their order, those whose ends no earlier one has; at most `wanted`."""
     taken = np.zeros(n, np.bool_)

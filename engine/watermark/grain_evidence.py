@@ -9,11 +9,10 @@ against a large one and large against a small one.
 
 import math
 
-import numba
 import numpy as np
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import inlined, parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 from engine.watermark.grain import ATTRIBUTES, FLAT, Grain, thin
@@ -90,14 +89,14 @@ def _partners(ref_axes, axes, ref_logs, logs):
 
 
 @parallel_kernel
-def _differences(means, log_scales, quats, ref_means, ref_log_scales, ref_quats, target, move, shift, turn, out):
+def _differences(means, log_scales, quats, ref_means, ref_log_scales, ref_quats, target, move, shift, turn, out, call):
     """Fills out (n, 6): centre in `units` along the reference's axes, and log scales, suspect less reference.
 
     `target` (n,) reference row of each suspect row or -1; `move` (3, 3) scale times rotation and `shift` (3,) take the
     suspect to the reference, `turn` (5,) is the rotation's quaternion and the logarithm of the scale.
     """
     whole = (turn[0], turn[1], turn[2], turn[3])
-    for i in numba.prange(len(target)):
+    for i in share_of(len(target), call):
         j = target[i]
         if j < 0:
             continue
@@ -148,20 +147,19 @@ def gather_grain_evidence(
     found = np.where(quality > 0, matches, -1).astype(np.int32)
     out = np.zeros((len(suspect), ATTRIBUTES), dtype=np.float32)
     turn = np.append(rotation_to_quaternion(fit.R), math.log(fit.scale))
-    with parallel_section():
-        _differences(
-            suspect.means,
-            suspect.log_scales,
-            suspect.quats,
-            reference.means,
-            reference.log_scales,
-            reference.quats,
-            found,
-            np.ascontiguousarray(fit.scale * fit.R, dtype=np.float64),
-            np.asarray(fit.t, dtype=np.float64),
-            turn,
-            out,
-        )
+    _differences(
+        suspect.means,
+        suspect.log_scales,
+        suspect.quats,
+        reference.means,
+        reference.log_scales,
+        reference.quats,
+        found,
+        np.ascontiguousarray(fit.scale * fit.R, dtype=np.float64),
+        np.asarray(fit.t, dtype=np.float64),
+        turn,
+        out,
+    )
     y, trust = _by_reference(out, found, quality, len(reference))
     amplitudes = np.repeat(np.array([grain.center, grain.scale]), 3)  # (6,)
     carries = np.ones_like(y, dtype=bool)

@@ -1,18 +1,18 @@
-"""The numba options: what they must never allow, and the guard for thread layers."""
+"""The numba options: what they must never allow, and how kernels are divided among threads."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
-import threading
 
 import numba
 import numpy as np
 import pytest
 
-from engine.numerics import jit
-from engine.numerics.jit import FLOAT_FLAGS, inlined, kernel, parallel_kernel, parallel_section, thread_count
+from engine.numerics.crew import use_threads
+from engine.numerics.jit import FLOAT_FLAGS, inlined, kernel, parallel_kernel, share_of
 
 
 def test_flags_keep_nan_infinity_and_order() -> None:
@@ -37,16 +37,43 @@ def test_inlined_pieces_and_parallel_loops() -> None:
         return x * x
 
     @parallel_kernel
-    def squares(x, out):
-        for i in numba.prange(x.shape[0]):
-            out[i] = square(x[i])
+    def squares(x, out, calls, call):
+        calls[call[0]] += 1
+        for i in share_of(x.shape[0], call):
+            out[i] += square(x[i])
 
     x = np.arange(100.0)
-    out = np.empty_like(x)
-    with parallel_section():
-        squares(x, out)
-    np.testing.assert_array_equal(out, x * x)
-    assert thread_count() == numba.get_num_threads()
+    for run, threads in ((squares, 1), (squares, 3), (squares.py_func, 1)):
+        out, calls = np.zeros_like(x), np.zeros(4, np.int64)
+        with use_threads(threads):
+            run(x, out, calls)
+        np.testing.assert_array_equal(out, x * x)
+        np.testing.assert_array_equal(calls, np.arange(4) < threads)
+
+
+def test_shares_are_all_of_it_once_and_even() -> None:
+    for count, calls in itertools.product((0, 1, 5, 16, 97), (1, 2, 3, 16)):
+        shares = [share_of(count, (number, calls)) for number in range(calls)]
+        assert [i for share in shares for i in share] == list(range(count))
+        assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+def test_kernels_make_no_arrays_unless_they_say_so() -> None:
+    @kernel(allocates=True)
+    def summed(x):
+        y = np.zeros(3)
+        y[:] = x
+        return y.sum()
+
+    @kernel
+    def refused(x):
+        y = np.zeros(3)
+        y[:] = x
+        return y.sum()
+
+    assert summed(1.0) == 3.0
+    with pytest.raises(numba.core.errors.NumbaError):
+        refused(1.0)
 
 
 def test_idle_workers_sleep() -> None:
@@ -56,20 +83,3 @@ def test_idle_workers_sleep() -> None:
     assert subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "passive\n"
     environment["OMP_WAIT_POLICY"] = "active"  # the user's own choice stands
     assert subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "active\n"
-
-
-@pytest.mark.parametrize("layer", ["workqueue", "omp"])
-def test_section_locks_only_where_it_must(monkeypatch: pytest.MonkeyPatch, layer: str) -> None:
-    monkeypatch.setattr(jit.numba, "threading_layer", lambda: layer)
-    entered = threading.Event()
-
-    def other() -> None:
-        with parallel_section():
-            entered.set()
-
-    with parallel_section():
-        thread = threading.Thread(target=other)
-        thread.start()
-        assert entered.wait(0.2 if layer == "workqueue" else 5.0) == (layer == "omp")
-    thread.join()
-    assert entered.is_set()

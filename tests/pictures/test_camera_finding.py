@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
 from engine.errors import InputError
 from engine.model import Camera, GaussianModel, look_at
+from engine.numerics.crew import use_threads
 from engine.numerics.similarity import mirror_model
 from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
 from engine.pictures.camera_finding import find_camera
@@ -28,10 +28,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def one_thread() -> Iterator[None]:
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
+    with use_threads(1):
+        yield
 
 
 def test_landmarks_lie_on_the_surface(plant: GaussianModel, bank: Landmarks) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.numerics.jit import parallel_section
 from engine.pictures.jpeg_grid import LUMA, JpegGrid, _fit_tables, blocks_of, find_grid, find_quality, luma_table
 from tests.pictures.image_cases import coarse_picture as picture
 from tests.pictures.image_cases import saved as save
@@ -43,8 +42,7 @@ def test_tables_fit_as_their_slow_twin_says() -> None:
     quiet = rng.normal(0.0, 1.0, (32, 90))
     for coefficients in (loud, quiet):
         fits = np.empty(len(tables))
-        with parallel_section():
-            _fit_tables(coefficients, tables, fits)
+        _fit_tables(coefficients, tables, fits)
         np.testing.assert_allclose(fits, fit_tables(coefficients, tables), rtol=1e-9)
     assert np.argmin(fit_tables(loud, tables)) == 1
 

@@ -13,6 +13,7 @@ from engine.errors import InputError
 from engine.model import Camera, GaussianModel
 from engine.raster import Gradients, RasterSettings, backward, draw
 from engine.raster.autograd import rasterize
+from engine.raster.parameter_gradients import CHUNK
 from tests.raster.scenes import TOLERANCE, camera, random_model, relative
 from tests.reference import raster as twin
 
@@ -191,3 +192,18 @@ def test_torch_operation_with_colors_and_alpha_only() -> None:
 def test_numpy_users_never_load_torch() -> None:
     program = "import sys, engine.raster; engine.raster.warm_up(); sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("more", [5, 16])
+def test_the_last_group_of_a_chunk_counts_once(more: int) -> None:
+    """Gaussians whose number leaves a rest beyond a chunk, against the same with others that are not seen."""
+    n = CHUNK + more
+    model, view_from = random_model(n, 4, 1), camera(83, 61)
+    hidden = random_model(100, 5, 1)
+    hidden = hidden.with_(opacity_logits=np.full(100, -50.0, np.float32))
+    grown = model.with_(**{name: np.concatenate([getattr(m, name) for m in (model, hidden)]) for name in NAMES[:5]})
+    cotangent = np.random.default_rng(0).normal(size=(61, 83, 3)).astype(np.float32)
+    few, many = (backward(draw(m, view_from), cotangent) for m in (model, grown))
+    for name in NAMES[:5]:
+        np.testing.assert_array_equal(getattr(few, name), getattr(many, name)[:n], err_msg=name)
+    np.testing.assert_allclose(few.viewmat, many.viewmat, rtol=1e-4, atol=1e-5)

@@ -21,11 +21,8 @@ from engine.raster.lane_memory import (
     put,
     store,
     store_some,
-    unzip3,
-    unzip4,
-    zip3,
-    zip4,
 )
+from engine.raster.lane_order import unzip3, unzip4, zip3, zip4
 from engine.raster.lane_sums import max_rows, sum_rows, transpose
 from engine.raster.lanes import bits_of, fma, maximum, minimum, minus_magnitude, root, round_down, select, spread
 from tests.raster.scenes import TOLERANCE

@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from engine.raster import RasterSettings, prepare_view
+from engine.numerics.crew import use_threads
+from engine.raster import RasterSettings, prepare_view, sorting
 from engine.raster.binning import list_starts
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
-from engine.raster.sorting import BUCKETS, sort_by_depth
 from tests.raster.scenes import TOLERANCE, camera, random_model
 from tests.reference import raster as twin
 
 
-@pytest.mark.parametrize("run", [sort_by_depth, sort_by_depth.py_func], ids=["compiled", "python"])
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("workers", [1, 3])
-def test_sort_is_stable_and_leaves_gaps_out(run, workers: int) -> None:
+def test_sort_is_stable_and_leaves_gaps_out(monkeypatch: pytest.MonkeyPatch, compiled: bool, workers: int) -> None:
+    if not compiled:
+        for name in ("pack_keys", "count_digits", "move_keys"):
+            monkeypatch.setattr(sorting, name, uncompiled(getattr(sorting, name)))
     rng = np.random.default_rng(0)
     chunk, counts = 64, np.array([64, 0, 17, 40])
     depths = rng.choice(rng.lognormal(0.0, 3.0, 40), 256).astype(np.float32)  # many ties
     index = np.arange(256, dtype=np.int32)
-    keys, orders = np.zeros((2, 256), np.uint32), np.zeros((2, 256), np.int32)
-    histograms = np.zeros((workers, BUCKETS), np.int64)
-    n = run(depths.view(np.uint32), index, counts, chunk, keys[0], keys[1], orders[0], orders[1], histograms)
+    keys, order = np.zeros((2, 256), np.uint64), np.zeros(256, np.int32)
+    histograms = np.zeros((2, workers, sorting.BUCKETS), np.int64)
+    n = sorting.sort_by_depth(depths.view(np.uint32), index, counts, chunk, keys, order, histograms)
     present = np.concatenate([index[c * chunk : c * chunk + k] for c, k in enumerate(counts)])
     assert n == counts.sum()
-    np.testing.assert_array_equal(orders[1][:n], present[np.argsort(depths[present], kind="stable")])
+    np.testing.assert_array_equal(order[:n], present[np.argsort(depths[present], kind="stable")])
+
+
+def uncompiled(kernel: Any) -> Any:
+    return lambda *arguments, turns=1: kernel.py_func(*arguments)
+
+
+def test_few_gaussians_are_sorted_by_one_thread() -> None:
+    with use_threads(4):
+        assert [sorting.workers_for(n) for n in (16, 50_000, 100_000, 10_000_000)] == [1, 1, 3, 4]
 
 
 @pytest.mark.parametrize("run", [list_starts, list_starts.py_func], ids=["compiled", "python"])
@@ -39,9 +53,10 @@ def test_list_starts(run) -> None:
     np.testing.assert_array_equal(counts, [[0, 3, 7], [2, 3, 8]])
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_lists_hold_every_gaussian_that_shows_and_few_more(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "grow"), [(0, 0.0), (1, 0.0), (0, 0.5), (1, -0.7)])
+def test_lists_hold_every_gaussian_that_shows_and_few_more(seed: int, grow: float) -> None:
     model, view_from = random_model(300, seed, 1), camera(83, 61)
+    model = model.with_(log_scales=model.log_scales + np.float32(grow))
     geometry = prepare_view(model, view_from).geometry
     p = twin.parameters(model, view_from)
     centres, covariances, depths, drawn = twin.project(p, 83, 61, RasterSettings())

@@ -42,9 +42,9 @@ def test_likeliest_wholes_are_the_twins(compiled: bool) -> None:
     parts, wholes = Parts.of(model), Wholes(suspect)
     near = np.tile(np.arange(len(suspect)), (len(model), 1))
     function = likeliest_wholes if compiled else likeliest_wholes.py_func
-    owner, distance2 = function(
-        parts.means, parts.sigma, parts.colors, near, wholes.centres, wholes.precision, wholes.log_det, wholes.colors
-    )
+    found = owner, distance2 = np.full(len(model), -1, np.int32), np.full(len(model), np.inf)
+    whole = (wholes.centres, wholes.precision, wholes.log_det, wholes.colors)
+    function(parts.means, parts.sigma, parts.colors, near, *whole, found)
     for i in range(len(model)):
         best, expected = twin.likeliest_whole(
             parts.means[i],

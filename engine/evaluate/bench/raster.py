@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from engine.evaluate.bench.timing import median_ms
 from engine.formats import read_model
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.numerics.jit import inlined, parallel_kernel, parallel_section, thread_count
+from engine.numerics.crew import thread_count
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.machine import machine_info, peak_memory_mb
 from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors, sh_colors_backward, warm_up
 from engine.raster.disc_projection import LOW_PASS
@@ -59,9 +59,9 @@ def _disc(discs, o, x, y):
 
 
 @parallel_kernel
-def _naive(records, discs, colors, ids, starts, width, height, tiles_x, log2_skip, clamp, stop, image):
+def _naive(records, discs, colors, ids, starts, width, height, tiles_x, log2_skip, clamp, stop, image, call):
     """Pixel by pixel, list entry by list entry, no vectors."""
-    for y in prange(height):
+    for y in share_of(height, call):
         for x in range(width):
             tile = (y // TILE) * tiles_x + x // TILE
             transmittance = np.float32(1.0)
@@ -92,8 +92,7 @@ def naive_forward(view: View, colors: Float32) -> Float32:
     geometry, camera = view.geometry, view.camera
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
     shown = (geometry.records, geometry.discs, colors, geometry.ids, geometry.starts)
-    with parallel_section():
-        _naive(*shown, camera.width, camera.height, geometry.tiles_x, *geometry.limits, image)
+    _naive(*shown, camera.width, camera.height, geometry.tiles_x, *geometry.limits, image)
     return image
 
 
@@ -140,7 +139,7 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
     if view.geometry.discs is None:
         stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
     result: dict[str, Any] = {name: median_ms(stage, repeats) for name, stage in stages.items()}
-    with parallel_section(), borrow_workspace() as work:
+    with borrow_workspace() as work:
         _, _, fragments = blend_colors(view.geometry, colors, np.zeros(3, np.float32), work)
     machine = machine_info()
     return result | {

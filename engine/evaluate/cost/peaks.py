@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numba import prange
 
-from engine.numerics.jit import parallel_kernel, parallel_section, thread_count
+from engine.numerics.crew import thread_count
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.raster.lane_memory import aligned, load, store
 from engine.raster.lanes import LANES, fma
 
@@ -23,14 +23,14 @@ CHAINS = 12
 
 
 @parallel_kernel
-def _triad(a, b, c, scale):
-    for i in prange(a.shape[0]):
+def _triad(a, b, c, scale, call):
+    for i in share_of(a.shape[0], call):
         a[i] = b[i] + scale * c[i]
 
 
 @parallel_kernel
-def _multiply_add(out, rounds):
-    for worker in prange(out.shape[0]):
+def _multiply_add(out, rounds, call):
+    for worker in share_of(out.shape[0], call):
         own = out[worker]
         times, plus = load(own, 12 * 16), load(own, 13 * 16)
         x0, x1, x2, x3 = load(own, 0), load(own, 16), load(own, 32), load(own, 48)
@@ -63,7 +63,6 @@ def _least_seconds(work: Callable[[], object], repeats: int) -> float:
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
-        with parallel_section():
-            work()
+        work()
         times.append(time.perf_counter() - began)
     return min(times[1:])

@@ -88,7 +88,7 @@ def _cost(mass, moment, square, first, last):
     return max(square[last] - square[first] - s * s / m, 0.0)
 
 
-@kernel
+@kernel(allocates=True)
 def _best_cuts(mass, moment, square, levels):
     """(levels + 1,) borders among the cells that minimise the total cost, from prefix sums (cells + 1,)."""
     n = len(mass) - 1

@@ -10,12 +10,11 @@ more squared error.
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32, Float64, Int64
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 
 _KERNEL_VERSION = 1
 _SAMPLE = 1 << 16
@@ -50,8 +49,7 @@ def learn_palette(vectors: Float32, size: int) -> tuple[Float32, Int64]:
     slots = np.concatenate([[0], np.cumsum(codes_of_group)])
     codes = np.zeros((slots[-1], vectors.shape[1]), dtype=np.float32)
     sorted_labels = np.zeros(len(vectors), dtype=np.int64)
-    with parallel_section():
-        _refine_groups(vectors[order], rows, codes, slots, sorted_labels, _CODE_ROUNDS)
+    _refine_groups(vectors[order], rows, codes, slots, sorted_labels, _CODE_ROUNDS)
     labels = np.empty_like(sorted_labels)
     labels[order] = sorted_labels
     return codes, labels
@@ -100,16 +98,15 @@ def _group_errors(vectors: Float32, groups: Int64, held: npt.NDArray[Any]) -> Fl
 def _nearest(vectors: Float32, centres: Float32) -> Int64:
     labels = np.empty(len(vectors), dtype=np.int64)
     half = (0.5 * (centres.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
-    with parallel_section():
-        _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, labels)
+    _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, labels)
     return labels
 
 
-@parallel_kernel
-def _nearest_kernel(vectors, centres, half, labels):
+@parallel_kernel(allocates=True)
+def _nearest_kernel(vectors, centres, half, labels, call):
     """argmin |c|^2 / 2 - x.c for each row; centres (d, P), so that the innermost loop runs over lanes."""
     dims, count = centres.shape
-    for i in numba.prange(len(vectors)):
+    for i in share_of(len(vectors), call):
         score = half.copy()
         for k in range(dims):
             v = vectors[i, k]
@@ -122,11 +119,11 @@ def _nearest_kernel(vectors, centres, half, labels):
         labels[i] = best
 
 
-@parallel_kernel
-def _refine_groups(vectors, rows, codes, slots, labels, rounds):
+@parallel_kernel(allocates=True)
+def _refine_groups(vectors, rows, codes, slots, labels, rounds, call):
     """k-means inside every group; rows and slots bound the vectors and the codes of group g."""
     dims = vectors.shape[1]
-    for g in numba.prange(len(rows) - 1):
+    for g in share_of(len(rows) - 1, call):
         first, n = rows[g], rows[g + 1] - rows[g]
         slot, count = slots[g], slots[g + 1] - slots[g]
         book = np.empty((dims, count), np.float32)

@@ -8,12 +8,11 @@ loop runs over contiguous memory.
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
-from numba import prange
 
 from engine.errors import InputError
 from engine.model import Float32
 from engine.numerics.image_metrics import SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_SIGMA
-from engine.numerics.jit import inlined, parallel_kernel, parallel_section
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["photo_loss"]
 
@@ -46,17 +45,16 @@ def photo_loss(image: Float32, photo: Float32, ssim_weight: float = 0.2) -> tupl
     window = np.exp(-(offsets**2) / (2.0 * SSIM_SIGMA**2))
     weights = (window / window.sum()).astype(np.float32)
     windows = max(0, height - _TAPS + 1), max(0, width - _TAPS + 1) * channels
-    with parallel_section():
-        if ssim_weight > 0.0:
-            across = np.empty((height, 4, windows[1]), dtype=np.float32)
-            slopes = np.empty((windows[0], 3, windows[1]), dtype=np.float32)
-            _filter_across(x, y, weights, channels, across)
-            _compare_windows(across, weights, slopes, sums)
-        else:
-            slopes = np.empty((0, 3, 0), dtype=np.float32)
-        per_window = ssim_weight / max(windows[0] * windows[1], 1)
-        per_pixel = np.float32((1.0 - ssim_weight) / x.size)
-        _pull_back(x, y, weights, channels, slopes, per_pixel, np.float32(per_window), gradient, sums)
+    if ssim_weight > 0.0:
+        across = np.empty((height, 4, windows[1]), dtype=np.float32)
+        slopes = np.empty((windows[0], 3, windows[1]), dtype=np.float32)
+        _filter_across(x, y, weights, channels, across)
+        _compare_windows(across, weights, slopes, sums)
+    else:
+        slopes = np.empty((0, 3, 0), dtype=np.float32)
+    per_window = ssim_weight / max(windows[0] * windows[1], 1)
+    per_pixel = np.float32((1.0 - ssim_weight) / x.size)
+    _pull_back(x, y, weights, channels, slopes, per_pixel, np.float32(per_window), gradient, sums)
     similarity, difference = sums[:, 0].sum(), sums[:, 1].sum()
     loss = (1.0 - ssim_weight) * difference / x.size + ssim_weight - per_window * similarity
     return float(loss), gradient.reshape(image.shape)
@@ -70,9 +68,9 @@ def _add(total, weight, values, start):
 
 
 @parallel_kernel
-def _filter_across(x, y, weights, channels, across):
+def _filter_across(x, y, weights, channels, across, call):
     """Horizontal window of x, y, x^2 + y^2 and xy, about mid-grey: float32 would lose digits in bright flats."""
-    for row in prange(x.shape[0]):
+    for row in share_of(x.shape[0], call):
         own = across[row]
         own[:] = np.float32(0.0)
         u, v = x[row] - _HALF, y[row] - _HALF
@@ -84,11 +82,11 @@ def _filter_across(x, y, weights, channels, across):
             _add(own[3], weights[tap], product, tap * channels)
 
 
-@parallel_kernel
-def _compare_windows(across, weights, slopes, sums):
+@parallel_kernel(allocates=True)
+def _compare_windows(across, weights, slopes, sums, call):
     """Vertical window; SSIM of each row of windows summed up, and its slopes by m_x, q and c."""
     one, two = np.float32(1.0), np.float32(2.0)
-    for row in prange(slopes.shape[0]):
+    for row in share_of(slopes.shape[0], call):
         means = np.zeros((4, across.shape[2]), dtype=np.float32)
         for tap in range(weights.shape[0]):
             for k in range(4):
@@ -115,12 +113,12 @@ def _compare_windows(across, weights, slopes, sums):
         sums[row, 0] = total
 
 
-@parallel_kernel
-def _pull_back(x, y, weights, channels, slopes, per_pixel, per_window, gradient, sums):
+@parallel_kernel(allocates=True)
+def _pull_back(x, y, weights, channels, slopes, per_pixel, per_window, gradient, sums, call):
     """The windows' slopes back to the pixels, and the slope of L1; |x - y| of each row summed up."""
     taps, rows, length = weights.shape[0], slopes.shape[0], slopes.shape[2]
     two, zero = np.float32(2.0), np.float32(0.0)
-    for row in prange(x.shape[0]):
+    for row in share_of(x.shape[0], call):
         down = np.zeros((3, length), dtype=np.float32)
         back = np.zeros((3, x.shape[1]), dtype=np.float32)
         for tap in range(taps):

@@ -171,7 +171,7 @@ def _push(stack, depth, links, node):
     return depth + 2
 
 
-@kernel
+@kernel(allocates=True)
 def overlapping(boxes, links, root, low, high):
     """Items whose box touches the box low..high."""
     stack = np.empty(len(links) + 1, np.int64)
@@ -195,7 +195,7 @@ def overlapping(boxes, links, root, low, high):
     return found[:count]
 
 
-@kernel
+@kernel(allocates=True)
 def along_ray(boxes, links, root, origin, direction):
     """Items whose box the ray meets, and where it enters (0 where it starts inside)."""
     stack = np.empty(len(links) + 1, np.int64)

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Bool, Float64, GaussianModel
-from engine.numerics.jit import parallel_section
 from engine.sim.attack import check_positive
 from engine.sim.physics.deforming import deform_model, interpolate
 from engine.sim.physics.lattice import Binding, Lattice, build_lattice
@@ -149,6 +148,5 @@ def color_by_strain(body: Body, full: float = 0.5) -> GaussianModel:
 
 def _interpolated(body: Body, values: Float64) -> Float64:
     out = np.empty((len(body.model), 3))
-    with parallel_section():
-        interpolate(values, body.lattice.tets, body.binding.tet, body.binding.weights, out)
+    interpolate(values, body.lattice.tets, body.binding.tet, body.binding.weights, out)
     return out

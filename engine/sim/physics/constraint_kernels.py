@@ -81,7 +81,7 @@ def project_distances(x, w, edges, rest, compliance, h, backward):
         _part(x, i, j, w[i] * push, w[j] * push, dx, dy, dz)
 
 
-@kernel
+@kernel(allocates=True)
 def project_volumes(x, w, tets, volumes, compliance, h, backward):
     """Signed volume of each tetrahedron (T, 4) = its rest volume (T,): an inverted one is pushed back through."""
     count = len(tets)
@@ -139,7 +139,7 @@ def damp_velocities(x, v, w, edges, damping, h, backward):
         _part(v, i, j, w[i] * pull, w[j] * pull, dx, dy, dz)
 
 
-@kernel
+@kernel(allocates=True)
 def match_shapes(x, w, masses, rest, members, starts, rates, h):
     """Draw the points of each cluster to its best rigid placement (Mueller et al., SIGGRAPH 2005).
 
@@ -208,7 +208,7 @@ def _column(a, k):
     return a[0, k], a[1, k], a[2, k]
 
 
-@kernel
+@kernel(allocates=True)
 def restore_spins(x, x_prev, masses, firsts, free, spins, lost):
     """Turn each free body as a whole so that it has the angular momentum `spins` again.
 

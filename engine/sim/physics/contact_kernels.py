@@ -21,7 +21,7 @@ PRIMES = (73856093, 19349663, 83492791)
 """Of the hash of a cell (Teschner et al., "Optimized spatial hashing", VMV 2003)."""
 
 
-@inlined
+@inlined(allocates=True)
 def _slide(x, x_prev, w, i, normal, flow, depth, friction):
     """Coulomb friction on positions: the step along a surface that moves by `flow`, less friction * depth."""
     slip = 0.0
@@ -61,7 +61,7 @@ def _direct(line, length):
             line[k] /= length
 
 
-@kernel
+@kernel(allocates=True)
 def collide_plane(x, x_prev, w, point, normal, flow, friction):
     """Keep points (P, 3) on the side of a plane that its unit normal (3,) shows to.
 
@@ -78,7 +78,7 @@ def collide_plane(x, x_prev, w, point, normal, flow, friction):
             _keep_out(x, x_prev, w, i, normal, flow, before, now, friction)
 
 
-@kernel
+@kernel(allocates=True)
 def collide_sphere(x, x_prev, w, center, radius, flow, friction):
     """Keep points out of a sphere, which moved by `flow` (3,) in the substep and ends it at `center` (3,)."""
     normal = np.empty(3)
@@ -102,7 +102,7 @@ def _bucket(a, b, c, mask):
     return ((a * PRIMES[0]) ^ (b * PRIMES[1]) ^ (c * PRIMES[2])) & mask
 
 
-@kernel
+@kernel(allocates=True)
 def find_pairs(x, rest, surface, body, radii, reach):
     """Pairs (M, 2) of points i < j closer than the sum of their radii, in a fixed order.
 
@@ -158,7 +158,7 @@ def find_pairs(x, rest, surface, body, radii, reach):
     return pairs[:found]
 
 
-@kernel
+@kernel(allocates=True)
 def collide_pairs(x, x_prev, w, pairs, radii):
     """Move the points of each pair apart, all pairs at once (Jacobi).
 

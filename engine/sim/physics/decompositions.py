@@ -52,7 +52,7 @@ def orthogonalize(a, v):
             break
 
 
-@inlined
+@inlined(allocates=True)
 def rotation_columns(a, r):
     """Proper rotation r (3, 3) along the orthogonal columns of a; returns the index of the smallest column.
 
@@ -100,7 +100,7 @@ def rotation_columns(a, r):
     return small
 
 
-@inlined
+@inlined(allocates=True)
 def rotation_part(f, r):
     """Proper rotation r nearest to f (3, 3): the polar decomposition's, for inverted and degenerate f too.
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from engine.errors import InputError
 from engine.model import Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import parallel_kernel, parallel_section
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.spherical_harmonics import sh_rotation
 from engine.sim.physics.decompositions import orthogonalize, rotation_columns, rotation_part, to_quaternion
 
@@ -50,8 +49,7 @@ def deform_model(
     if not (np.isfinite(matrices).all() and np.isfinite(means).all()):
         raise InputError("deformed centres and gradients must be finite")
     log_scales, quats = np.empty_like(model.log_scales), np.empty_like(model.quats)
-    with parallel_section():
-        deform_covariances(model.log_scales, model.quats, matrices, index, log_scales, quats)
+    deform_covariances(model.log_scales, model.quats, matrices, index, log_scales, quats)
     return model.with_(means=means, log_scales=log_scales, quats=quats, sh=_turned(model, matrices, index))
 
 
@@ -59,8 +57,7 @@ def polar_rotations(gradients: npt.NDArray[Any]) -> Float64:
     """Proper rotations nearest to the gradients, (T, 3, 3) to (T, 3, 3); defined for every finite matrix."""
     matrices = np.ascontiguousarray(gradients, dtype=np.float64)
     rotations = np.empty_like(matrices)
-    with parallel_section():
-        rotation_parts(matrices, rotations)
+    rotation_parts(matrices, rotations)
     return rotations
 
 
@@ -78,20 +75,19 @@ def _turned(model: GaussianModel, gradients: Float64, index: Int32) -> Float32:
         own = order[low:high]
         wigner = sh_rotation(rotations[first : first + BATCH], model.sh_degree).astype(np.float32)
         part = np.empty((len(own), *model.sh.shape[1:]), dtype=np.float32)
-        with parallel_section():
-            turn_sh(model.sh[own], wigner, index[own] - np.int32(first), part)
+        turn_sh(model.sh[own], wigner, index[own] - np.int32(first), part)
         turned[own] = part
     return turned
 
 
-@parallel_kernel
-def deform_covariances(log_scales, quats, gradients, element, new_log_scales, new_quats):
+@parallel_kernel(allocates=True)
+def deform_covariances(log_scales, quats, gradients, element, new_log_scales, new_quats, call):
     """F Sigma F^T (Eq 12) of every Gaussian, as scales and rotation; gradients (T, 3, 3) float64.
 
     With Sigma = (R S)(R S)^T the new covariance is A A^T for A = F R S; orthogonal columns of A V are its
     axes. Nothing is squared, so the result is symmetric and positive by construction.
     """
-    for n in prange(len(quats)):
+    for n in share_of(len(quats), call):
         f = gradients[element[n]]
         w, x = np.float64(quats[n, 0]), np.float64(quats[n, 1])
         y, z = np.float64(quats[n, 2]), np.float64(quats[n, 3])
@@ -123,18 +119,18 @@ def deform_covariances(log_scales, quats, gradients, element, new_log_scales, ne
             new_log_scales[n, l] = math.log(max(v[0, l], THINNEST * largest, TINIEST))
 
 
-@parallel_kernel
-def rotation_parts(gradients, rotations):
+@parallel_kernel(allocates=True)
+def rotation_parts(gradients, rotations, call):
     """Rotation of the polar decomposition of each gradient (T, 3, 3)."""
-    for t in prange(len(gradients)):
+    for t in share_of(len(gradients), call):
         rotation_part(gradients[t], rotations[t])
 
 
-@parallel_kernel
-def turn_sh(sh, wigner, element, turned):
+@parallel_kernel(allocates=True)
+def turn_sh(sh, wigner, element, turned, call):
     """turned[n] = wigner[element[n]] @ sh[n], block by block; wigner (T, K, K), sh (N, K, 3) float32."""
     count = sh.shape[1]
-    for n in prange(len(sh)):
+    for n in share_of(len(sh), call):
         d = wigner[element[n]]
         for k in range(count):
             degree = 0 if k < 1 else (1 if k < 4 else (2 if k < 9 else 3))
@@ -147,9 +143,9 @@ def turn_sh(sh, wigner, element, turned):
 
 
 @parallel_kernel
-def interpolate(values, tets, tet, weights, out):
+def interpolate(values, tets, tet, weights, out, call):
     """out[n] = sum of weights[n, k] * values[tets[tet[n], k]]; values (P, 3), out (N, 3) float64."""
-    for n in prange(len(tet)):
+    for n in share_of(len(tet), call):
         corner = tets[tet[n]]
         for axis in range(3):
             total = 0.0
