@@ -67,7 +67,7 @@ def _add(total, weight, values, start):
         total[j] += weight * values[start + j]
 
 
-@parallel_kernel
+@parallel_kernel(allocates=True)
 def _filter_across(x, y, weights, channels, across, call):
     """Horizontal window of x, y, x^2 + y^2 and xy, about mid-grey: float32 would lose digits in bright flats."""
     for row in share_of(x.shape[0], call):

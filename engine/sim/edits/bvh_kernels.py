@@ -130,7 +130,7 @@ def insert_all(boxes, links, root, leaves, lows, highs, items, start):
     return root
 
 
-@inlined
+@inlined(allocates=True)
 def _renumber(boxes, links, root, old, new):
     """Give node `old` the number `new`, which is free."""
     boxes[new] = boxes[old]
@@ -142,7 +142,7 @@ def _renumber(boxes, links, root, old, new):
     return root
 
 
-@kernel
+@kernel(allocates=True)
 def remove(boxes, links, root, leaf):
     """Take a leaf out and keep the node numbers gapless; the new root. The last two numbers become free."""
     count = len(links)
