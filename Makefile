@@ -17,45 +17,45 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --d
 
 .PHONY: install demo test full quick mutants results docker-test check kernels clean
 
-install: $(STAMP)
+install: $(STAMP) kernels
 
 $(STAMP): pyproject.toml .ci/constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[test]'
 	touch $(STAMP)
 
-demo: install
+demo: $(STAMP)
 	$(BIN)/mark3dgs demo
 
-check: install
+check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Compiled once, before several processes would each compile the same.
-kernels: install
-	$(BIN)/python -c 'from engine.pipeline.warming import warm_up; warm_up("everything")'
+# Compiled once, before a first embedding would wait for it, or several processes would each compile the same.
+kernels: $(STAMP)
+	$(BIN)/python -m engine.cli.kernels
 
-test: install
+test: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels
 	$(PYTEST)
 
-full: install
+full: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels
 	$(PYTEST) -m 'not docker'
 
-quick: install
+quick: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels
 	$(PYTEST) -m 'not docker and not slow and not long' $(addprefix tests/,$(UNITS))
 
-mutants: install
+mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
-results: install
+results: $(STAMP)
 	$(BIN)/mark3dgs evaluate --suite pareto --out out/results
 	cp out/results/figures/pareto.png out/results/figures/pareto.svg docs/
 
-docker-test: install
+docker-test: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[docker-test]'
 	$(BIN)/python -m pytest -m docker -ra --durations=10 tests/docker
 

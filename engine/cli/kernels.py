@@ -1,4 +1,5 @@
-"""Compiled kernels: the first run on a machine compiles them, and says so."""
+"""Compiled kernels: the first run on a machine compiles them, and says so. `python -m engine.cli.kernels` does nothing
+else, for all of them."""
 
 from __future__ import annotations
 
@@ -19,3 +20,9 @@ def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") 
     said = f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s"
     warm_up(work, lambda fraction: progress("compile", fraction), compiling=lambda: console.note(said))
     return time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    _console = Console(False)
+    with _console.progress() as _progress:
+        prepare_kernels(_console, _progress, "everything")

@@ -11,7 +11,7 @@ camera is roughly known, by where the landmarks project.
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, Int64
-from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.pictures.camera_motion import project
 from engine.pictures.features import Keypoints
 from engine.pictures.landmarks import Landmarks
@@ -62,6 +62,19 @@ def _rank(products, squares, points, starts, radius, best, first, rival, in_view
         best[k], first[k], rival[k] = nearest, distance, second
 
 
+@inlined
+def first_at_least(ascending, value):
+    """`np.searchsorted` of one number, for which numba compiles ten functions."""
+    low, high = 0, len(ascending)
+    while low < high:
+        middle = (low + high) >> 1
+        if ascending[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
 @parallel_kernel
 def _nearest_look(pixels, descriptors, places, rows, order, targets, radius, best, distance, call):
     """Of each keypoint, the target that looks most like it among those whose place is near; `order` is theirs from top
@@ -69,7 +82,7 @@ def _nearest_look(pixels, descriptors, places, rows, order, targets, radius, bes
     for k in share_of(len(pixels), call):
         x, y = pixels[k, 0], pixels[k, 1]
         nearest, low = np.int64(-1), np.int32(_UNLIKE)
-        for place in range(np.searchsorted(rows, y - radius), np.searchsorted(rows, y + radius)):
+        for place in range(first_at_least(rows, y - radius), first_at_least(rows, y + radius)):
             n = order[place]
             if abs(places[n, 0] - x) < radius and abs(places[n, 1] - y) < radius:
                 total = np.int32(0)

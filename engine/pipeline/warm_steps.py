@@ -1,6 +1,6 @@
 """The kernels a job will need, step by step: each step does a little of the work on a scene too small to take time.
 
-Run as a program it makes one step ready: `python -m engine.pipeline.warm_steps STEP`.
+Run as a program it makes the steps ready that it reads, one a line, and answers with the line when each is.
 """
 
 import sys
@@ -44,7 +44,7 @@ class Step:
     """Kernels that are compiled together."""
 
     run: Callable[[], None]
-    seconds: float  # of one core, to compile them (Xeon of 2021, after the steps before): a weight, and an estimate
+    seconds: float  # of one core, to compile them (EPYC of 2022, after the steps before): a weight, and an estimate
     works: tuple[Work, ...]
     after: tuple[str, ...] = ()  # steps with some of the same kernels: theirs are then loaded, not compiled twice
 
@@ -107,16 +107,19 @@ def _alignment() -> None:
 _RASTER = raster.WARM_UPS
 
 STEPS: dict[str, Step] = {
-    "registration": Step(_registration, 33.0, ("model",)),
-    "geometry": Step(_RASTER["geometry"], 8.0, ("embed", "pictures")),
-    "cells": Step(_embedding, 7.0, ("embed",)),
-    "colors": Step(_RASTER["colors"], 3.0, ("embed", "pictures")),
-    "pictures": Step(_RASTER["pictures"], 8.0, ("embed", "pictures"), ("geometry", "colors")),
-    "color gradients": Step(_RASTER["color gradients"], 8.0, ("embed", "pictures"), ("geometry",)),
-    "alignment": Step(_alignment, 16.0, ("pictures",), ("pictures", "registration", "cells")),
-    "discs": Step(_RASTER["discs"], 12.0, (), ("pictures", "color gradients")),
-    "all gradients": Step(_RASTER["all gradients"], 9.0, ("pictures",), ("pictures", "color gradients")),
+    "registration": Step(_registration, 6.5, ("model",)),
+    "geometry": Step(_RASTER["geometry"], 4.0, ("embed", "pictures")),
+    "cells": Step(_embedding, 2.0, ("embed",)),
+    "colors": Step(_RASTER["colors"], 1.5, ("embed", "pictures")),
+    "pictures": Step(_RASTER["pictures"], 3.5, ("embed", "pictures"), ("geometry", "colors")),
+    "color gradients": Step(_RASTER["color gradients"], 3.5, ("embed", "pictures"), ("geometry",)),
+    "alignment": Step(_alignment, 6.5, ("pictures",), ("pictures", "registration", "cells")),
+    "discs": Step(_RASTER["discs"], 1.5, (), ("pictures", "color gradients")),
+    "all gradients": Step(_RASTER["all gradients"], 4.5, ("pictures",), ("pictures", "color gradients")),
 }
 
 if __name__ == "__main__":
-    STEPS[sys.argv[1]].run()
+    for line in sys.stdin:
+        STEPS[line.strip()].run()
+        sys.stdout.write(line)
+        sys.stdout.flush()

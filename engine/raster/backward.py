@@ -32,7 +32,7 @@ from engine.raster.tiles import (
     stage_batch,
 )
 
-_KERNEL_VERSION = 5
+_KERNEL_VERSION = 6
 
 _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory

@@ -15,7 +15,7 @@ __all__ = ["WARM_UPS", "warm_up"]
 
 
 def warm_up(progress: Callable[[float], None] | None = None) -> None:
-    """Compile all kernels (about 45 s of one core, once a machine) or load them from numba's disk cache (well under
+    """Compile all kernels (about 20 s of one core, once a machine) or load them from numba's disk cache (well under
     1 s).
 
     `progress` is called with the fraction done, 0 to 1.

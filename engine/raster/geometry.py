@@ -24,6 +24,7 @@ _LANES = 16
 _MOST_PAIRS = 2**31 - 1
 _PAIRS_PER_GAUSSIAN = 3  # real scenes at a megapixel have about 2; more make room and walk again
 _NO_MASK = np.zeros(0, dtype=np.bool_)
+_NO_DISCS = np.zeros(0, dtype=np.float32)
 _EMPTY = np.zeros(0, dtype=np.int32)
 
 
@@ -35,7 +36,7 @@ class Geometry:
     settings: RasterSettings
     count: int
     records: Float32  # flat (at least N * RECORD,), see `engine.raster.projection`; only visible rows are written
-    discs: Float32 | None  # the same of `engine.raster.disc_projection`; None where Gaussians are drawn
+    discs: Float32  # the same of `engine.raster.disc_projection`; empty where Gaussians are drawn
     visible: Int32  # (V,) indices of the visible Gaussians, nearest first
     ids: Int32  # (P,) the tiles' lists, one after the other
     starts: Int64  # (tiles + 1,) where each begins
@@ -85,7 +86,7 @@ class _Projected:
 
     rows: int
     records: Float32
-    discs: Float32 | None
+    discs: Float32
     bounds: tuple[Any, ...]  # extents (float32), rects (int16) and covers (uint16)
     depths: Float32
     index: Int32
@@ -123,8 +124,8 @@ def _project(
     counts = np.zeros(-(-rows // chunk), dtype=np.int64)
     raw = (model.means.ravel(), model.quats.ravel(), model.log_scales.ravel(), model.opacity_logits)
     lens, found = pack_lens(camera, settings), (bounds, depths, index, counts)
-    discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else None
-    if discs is None:
+    discs = lasting("discs", (rows + 2) * RECORD, np.float32) if flat else _NO_DISCS
+    if not flat:
         project(*raw, lens, chunk, work.array("lane scratch", (len(counts), LANE_SCRATCH)), records, *found)
     else:
         project_discs(*raw, lens.astype(np.float64), chunk, records, discs, *found)

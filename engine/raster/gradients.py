@@ -97,7 +97,7 @@ def backward(
     camera = view.camera
     if view.geometry.settings.antialiased:
         raise InputError("gradients of parameters are not those of antialiased Gaussians: draw without `antialiased`")
-    if view.geometry.discs is not None:
+    if len(view.geometry.discs):
         raise InputError("discs (2DGS) have no gradients of geometry here; View.backward_colors has the colours'")
     cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
     if cotangent.shape != rendering.image.shape:

@@ -154,21 +154,22 @@ def reached_blocks(records, o, gx, gy, log2_skip):
 def stage_batch(own, stage, items, records, discs, colors, channels, ids, at, size, end, x0, y0, alive, log2_skip):
     """Copy the Gaussians ids[at : at + size] to the scratch and list their items; returns how many items.
 
-    `discs` is None for Gaussians; for discs (2DGS) they are what is staged, and `records` only find the blocks.
+    `discs` is empty for Gaussians, None where a pass knows nothing else; for discs (2DGS) they are what is staged, and
+    `records` only find the blocks.
     """
     count = np.int64(0)
     for j in range(size):
         if at + j + _AHEAD < end:
             ahead = np.int64(entry(ids, at + j + _AHEAD))
             prefetch(records, ahead * RECORD)
-            if discs is not None:
+            if discs is not None and discs.shape[0] > 0:
                 prefetch(discs, ahead * RECORD)
             if channels > 0:
                 prefetch(colors, ahead * channels)
         i = np.int64(entry(ids, at + j))
         o, row = i * RECORD, stage + j * STAGE_ROW
         gx, gy = number(records, o) - x0, number(records, o + 1) - y0
-        if discs is None:
+        if discs is None or discs.shape[0] == 0:
             store(own, row, load(records, o))  # reads on into the next record; the array ends with spare room
             put(own, row, gx)
             put(own, row + 1, gy)
@@ -201,7 +202,7 @@ def open_item(own, stage, item, discs):
     place, j = np.int64(item & _i(15)) * 16, np.int64(item >> _i(4))
     row = stage + j * STAGE_ROW
     dx, dy = load(own, GRID_X + place) - number(own, row), load(own, GRID_Y + place) - number(own, row + 1)
-    if discs is not None:
+    if discs is not None and discs.shape[0] > 0:
         return place, j, row, dx, dy, disc_log2_alpha(own, row, dx, dy)
     q = fma(
         fma(number(own, row + 2), dx, dy * number(own, row + 3)),

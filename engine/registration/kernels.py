@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from engine.model import Float64, Int32, Int64
+from engine.numerics.crew import thread_count
 from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 _KERNEL_VERSION = 2
@@ -86,14 +87,13 @@ def _frame(p, out):
     return True
 
 
-@kernel(allocates=True)
-def _triple(x, y, i, j, k, turn, moved):
-    """Similarity of three pairs: R into turn, (scale, t) into moved; False if degenerate."""
-    a, b = np.empty((3, 3)), np.empty((3, 3))
+@kernel
+def _triple(x, y, i, j, k, turn, moved, room):
+    """Similarity of three pairs: R into turn, (scale, t) into moved; False if degenerate. `room` (4, 3, 3): scratch."""
+    a, b, fa, fb = room[0], room[1], room[2], room[3]
     for c in range(3):
         a[0, c], a[1, c], a[2, c] = x[i, c], x[j, c], x[k, c]
         b[0, c], b[1, c], b[2, c] = y[i, c], y[j, c], y[k, c]
-    fa, fb = np.empty((3, 3)), np.empty((3, 3))
     if not _frame(a, fa) or not _frame(b, fb):
         return False
     la, lb = 0.0, 0.0
@@ -113,11 +113,28 @@ def _triple(x, y, i, j, k, turn, moved):
     return True
 
 
-@kernel(allocates=True)
-def evidence(x, y, size, turn, moved, tol_size, extent, chance):
-    """Best log likelihood ratio over the tolerances, and which; after Moisan and Stival, IJCV 2004."""
+def evidence(
+    x: Float64,
+    y: Float64,
+    size: Float64,
+    turn: Float64,
+    moved: Float64,
+    tol_size: float,
+    extent: float,
+    chance: Float64,
+) -> tuple[float, int]:
+    """Best log likelihood ratio of a similarity, R and (scale, t), over the tolerances, and which; after Moisan and
+    Stival, IJCV 2004."""
+    best, at = weigh(x, y, size, turn, moved, tol_size, extent, chance, np.zeros(BINS))
+    return float(best), int(at)
+
+
+@kernel
+def weigh(x, y, size, turn, moved, tol_size, extent, chance, counts):
+    """`evidence`; `counts` (BINS,) is scratch."""
     n, log_scale = len(x), math.log(moved[0])
-    counts = np.zeros(BINS)
+    for b in range(BINS):
+        counts[b] = 0.0
     sized = 0
     for i in range(n):
         if abs(size[i] - log_scale) > tol_size:
@@ -162,18 +179,21 @@ def best_triples(
     turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))
     scores, bins, tries = np.zeros(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
     rules, found = (tol_size, tol_edge, cos_half, cos_line, extent), (turns, moves, scores, bins, tries)
-    draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found)
+    threads = thread_count()
+    scratch = np.empty((threads, len(x)), np.int64), np.empty((threads, 5, 3, 3)), np.empty((threads, 4 + BINS))
+    draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, scratch, found)
     return found
 
 
-@parallel_kernel(allocates=True)
-def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found, call):
+@parallel_kernel
+def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, scratch, found, call):
     """`best_triples`, to `found`, which holds zeros, and -1 in the bins."""
+    friends, room = scratch[0][call[0]], scratch[1][call[0]]
+    R, moved, counts = room[4], scratch[2][call[0], :4], scratch[2][call[0], 4:]
     tol_size, tol_edge, cos_half, cos_line, extent = rules
     turns, moves, scores, bins, tries = found
     for s in share_of(len(seeds), call):
         i = seeds[s]
-        friends = np.empty(len(x), np.int64)
         many = 0
         for j in range(len(x)):
             if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
@@ -182,7 +202,6 @@ def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found, cal
         if many < 2:
             continue
         state = np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15) * np.uint64(i + 1)
-        R, moved = np.empty((3, 3)), np.empty(4)
         for _ in range(draws):
             # splitmix64: a stream of its own for every seed, so that threads do not matter
             state += np.uint64(0x9E3779B97F4A7C15)
@@ -194,13 +213,16 @@ def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, found, cal
             k = friends[np.int64((z >> np.uint64(32)) % np.uint64(many))]
             if j == k or not _agree(x, y, size, turn, j, k, tol_size, tol_edge, cos_half, cos_line):
                 continue
-            if not _triple(x, y, i, j, k, R, moved):
+            if not _triple(x, y, i, j, k, R, moved, room):
                 continue
             if abs(math.log(moved[0]) - (size[i] + size[j] + size[k]) / 3.0) > tol_edge:
                 continue
             tries[s] += 1
-            score, at = evidence(x, y, size, R, moved, tol_size, extent, chance)
+            score, at = weigh(x, y, size, R, moved, tol_size, extent, chance, counts)
             if score > scores[s]:
                 scores[s], bins[s] = score, at
-                turns[s] = R
-                moves[s] = moved
+                for a in range(3):
+                    for b in range(3):
+                        turns[s, a, b] = R[a, b]
+                for a in range(4):
+                    moves[s, a] = moved[a]

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numba
 import pytest
@@ -28,7 +31,8 @@ def test_every_kind_of_work_is_made_ready_and_reports_progress(work: Work) -> No
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The steps that helpers were called for; they do nothing."""
     steps: list[str] = []
-    monkeypatch.setattr(subprocess, "run", lambda command, **_: steps.append(command[-1]))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: nullcontext(SimpleNamespace(kill=lambda: None)))
+    monkeypatch.setattr(warming, "_ask", lambda program, step: steps.append(step))
     return steps
 
 
@@ -100,11 +104,26 @@ def test_a_step_waits_for_those_with_the_same_kernels() -> None:
     assert plan.take() is None
 
 
-def test_a_step_can_be_made_ready_by_a_program_of_its_own() -> None:
+def test_steps_can_be_made_ready_by_a_program_of_its_own() -> None:
+    asked = "cells\ncolors\n"
     done = subprocess.run(
-        [sys.executable, "-m", "engine.pipeline.warm_steps", "cells"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "engine.pipeline.warm_steps"], input=asked, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stdout) == (0, asked), done.stderr
+
+
+def test_a_helper_that_ends_is_no_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever called compiles what the helper has not."""
+    ran = list[str]()
+
+    def compiling() -> None:
+        numba.njit(lambda x: x + 2)(1.0)
+        time.sleep(0.2)
+
+    small_steps(monkeypatch, first=compiling, second=lambda: ran.append("second"), third=lambda: ran.append("third"))
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    warm_up("embed", processes=2)
+    assert sorted(ran) == ["second", "third"]
 
 
 def test_steps_come_after_those_they_name_and_the_wait_is_foretold() -> None:

@@ -105,7 +105,7 @@ def test_flat_models_are_drawn_as_discs_without_being_told() -> None:
     as_gaussians = render(DISCS, view_from, settings=RasterSettings(kernel="gaussian"))
     assert np.abs(as_gaussians - told).max() > 0.05
     thick = random_model(200, 21, 1)
-    assert prepare_view(thick, view_from).geometry.discs is None
+    assert prepare_view(thick, view_from).geometry.discs.size == 0
     flattened = prepare_view(thick, view_from, RasterSettings(kernel="disc")).render(colors)[0]
     np.testing.assert_array_equal(flattened, told, "the third scale is not looked at")
     with pytest.raises(InputError, match="kernel"):

@@ -69,7 +69,7 @@ def _naive(records, discs, colors, ids, starts, width, height, tiles_x, log2_ski
             for k in range(starts[tile], starts[tile + 1]):
                 i = np.int64(ids[k])
                 px, py = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
-                if discs is None:
+                if discs.shape[0] == 0:
                     q = _gaussian(records, i * RECORD, px, py)
                 else:
                     q = _disc(discs, i * RECORD, px, py)
@@ -136,7 +136,7 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
         "cached_iteration_ms": cached_iteration,
         "naive_forward_ms": lambda: naive_forward(view, colors),
     }
-    if view.geometry.discs is None:
+    if len(view.geometry.discs) == 0:
         stages["backward_ms"] = lambda: backward(rendering, cotangent, out=gradients)
     result: dict[str, Any] = {name: median_ms(stage, repeats) for name, stage in stages.items()}
     with borrow_workspace() as work:
