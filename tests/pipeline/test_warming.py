@@ -6,9 +6,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numba
 import pytest
@@ -31,7 +30,7 @@ def test_every_kind_of_work_is_made_ready_and_reports_progress(work: Work) -> No
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The steps that helpers were called for; they do nothing."""
     steps: list[str] = []
-    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: nullcontext(SimpleNamespace(kill=lambda: None)))
+    monkeypatch.setattr(subprocess, "Popen", MagicMock())
     monkeypatch.setattr(warming, "_ask", lambda program, step: steps.append(step))
     return steps
 
