@@ -13,12 +13,17 @@ if TYPE_CHECKING:
 
 
 def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") -> float:
-    """Load the compiled kernels of some work, in so many seconds; where they are not there yet, say what is awaited."""
-    from engine.pipeline.warming import expected_seconds, warm_up
+    """Compile the kernels of some work where they are not there yet, in so many seconds, and say what is awaited."""
+    from engine.numerics.kernel_stamp import is_stamped, stamp
 
     began = time.perf_counter()
+    if is_stamped(work):
+        return time.perf_counter() - began
+    from engine.pipeline.warming import expected_seconds, warm_up
+
     said = f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s"
     warm_up(work, lambda fraction: progress("compile", fraction), compiling=lambda: console.note(said))
+    stamp(work)
     return time.perf_counter() - began
 
 

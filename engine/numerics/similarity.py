@@ -44,18 +44,17 @@ def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w, x, y, z."""
     q = np.asarray(quats, dtype=np.float64)
     w, x, y, z = (q[..., i] for i in range(4))
-    rows = [
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    ]
-    return np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
+    R = np.empty((*q.shape[:-1], 3, 3))  # filled in place: to stack nine arrays takes longer than to compute them
+    R[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    R[..., 0, 1] = 2 * (x * y - w * z)
+    R[..., 0, 2] = 2 * (x * z + w * y)
+    R[..., 1, 0] = 2 * (x * y + w * z)
+    R[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    R[..., 1, 2] = 2 * (y * z - w * x)
+    R[..., 2, 0] = 2 * (x * z - w * y)
+    R[..., 2, 1] = 2 * (y * z + w * x)
+    R[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return R
 
 
 def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt.ArrayLike) -> GaussianModel:
@@ -89,5 +88,7 @@ def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt
 def mirror_model(model: GaussianModel) -> GaussianModel:
     """The model's image in the plane x = 0, its own inverse: the same scene, seen from a mirrored camera."""
     sh = model.sh.copy()
-    sh[:, [k for k in ODD_IN_X if k < sh.shape[1]]] *= -1
+    for k in ODD_IN_X:
+        if k < sh.shape[1]:
+            sh[:, k] *= -1
     return model.with_(means=model.means * MIRROR, quats=model.quats * MIRROR_QUATS, sh=sh)

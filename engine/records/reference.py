@@ -46,7 +46,7 @@ _QUAT_STEPS = 2047
 _MEAN_STEPS_LOG2 = 12
 _MEAN_LIMIT = 1 << 52
 _ESCAPE = 255
-_ROWS = 16384  # rows at a time: SH pass through the cache once
+_ROWS = 4096  # rows at a time: SH pass through the cache once
 _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest", "quats", "rest", "rest_escape")
 
 
@@ -195,7 +195,7 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
     codes = np.arange(256)
     table = ((codes >> 1) ^ -(codes & 1)).astype(np.float32) / np.float32(_REST_STEPS)
     for start in range(0, n, _ROWS):
-        flat[start : start + _ROWS] = table[rest[:, start : start + _ROWS].T]
+        flat[start : start + _ROWS] = table.take(np.ascontiguousarray(rest[:, start : start + _ROWS].T), mode="clip")
     exact = escape.astype(np.int64)
     flat[row, column] = ((exact >> 1) ^ -(exact & 1)).astype(np.float32) / np.float32(_REST_STEPS)
 

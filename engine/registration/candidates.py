@@ -21,7 +21,10 @@ SHAPE_FEATURES = 3
 
 def sorted_log_scales(model: GaussianModel, index: npt.NDArray[np.int64] | slice) -> Float64:
     """(n, 3) log scales in ascending order, the flatness limited."""
-    s = np.sort(model.log_scales[index].astype(np.float64), axis=1)
+    a, b, c = model.log_scales[index].T.astype(np.float64)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    top = np.maximum(high, c)
+    s = np.stack([np.minimum(low, c), np.maximum(low, np.minimum(high, c)), top], axis=1)
     return np.maximum(s, s[:, 2:] - FLATNESS_CLIP)
 
 
@@ -30,11 +33,11 @@ def invariant_features(model: GaussianModel, index: npt.NDArray[np.int64] | slic
     s = sorted_log_scales(model, index)
     logits = np.clip(model.opacity_logits[index].astype(np.float64), -LOGIT_CLIP, LOGIT_CLIP)
     columns: list[Float64] = [s[:, 2] - s[:, 1], s[:, 2] - s[:, 0], logits]
-    sh = model.sh[index].astype(np.float64)
-    columns += list(np.clip(sh[:, 0], -DC_CLIP, DC_CLIP).T)
+    sh = model.sh[index]
+    columns += list(np.clip(sh[:, 0].astype(np.float64), -DC_CLIP, DC_CLIP).T)
     for l in range(1, degree + 1):
         band = sh[:, l * l : (l + 1) ** 2]
-        columns.append(np.sqrt(np.square(band).sum(axis=(1, 2))))
+        columns.append(np.sqrt(np.einsum("nkc,nkc->n", band, band, dtype=np.float64)))
     return np.stack(columns, axis=1)  # (n, F)
 
 
