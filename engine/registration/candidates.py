@@ -25,7 +25,7 @@ def sorted_log_scales(model: GaussianModel, index: npt.NDArray[np.int64] | slice
     low, high = np.minimum(a, b), np.maximum(a, b)
     top = np.maximum(high, c)
     s = np.stack([np.minimum(low, c), np.maximum(low, np.minimum(high, c)), top], axis=1)
-    return np.maximum(s, s[:, 2:] - FLATNESS_CLIP)
+    return np.asarray(np.maximum(s, s[:, 2:] - FLATNESS_CLIP))
 
 
 def invariant_features(model: GaussianModel, index: npt.NDArray[np.int64] | slice, degree: int) -> Float64:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
 from engine.numerics.jit import kernel
+from engine.raster import lane_order
 from engine.raster.lane_algebra import cross, row_times, times
 from engine.raster.lane_math import exp2, log2
 from engine.raster.lane_memory import (
@@ -15,16 +17,29 @@ from engine.raster.lane_memory import (
     entry,
     fetch_add,
     load,
+    load_quarters,
     load_some,
     lowest_bit,
     number,
     put,
     store,
+    store_quarters,
     store_some,
 )
 from engine.raster.lane_order import unzip3, unzip4, zip3, zip4
 from engine.raster.lane_sums import max_rows, sum_rows, transpose
-from engine.raster.lanes import bits_of, fma, maximum, minimum, minus_magnitude, root, round_down, select, spread
+from engine.raster.lanes import (
+    bits_of,
+    fma,
+    magnitude,
+    maximum,
+    minimum,
+    minus_magnitude,
+    root,
+    round_down,
+    select,
+    spread,
+)
 from tests.raster.scenes import TOLERANCE
 
 _THREE, _SIXTEEN = (0,) * 3, (0,) * 16
@@ -152,6 +167,30 @@ def test_zip_and_unzip() -> None:
     np.testing.assert_array_equal(out[48:96], x[:48])
     np.testing.assert_array_equal(out[96:160], x.reshape(16, 4).T.ravel())
     np.testing.assert_array_equal(out[160:], x)
+
+
+@pytest.mark.parametrize("register", [4, 8, 16])
+def test_zip_and_unzip_on_registers_of_any_width(monkeypatch: pytest.MonkeyPatch, register: int) -> None:
+    """What Arm and AVX2 would be given; the numbers are the same on every processor."""
+    monkeypatch.setattr(lane_order, "REGISTER", register)
+    x, out = numbers(64), np.zeros(224, np.float32)
+    numba.njit(_zips.py_func)(x, out)
+    np.testing.assert_array_equal(out[:48], x[:48].reshape(16, 3).T.ravel())
+    np.testing.assert_array_equal(out[48:96], x[:48])
+
+
+def test_blocks_are_read_and_written_row_by_row() -> None:
+    @numba.njit
+    def through(x, out):
+        store(out, 0, load_quarters(x, 4))
+        store_quarters(out, 16 + 4, magnitude(load_quarters(x, 4)))
+
+    x, out = numbers(80), np.zeros(16 + 80, np.float32)
+    through(x, out)
+    row = np.concatenate([x[16 * block + 4 : 16 * block + 8] for block in range(4)])
+    np.testing.assert_array_equal(out[:16], row)
+    np.testing.assert_array_equal(out[16 : 16 + 64].reshape(4, 16)[:, 4:8].ravel(), np.abs(row))
+    assert not np.delete(out[16 : 16 + 64].reshape(4, 16), np.s_[4:8], axis=1).any()
 
 
 @kernel
