@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -21,6 +22,19 @@ def test_every_turn_is_taken_once(turns: int) -> None:
 def test_turns_run_side_by_side() -> None:
     together = threading.Barrier(3, timeout=30.0)
     run_turns(lambda number: together.wait(), 3)
+
+
+def test_it_is_over_when_the_slowest_is() -> None:
+    together, caller, over = threading.Barrier(2, timeout=30.0), threading.current_thread(), list[int]()
+
+    def turn(number: int) -> None:
+        together.wait()
+        if threading.current_thread() is not caller:
+            time.sleep(0.3)
+        over.append(number)
+
+    run_turns(turn, 2)
+    assert sorted(over) == [0, 1]
 
 
 def test_who_asks_gets_done_though_nobody_comes() -> None:
