@@ -199,6 +199,7 @@ def test_the_last_group_of_a_chunk_counts_once(more: int) -> None:
     """Gaussians whose number leaves a rest beyond a chunk, against the same with others that are not seen."""
     n = CHUNK + more
     model, view_from = random_model(n, 4, 4), camera(83, 61)
+    model = model.with_(opacity_logits=model.opacity_logits - np.float32(4.0))  # few hide others
     hidden = random_model(100, 5, 4)
     hidden = hidden.with_(opacity_logits=np.full(100, -50.0, np.float32))
     grown = model.with_(**{name: np.concatenate([getattr(m, name) for m in (model, hidden)]) for name in NAMES[:5]})
