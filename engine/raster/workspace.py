@@ -21,6 +21,9 @@ from engine.raster.tiles import ITEMS
 __all__ = ["Workspace", "borrow_workspace", "release_memory"]
 
 _KEPT = 2
+_MOST = 512 << 20
+"""Bytes of a workspace above which it is not kept: to fill fresh memory then costs little beside what fills it."""
+
 _lock = threading.Lock()
 _idle: list[Workspace] = []
 
@@ -41,6 +44,11 @@ class Workspace:
             self._arrays[name] = have
         return have[:size].reshape(shape)
 
+    @property
+    def bytes(self) -> int:
+        """What it holds."""
+        return sum(array.nbytes for array in self._arrays.values())
+
     def tile_bench(self, numbers: int) -> tuple[Any, ...]:
         """What the workers of a pass over tiles write to: scratch of so many floats each, a list of items each, and
         the queue of tiles that they share, at its start."""
@@ -60,7 +68,7 @@ def borrow_workspace() -> Iterator[Workspace]:
         yield workspace
     finally:
         with _lock:
-            if len(_idle) < _KEPT:
+            if len(_idle) < _KEPT and workspace.bytes <= _MOST:
                 _idle.append(workspace)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Float32, Float64, GaussianModel
-from engine.numerics.similarity import quaternion_to_rotation
+from engine.numerics.similarity import turned
 
 ATTRIBUTES = 6
 """Chips of one Gaussian."""
@@ -75,7 +75,7 @@ def roughen(model: GaussianModel, grain: Grain, signs: Float32) -> GaussianModel
         Chip times bit of each chip.
     """
     along = grain.center * signs[:, :3] * units(model.log_scales)  # (N, 3) in own axes
-    shift = np.matmul(quaternion_to_rotation(model.quats), along[:, :, None])[:, :, 0]
+    shift = turned(model.quats, along)
     step = np.where(thin(model.log_scales), 0.0, grain.scale * signs[:, 3:])
     return model.with_(
         means=(model.means + shift).astype(np.float32), log_scales=(model.log_scales + step).astype(np.float32)

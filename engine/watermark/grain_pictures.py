@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Float32, Float64, GaussianModel
-from engine.numerics.similarity import quaternion_to_rotation
+from engine.numerics.similarity import turned
 from engine.raster import Rendering, View, backward
 from engine.watermark.grain import ATTRIBUTES, Grain, thin, units
 
@@ -38,5 +38,5 @@ class GrainView:
 
 def _along_own_axes(model: GaussianModel, means: Float32, log_scales: Float32) -> Float64:
     """(6 N,) gradients by the grain's own coordinates, from those by centres and log scales (N, 3)."""
-    turned = np.matmul(means[:, None, :].astype(np.float64), quaternion_to_rotation(model.quats))[:, 0]
-    return np.concatenate([turned * units(model.log_scales), log_scales], axis=1).reshape(-1)
+    along = turned(model.quats, means.astype(np.float64), back=True)
+    return np.concatenate([along * units(model.log_scales), log_scales], axis=1).reshape(-1)

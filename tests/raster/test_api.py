@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 
 import engine.raster
 from engine.evaluate.bench.raster import bench_camera, bench_raster, naive_forward
-from engine.raster import prepare_view, release_memory, sh_colors, warm_up
+from engine.raster import prepare_view, release_memory, sh_colors, warm_up, workspace
 from engine.raster.workspace import borrow_workspace
 from tests.raster.scenes import TOLERANCE, random_model
 
@@ -69,3 +70,14 @@ def test_benchmark() -> None:
     assert wanted <= set(result)
     assert all(result[name] > 0 for name in wanted if name.endswith("_ms"))
     json.dumps(result)
+
+
+def test_large_workspaces_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    release_memory()
+    with borrow_workspace() as small:
+        small.array("a", (100,))
+    with borrow_workspace() as again:
+        assert again is small
+        monkeypatch.setattr(workspace, "_MOST", again.bytes - 1)
+    with borrow_workspace() as other:
+        assert other is not small
