@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Float64, GaussianModel
+from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_rotation
 
 MIRROR = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
