@@ -49,6 +49,8 @@ def main() -> None:
                 pair = zip((HERE, asked.other), places, strict=True)
                 rounds.append([run(each, program, arguments, {**processor, **place}) for each, place in pair])
         for name in rounds[0][0]:
+            if not rounds[0][1].get(name):  # a stage that the other does not have, or takes no time for
+                continue
             here, there = ([pair[side][name] for pair in rounds] for side in (0, 1))
             ratios = [a / b for a, b in zip(here, there, strict=True)]
             medians = (statistics.median(here), statistics.median(there), statistics.median(ratios))

@@ -68,7 +68,9 @@ scene = sys.argv[1]
 result = {}
 def run(name, *arguments):
     start = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "service.cli", *map(str, arguments)], stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "service.cli", *map(str, arguments), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    said = process.stdout.read()
     _, status, usage = os.wait4(process.pid, 0)
     if status != 0:
         raise SystemExit(f"{name}: status {status}")
@@ -76,6 +78,7 @@ def run(name, *arguments):
         result[name] = time.perf_counter() - start
         result[name + ", processor"] = usage.ru_utime + usage.ru_stime
         result[name + ", peak MB"] = usage.ru_maxrss / 1024
+        result |= {name + ": " + stage: took for stage, took in json.loads(said).get("seconds_by_stage", {}).items()}
 with tempfile.TemporaryDirectory() as place:
     folder = Path(place)
     key, record, marked = folder / "owner.key", folder / "a.record", folder / ("marked" + Path(scene).suffix)
