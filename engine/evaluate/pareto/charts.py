@@ -6,6 +6,7 @@ from typing import Any
 from engine.evaluate.drawing import INK, MARKERS, Axes, Figure, figure, label_line, styles
 from engine.evaluate.pareto.summing import Result, pareto_front
 from engine.evaluate.published import Published
+from engine.numerics.machine import machine_info
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE, z_threshold
 
 NAMED = ("fast", "balanced", "strong", "auto")
@@ -17,7 +18,7 @@ BOUNDS = (1, 2, 3, 5, 10, 15, 20, 30, 45, 60, 90, 120, 180, 300, 600)
 """Numbers of seconds that read well, on an axis and in a sentence."""
 
 Peer = tuple[str, float, float, bool]
-"""Name, seconds to embed, value, whether it reads without the original."""
+"""Name and hardware, seconds to embed, value, whether it reads without the original."""
 
 
 def peers(published: Sequence[Published], what: str) -> list[Peer]:
@@ -26,13 +27,14 @@ def peers(published: Sequence[Published], what: str) -> list[Peer]:
     found = []
     for method in dict.fromkeys(point.method for point in published):
         own = [point for point in published if point.method == method]
-        times = [point.value for point in own if point.what == "embedding time"]
+        times = [(point.value, point.hardware) for point in own if point.what == "embedding time"]
         if what == "PSNR":
             values = [point.value for point in own if point.what == "PSNR"]
         else:
             values = [point.value for point in own if point.what == "bit accuracy" and point.conditions in conditions]
         if times and values:
-            found.append((method, times[0], min(values), own[0].blind))
+            seconds, hardware = times[0]
+            found.append((f"{method}, {hardware}", seconds, min(values), own[0].blind))
     return found
 
 
@@ -73,14 +75,19 @@ def _peers_and_ours(axes: Axes, others: Sequence[Peer], ours: Sequence[tuple[flo
     for mark, blind in (("o", True), ("D", False)):
         points = [(seconds, value) for _, seconds, value, reads_blind in others if reads_blind is blind]
         if points or blind:
-            label = f"published, other hardware, {'blind' if blind else 'informed'}"
+            label = f"published, hardware as named, {'blind' if blind else 'informed'}"
             axes.plot([x for x, _ in points], [y for _, y in points], mark, label=label, markersize=6, **hollow)
     _name_points(axes, [(name, seconds, value) for name, seconds, value, _ in others])
     seconds = [x for x, _ in ours]
     look = {"color": next(styles())["color"], "markersize": 5, "linestyle": "none"}
-    axes.plot(seconds, [y for _, y in ours], "s", label="ours, measured here, informed", **look)
+    axes.plot(seconds, [y for _, y in ours], "s", label=f"ours, measured here ({_here()}), informed", **look)
     axes.set(xlabel="seconds to embed (log scale)", xlim=(min(seconds) / 2, 3e4))
     axes.legend(loc="lower left")
+
+
+def _here() -> str:
+    machine = machine_info()
+    return f"{machine['cores_usable']} cores of {machine['cpu']}"
 
 
 def _name_points(axes: Axes, points: Sequence[tuple[str, float, float]]) -> None:

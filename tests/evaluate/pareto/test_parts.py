@@ -118,6 +118,6 @@ def test_peers_are_at_their_worst_picture() -> None:
         said("A", "bit accuracy", 50.0, "32 bits, clone 50 %"),
         said("B", "PSNR", 40.0, "", blind=False),
     ]
-    assert peers(some, "bits") == [("A", 60.0, 91.0, True)]
+    assert peers(some, "bits") == [("A, GPU", 60.0, 91.0, True)]
     assert peers(some, "PSNR") == []
     assert len(peers(read_published(), "bits")) >= 5
