@@ -43,8 +43,13 @@ def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Mome
     wy /= top
     ws /= top
     root = math.sqrt(float(wy @ wy + ws @ ws))
-    a = wy * (1 - threshold * ws / root) if root > 0 else wy
-    return _Moments(float(ws.sum()), root, math.sqrt(float(a @ a)), math.sqrt(float(ws @ ws)))
+    total, mark = float(ws.sum()), math.sqrt(float(ws @ ws))
+    if root > 0:  # w y times 1 - threshold w s / root, in place: there may be 60 million chips
+        ws *= threshold
+        ws /= root
+        np.subtract(1.0, ws, out=ws)
+        wy *= ws
+    return _Moments(total, root, math.sqrt(float(wy @ wy)), mark)
 
 
 def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
