@@ -16,6 +16,7 @@ from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
 from engine.formats.sog.webp import MAX_SIDE, Pixels, encode_webp
 from engine.model import Float32, Float64, GaussianModel
+from engine.numerics.jit import side_by_side
 
 SogPalette = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 """Code vectors (P, K - 1, 3) and the label of each Gaussian (N,)."""
@@ -56,7 +57,7 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
     }
     if mode := mode_of(model):
         meta["model"] = mode
-    parts: dict[str, bytes] = {}
+    laid_out: dict[str, Pixels] = {}
     if model.sh_degree > 0:
         if palette is None:
             vectors = model.sh[:, 1:].reshape(len(model), -1)  # (N, 3 (K - 1))
@@ -65,11 +66,11 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
             book, labels = _checked(palette, model), np.asarray(palette[1])[order]
         centroids, codebook = centroid_pixels(book, labels)
         images[FILES["shN"][1]] = label_pixels(labels)
-        parts[FILES["shN"][0]] = encode_webp(centroids)
+        laid_out[FILES["shN"][0]] = centroids
         named = {"codebook": codebook.tolist(), "files": FILES["shN"]}
         meta["shN"] = {"count": len(book), "bands": model.sh_degree, **named}
-    for name, pixels in images.items():
-        parts[name] = encode_webp(_lay_out(pixels, width, height))
+    laid_out |= {name: _lay_out(pixels, width, height) for name, pixels in images.items()}
+    parts = dict(zip(laid_out, side_by_side(encode_webp, laid_out.values()), strict=True))
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
     return {META: text, **dict(sorted(parts.items()))}
 
