@@ -31,6 +31,7 @@ def test_every_mutation_is_a_program_and_its_tests_exist() -> None:
         "records",
         "service",
         "pictures",
+        "raster",
         "statistics",
         "numerics",
         "formats",

@@ -119,7 +119,8 @@ def test_costs_are_the_twins(model: GaussianModel, compiled: bool) -> None:
     means, sigma = few.means.astype(float), covariances(few)
     mass, looks = volume_mass(few), few.sh.reshape(30, -1).astype(float)
     function = merging_costs if compiled else merging_costs.py_func
-    cost = function(means, sigma, mass, looks, near, 0.2)
+    cost = np.full(near.shape, np.inf)
+    function(means, sigma, mass, looks, near, 0.2, cost)
     for i in range(30):
         for at, j in enumerate(near[i]):
             if j <= i:
