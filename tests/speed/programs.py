@@ -78,7 +78,8 @@ def run(name, *arguments):
         result[name] = time.perf_counter() - start
         result[name + ", processor"] = usage.ru_utime + usage.ru_stime
         result[name + ", peak MB"] = usage.ru_maxrss / 1024
-        result |= {name + ": " + stage: took for stage, took in json.loads(said).get("seconds_by_stage", {}).items()}
+        stages = json.loads(said).get("seconds_by_stage", {})
+        result.update({name + ": " + stage: took for stage, took in stages.items()})
 with tempfile.TemporaryDirectory() as place:
     folder = Path(place)
     key, record, marked = folder / "owner.key", folder / "a.record", folder / ("marked" + Path(scene).suffix)
