@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from engine.errors import InputError
 from engine.model import Camera, GaussianModel, look_at
 from engine.raster import backward, draw, prepare_view, render, render_depth
+from engine.raster.forward import blend_tiles, forward_scratch
 from engine.raster.settings import MAX_SIGMA_PX
+from engine.raster.workspace import borrow_workspace
 from tests.raster.scenes import camera, random_discs, random_model
 
 
@@ -133,3 +135,20 @@ def test_more_pairs_than_memory_are_refused() -> None:
     model = random_model(16, 9, 1)
     with pytest.raises(InputError, match="too large"):
         prepare_view(model, look_at((0, 0, -3), (0, 0, 0), (0, -1, 0), 60.0, 16 * 40000, 16))
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 37), (37, 48), (48, 48)])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_nothing_is_written_behind_the_image(width: int, height: int, channels: int) -> None:
+    """Tiles at its edges reach over it; those that do not are written as vectors."""
+    geometry = prepare_view(random_model(200, 3, 1), camera(width, height)).geometry
+    pixels, more = width * height, 16 * width
+    image, alpha = np.full((pixels + more) * channels, 7.0, np.float32), np.full(pixels + more, 7.0, np.float32)
+    colors, background = np.ones(200 * channels, np.float32), np.zeros(channels, np.float32)
+    with borrow_workspace() as work:
+        bench, evaluated = work.tile_bench(forward_scratch(channels)), np.zeros(len(geometry.starts) - 1, np.int64)
+        out = image[: pixels * channels], alpha[:pixels], evaluated
+        blend_tiles(geometry.lists, (0,) * channels, colors, background, *out, bench, None)
+    assert (image[pixels * channels :] == 7.0).all()
+    assert (alpha[pixels:] == 7.0).all()
+    assert (out[1] <= 1.0).all()
