@@ -102,13 +102,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget)
 
 
-def run_turns(turn: Callable[[int], Any], turns: int) -> None:
-    """Call turn(0) to turn(turns - 1), side by side; what a turn raises is raised once all are over."""
-    if turns == 1:
-        turn(0)
+def run_turns(turn: Callable[[int], Any], turns: int, threads: int | None = None) -> None:
+    """Call turn(0) to turn(turns - 1), side by side, each on a thread of its own or on so many `threads`; what a turn
+    raises is raised once all are over."""
+    if turns <= 1:
+        for number in range(turns):
+            turn(number)
         return
     launch = _Launch(turn, turns)
-    _crew.call(launch, turns - 1)
+    _crew.call(launch, min(turns, threads or turns) - 1)
     launch.help()
     launch.wait()
     if launch.failed is not None:

@@ -12,7 +12,6 @@ every file of kernels holds a ``_KERNEL_VERSION``; raise it when something the k
 """
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import numba
@@ -87,12 +86,11 @@ def side_by_side(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
     A kernel of a millisecond gains nothing by more threads, and what is around it holds Python's lock half the time.
     """
 
-    def alone(item: A) -> B:
-        with use_threads(1):
-            return function(item)
+    asked, answers = list(items), dict[int, B]()
 
-    threads = thread_count()
-    if threads == 1:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(alone, items))
+    def alone(number: int) -> None:
+        with use_threads(1):
+            answers[number] = function(asked[number])
+
+    run_turns(alone, len(asked), thread_count())
+    return [answers[number] for number in range(len(asked))]

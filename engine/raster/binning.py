@@ -13,12 +13,12 @@ import numpy as np
 
 from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 from engine.raster.lane_memory import lowest_bit, prefetch
-from engine.raster.projection import RECORD
+from engine.raster.projection import COVER, RECORD
 from engine.raster.settings import TILE
 
 __all__ = ["list_pairs", "list_starts", "place_pairs"]
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 _f = np.float32
 _AHEAD = 16  # Gaussians: about the time that a line takes from memory
@@ -110,7 +110,7 @@ def list_pairs(
             while cover != 0:
                 bit = np.int64(lowest_bit(cover))
                 cover &= cover - np.int32(1)
-                count = _note(own, pairs, count, corner + (bit >> 2) * tiles_x + (bit & 3), i, tile_mask)
+                count = _note(own, pairs, count, corner + (bit // COVER) * tiles_x + bit % COVER, i, tile_mask)
             sizes[i] = count - before
         counts[part] = count
 

@@ -12,10 +12,10 @@ import pytest
 from engine.numerics.crew import run_turns, thread_count, use_threads
 
 
-@pytest.mark.parametrize("turns", [1, 2, 7])
-def test_every_turn_is_taken_once(turns: int) -> None:
+@pytest.mark.parametrize(("turns", "threads"), [(0, None), (1, None), (2, None), (7, None), (7, 1), (7, 2), (1, 3)])
+def test_every_turn_is_taken_once(turns: int, threads: int | None) -> None:
     taken: list[int] = []
-    run_turns(taken.append, turns)
+    run_turns(taken.append, turns, threads)
     assert sorted(taken) == list(range(turns))
 
 
