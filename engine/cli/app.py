@@ -26,6 +26,7 @@ from engine.cli import (
     verify,
 )
 from engine.cli.console import Console
+from engine.numerics.allocating import keep_freed_memory
 
 app = typer.Typer(
     name="mark3dgs",
@@ -114,4 +115,5 @@ def run(arguments: list[str]) -> int:
 def main() -> None:
     """Entry point of the command."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded; see engine.numerics.blas
+    keep_freed_memory()
     sys.exit(run(sys.argv[1:]))

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from engine.cli.ahead import Ahead
 from engine.cli.console import Console
 from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 from engine.cli.kernels import prepare_kernels
@@ -115,6 +116,9 @@ def embed(
             raise InputError("the marked model and the record need different names")
     if message is not None and bits is not None:
         raise InputError("give --message or --bits, not both: a message has a length of its own")
+    from engine.sim.variants.scenes import read_scene
+
+    reading = Ahead(read_scene, model, spz_frame=spz_frame)
 
     from engine.formats import read_cameras
     from engine.model import GaussianModel
@@ -122,7 +126,7 @@ def embed(
     from engine.pipeline.profiles import compose, delivered_as
     from engine.records.record import Record
     from engine.sim.variants.marking import embed_variant
-    from engine.sim.variants.scenes import notes_of, read_scene, write_scene, written_as
+    from engine.sim.variants.scenes import notes_of, write_scene, written_as
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 
@@ -135,12 +139,12 @@ def embed(
     before = Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None
 
     with console.progress() as progress:
-        compile_seconds = prepare_kernels(console, progress)
         started = time.perf_counter()
         progress("read", 0.0)
-        loaded = read_scene(model, spz_frame=spz_frame)
+        loaded = reading.result()
         kind = written_as(loaded, kind)
         read_seconds = time.perf_counter() - started
+        compile_seconds = prepare_kernels(console, progress)
         request: dict[str, Any] = {
             "original_sha256": loaded.sha256,
             "message": signs,

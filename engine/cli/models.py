@@ -52,18 +52,33 @@ def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
 def load_suspect(
     console: Console, paths: list[Path], cameras: Path | None, progress: Progress, spz_frame: str = "auto"
 ) -> tuple[Suspect, tuple[Repair, ...]]:
+    """`read_suspect`, told as it goes."""
+    progress("read", 0.0)
+    suspect, repairs = read_suspect(paths, cameras, spz_frame)
+    say_repairs(console, repairs)
+    return suspect, repairs
+
+
+def read_suspect(
+    paths: list[Path], cameras: Path | None, spz_frame: str = "auto"
+) -> tuple[Suspect, tuple[Repair, ...]]:
     """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
-    from engine.formats import read_cameras
-    from engine.formats.pictures import is_picture, read_picture
-    from engine.pipeline.searching import Suspect
+    from engine.formats.pictures import is_picture
+
+    if is_picture(paths[0]):
+        from engine.formats import read_cameras
+        from engine.formats.pictures import read_picture
+
+        known = read_cameras(cameras) if cameras is not None else None
+        pictures = [read_picture(path) for path in paths]
+        from engine.pipeline.searching import Suspect
+
+        return Suspect(None, pictures, known), ()
     from engine.sim.variants.scenes import read_scene
 
-    progress("read", 0.0)
-    if is_picture(paths[0]):
-        known = read_cameras(cameras) if cameras is not None else None
-        return Suspect(None, [read_picture(path) for path in paths], known), ()
     loaded = read_scene(paths[0], spz_frame=spz_frame)
-    say_repairs(console, loaded.repairs)
+    from engine.pipeline.searching import Suspect  # after the file: to import it takes as long as to read it
+
     return Suspect(loaded.model), loaded.repairs
 
 

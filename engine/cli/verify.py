@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from engine.cli.ahead import Ahead
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.files import are_pictures, check_folder, pictures_within, read_bytes
 from engine.cli.kernels import prepare_kernels
-from engine.cli.models import load_suspect
+from engine.cli.models import read_suspect, say_repairs
 from engine.cli.options import Json, Key, SpzFrame
 from engine.cli.regions import region_lines, write_regions
 from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
@@ -113,9 +114,9 @@ def verify(
         check_folder(regions)
         if original is not None:
             raise InputError("--regions needs a scene that stands still: leave --original out")
+    reading = Ahead(read_suspect, suspects, cameras, spz_frame)
 
     from engine.pipeline.attesting import open_attested
-    from engine.pipeline.locating_mark import locate_mark
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
     from engine.records.attestation import attach
@@ -137,7 +138,9 @@ def verify(
         open_seconds = time.perf_counter() - started
         compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
         started = time.perf_counter()
-        suspect, repairs = load_suspect(console, suspects, cameras, progress, spz_frame)
+        progress("read", 0.0)
+        suspect, repairs = reading.result()
+        say_repairs(console, repairs)
         read_seconds = time.perf_counter() - started
         if original is not None and (pictures or not is_clip(suspects[0])):
             found = verify_in_motion(suspect, opened, original, config)
@@ -147,6 +150,8 @@ def verify(
         if regions is not None:
             started = time.perf_counter()
             progress("locate", 0.0)
+            from engine.pipeline.locating_mark import locate_mark
+
             located = locate_mark(suspect, opened, found, asked)
             write_regions(regions, located, suspect, opened, found)
             found = replace(found, seconds_by_stage=found.seconds_by_stage | {"locate": time.perf_counter() - started})

@@ -1,6 +1,7 @@
 """From evidence to a claim, in the terms of an opened record."""
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from engine.errors import InputError
 from engine.pipeline.sealing import OpenedRecord
@@ -11,7 +12,7 @@ from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.paper_decoder import adaptive_weights, decode_paper
-from engine.watermark.power import measured_change
+from engine.watermark.power import Moments, moments
 from engine.watermark.rates import AppliedRate, Attested, applicable_rate
 from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
 
@@ -88,11 +89,16 @@ def judge(
     tint = opened.layout.chips
     layered = layered_z(evidence, spreading.signs(opened.message), tint)
     asked, heard = only(evidence, layered.strongest, tint), dict(layered.z)
+    sums = _sums_of_layers(evidence, tint)
+    change = max(each.change for each in sums.values())  # that of both together lies between them
+    known: Moments | None = (
+        reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
+    )
     if scattered is not None:
         other = layered_z(scattered, spreading.signs(opened.message), tint)
         heard |= {name + SCATTERED: z for name, z in other.z.items()}
         if other.best > max(layered.best, z_threshold(rate.doubt_rate, tries)):
-            asked = only(scattered, other.strongest, tint)
+            asked, known = only(scattered, other.strongest, tint), None
     claim = decide(
         asked.y,
         asked.weights,
@@ -108,7 +114,8 @@ def judge(
         transform=transform,
         notes=notes,
         layers=heard if len(heard) > 1 and opened.grain.there else None,
-        change=_change(evidence, tint),
+        change=change,
+        sums=known,
     )
     if config.decoder == "paper":
         steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
@@ -128,11 +135,12 @@ def judge(
     return claim
 
 
-def _change(evidence: Evidence, tint: int) -> float:
-    """The larger `measured_change` of the two layers; that of both together lies between them."""
-    parts = (slice(0, tint), slice(tint, None))
-    layers = [(evidence.y[part], evidence.weights[part], evidence.signal[part]) for part in parts]
-    return max(measured_change(*layer) for layer in layers if len(layer[0]))
+def _sums_of_layers(evidence: Evidence, tint: int) -> dict[str, Moments]:
+    """Those of each layer, the names are `layers.LAYERS`; the tint's chips come first."""
+    parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(evidence.y) > tint else {})
+    return {
+        name: moments(evidence.y[part], evidence.weights[part], evidence.signal[part]) for name, part in parts.items()
+    }
 
 
 def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:

@@ -1,7 +1,10 @@
 """Candidate pairs for the registration: Gaussians that look alike whatever similarity was applied."""
 
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,8 +13,11 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from engine.model import Float64, GaussianModel, Int64
+from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.similarity import MIRROR
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
+
+_KERNEL_VERSION = 1
 
 TREE_POINTS = 150_000
 """The feature tree holds at most so many reference Gaussians, the rarest ones."""
@@ -19,26 +25,31 @@ SHAPE_FEATURES = 3
 """Two size ratios and the opacity come first in a feature vector, then colour, then SH energies."""
 
 
-def sorted_log_scales(model: GaussianModel, index: npt.NDArray[np.int64] | slice) -> Float64:
-    """(n, 3) log scales in ascending order, the flatness limited."""
-    a, b, c = model.log_scales[index].T.astype(np.float64)
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    top = np.maximum(high, c)
-    s = np.stack([np.minimum(low, c), np.maximum(low, np.minimum(high, c)), top], axis=1)
-    return np.asarray(np.maximum(s, s[:, 2:] - FLATNESS_CLIP))
-
-
 def invariant_features(model: GaussianModel, index: npt.NDArray[np.int64] | slice, degree: int) -> Float64:
     """(n, F) features that no similarity changes: size ratios, opacity logit, DC, energy per SH degree."""
-    s = sorted_log_scales(model, index)
-    logits = np.clip(model.opacity_logits[index].astype(np.float64), -LOGIT_CLIP, LOGIT_CLIP)
-    columns: list[Float64] = [s[:, 2] - s[:, 1], s[:, 2] - s[:, 0], logits]
-    sh = model.sh[index]
-    columns += list(np.clip(sh[:, 0].astype(np.float64), -DC_CLIP, DC_CLIP).T)
-    for l in range(1, degree + 1):
-        band = sh[:, l * l : (l + 1) ** 2]
-        columns.append(np.sqrt(np.einsum("nkc,nkc->n", band, band, dtype=np.float64)))
-    return np.stack(columns, axis=1)  # (n, F)
+    log_scales, logits, sh = model.log_scales[index], model.opacity_logits[index], model.sh[index]
+    out = np.empty((len(logits), SHAPE_FEATURES + 3 + degree))
+    _features(log_scales, logits, sh, degree, out)
+    return out
+
+
+@parallel_kernel
+def _features(log_scales, logits, sh, degree, out, call):
+    for i in share_of(len(out), call):
+        s0, s1, s2 = log_scales[i, 0], log_scales[i, 1], log_scales[i, 2]
+        top, bottom = max(s0, max(s1, s2)), min(s0, min(s1, s2))
+        middle = max(min(s0, s1), min(max(s0, s1), s2))
+        out[i, 0] = min(np.float64(top) - middle, FLATNESS_CLIP)
+        out[i, 1] = min(np.float64(top) - bottom, FLATNESS_CLIP)
+        out[i, 2] = min(max(np.float64(logits[i]), -LOGIT_CLIP), LOGIT_CLIP)
+        for c in range(3):
+            out[i, 3 + c] = min(max(np.float64(sh[i, 0, c]), -DC_CLIP), DC_CLIP)
+        for l in range(1, degree + 1):
+            energy = 0.0
+            for k in range(l * l, (l + 1) * (l + 1)):
+                for c in range(3):
+                    energy += np.float64(sh[i, k, c]) * np.float64(sh[i, k, c])
+            out[i, 5 + l] = math.sqrt(energy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +80,8 @@ class Candidates:
 
 def log_sizes(model: GaussianModel, index: npt.NDArray[np.int64]) -> Float64:
     """(n,) mean of the two larger log scales: the smallest is often clipped or plain noise."""
-    return np.asarray(sorted_log_scales(model, index)[:, 1:].mean(axis=1))
+    s = np.sort(model.log_scales[index].astype(np.float64), axis=1)
+    return np.asarray(0.5 * (np.maximum(s[:, 1], s[:, 2] - FLATNESS_CLIP) + s[:, 2]))
 
 
 class FeatureIndex:
@@ -80,11 +92,11 @@ class FeatureIndex:
         self.reference, self.degree, self.colors = reference, degree, colors
         features = self._columns(invariant_features(reference, slice(None), degree))
         step = max(1, len(features) // 20_000)
-        sample = features[::step]
+        sample = features[::step].copy()
         self.centre = np.median(sample, axis=0)
         deviation = 1.4826 * np.median(np.abs(sample - self.centre), axis=0)
         self.scale = np.maximum(np.maximum(deviation, 0.3 * sample.std(axis=0)), 1e-3)
-        white = np.clip((features - self.centre) / self.scale, -5, 5)
+        white = self._whiten(features)
         covariance = np.cov(white[::step].T) if len(sample) > 1 else np.eye(white.shape[1])
         self.precision = np.linalg.inv(np.atleast_2d(covariance) + 0.01 * np.eye(white.shape[1]))
         rarity = self._rarity(white)
@@ -108,6 +120,12 @@ class FeatureIndex:
             return features
         return np.delete(features, np.s_[SHAPE_FEATURES : SHAPE_FEATURES + 3], axis=1)
 
+    def _whiten(self, features: Float64) -> Float64:
+        """The features over their spread, in place: of all Gaussians they are large."""
+        features -= self.centre
+        features /= self.scale
+        return np.clip(features, -5.0, 5.0, out=features)
+
     def _rarity(self, white: Float64) -> Float64:
         """Squared Mahalanobis distance from the reference's middle: the rarer a look, the fewer impostors."""
         return np.asarray(np.einsum("ij,ij->i", white @ self.precision, white))
@@ -123,7 +141,7 @@ class FeatureIndex:
         """
         pool = sample_rows(len(suspect), 10 * queries, rng)
         features = self._columns(invariant_features(suspect, pool, self.degree))
-        white = np.clip((features - self.centre) / self.scale, -5, 5)
+        white = self._whiten(features)
         rarity = self._rarity(white)
         tree, rows = self.rare_tree, self.rows
         # a margin, lest noise carries a query's partner out of the tree

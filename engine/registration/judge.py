@@ -55,7 +55,8 @@ class Verdict:
             matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
         if self.matcher is not None:
             left = np.flatnonzero(matches < 0)
-            matches[left], quality[left] = self.matcher.pair(suspect.take(left), self.fit, self.deviations)
+            rest = suspect if len(left) == len(suspect) else suspect.take(left)
+            matches[left], quality[left] = self.matcher.pair(rest, self.fit, self.deviations)
         return matches, quality
 
 
@@ -66,7 +67,7 @@ def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity
     what is left of all that were smaller.
     """
     smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
-    below = float((reference.log_scales.min(axis=1) < smallest).mean())
+    below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
     return smallest if below > CLIPPED else -np.inf
 
 

@@ -10,35 +10,35 @@ from engine.model import Float64, Int32, Int64
 from engine.numerics.crew import thread_count
 from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
-_KERNEL_VERSION = 2
+_KERNEL_VERSION = 3
 
 BINS = 48
 """Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
 
 
 @inlined
-def _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
-    shift = 0.5 * (size[i] + size[j])
-    if abs(size[i] - size[j]) > tol_size:
-        return False
-    ax, ay, az = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-    bx, by, bz = y[j, 0] - y[i, 0], y[j, 1] - y[i, 1], y[j, 2] - y[i, 2]
+def _agree(c, i, j, tol_size, wide, cos_half, cos_line):
+    """Whether two candidates agree; without a branch, so that loops over j run in vector registers. `wide` is the
+    square of the ratio by which lengths may be off."""
+    ax, ay, az = c[0, j] - c[0, i], c[1, j] - c[1, i], c[2, j] - c[2, i]
+    bx, by, bz = c[3, j] - c[3, i], c[4, j] - c[4, i], c[5, j] - c[5, i]
     la, lb = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    if la <= 0.0 or lb <= 0.0:
-        return False
-    if abs(0.5 * math.log(lb / la) - shift) > tol_edge:
-        return False
-    if cos_half < 0.0:
-        return True
-    w, p, q, r = turn[i, 0], turn[i, 1], turn[i, 2], turn[i, 3]
-    if abs(w * turn[j, 0] + p * turn[j, 1] + q * turn[j, 2] + r * turn[j, 3]) < cos_half:
-        return False
+    grown = la * c[7, i] * c[7, j]
+    fits = (abs(c[6, i] - c[6, j]) <= tol_size) & (la > 0.0) & (lb > 0.0)
+    fits &= (lb <= grown * wide) & (grown <= lb * wide)
+    w, p, q, r = c[8, i], c[9, i], c[10, i], c[11, i]
+    cosine = abs(w * c[8, j] + p * c[9, j] + q * c[10, j] + r * c[11, j])
     # v + 2 u x (u x v + w v): the line from i to j, turned as i turned
     tx, ty, tz = 2 * (q * az - r * ay), 2 * (r * ax - p * az), 2 * (p * ay - q * ax)
-    cx = ax + w * tx + q * tz - r * ty
-    cy = ay + w * ty + r * tx - p * tz
-    cz = az + w * tz + p * ty - q * tx
-    return cx * bx + cy * by + cz * bz >= cos_line * math.sqrt(la * lb)
+    along = (ax + w * tx + q * tz - r * ty) * bx + (ay + w * ty + r * tx - p * tz) * by
+    along += (az + w * tz + p * ty - q * tx) * bz
+    turned = (cosine >= cos_half) & (along >= cos_line * math.sqrt(la * lb))
+    return fits & ((cos_half < 0.0) | turned)
+
+
+def _columns(x: Float64, y: Float64, size: Float64, turn: Float64) -> Float64:
+    """(12, n): x (3), y (3), size, the factor that it is the logarithm of, turn (4)."""
+    return np.ascontiguousarray(np.concatenate([x, y, size[:, None], np.exp(size)[:, None], turn], axis=1).T)
 
 
 def degrees_of_agreement(
@@ -53,19 +53,17 @@ def degrees_of_agreement(
 ) -> Int32:
     """With how many others each candidate agrees, (n,) int32."""
     out = np.zeros(len(x), np.int32)
-    count_agreeing(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line, out)
+    count_agreeing(_columns(x, y, size, turn), tol_size, math.exp(2.0 * tol_edge), cos_half, cos_line, out)
     return out
 
 
 @parallel_kernel
-def count_agreeing(x, y, size, turn, tol_size, tol_edge, cos_half, cos_line, out, call):
+def count_agreeing(columns, tol_size, wide, cos_half, cos_line, out, call):
     """`degrees_of_agreement`, to `out`."""
-    n = len(x)
-    for i in share_of(n, call):
+    for i in share_of(len(out), call):
         count = 0
-        for j in range(n):
-            if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
-                count += 1
+        for j in range(len(out)):  # nobody agrees with itself: the length is 0
+            count += _agree(columns, i, j, tol_size, wide, cos_half, cos_line)
         out[i] = count
 
 
@@ -125,28 +123,32 @@ def evidence(
 ) -> tuple[float, int]:
     """Best log likelihood ratio of a similarity, R and (scale, t), over the tolerances, and which; after Moisan and
     Stival, IJCV 2004."""
-    best, at = weigh(x, y, size, turn, moved, tol_size, extent, chance, np.zeros(BINS))
+    columns = np.ascontiguousarray(np.concatenate([x, y, size[:, None]], axis=1).T)
+    errors = np.empty(len(x))
+    best, at = weigh(columns, turn, moved, tol_size, extent, chance, np.zeros(BINS), errors, errors.view(np.int64))
     return float(best), int(at)
 
 
 @kernel
-def weigh(x, y, size, turn, moved, tol_size, extent, chance, counts):
-    """`evidence`; `counts` (BINS,) is scratch."""
-    n, log_scale = len(x), math.log(moved[0])
-    for b in range(BINS):
-        counts[b] = 0.0
+def weigh(c, turn, moved, tol_size, extent, chance, counts, errors, bits):
+    """`evidence`; `counts` (BINS,) and `errors` (n,) are scratch, `bits` are those of the errors."""
+    log_scale, unit, s = math.log(moved[0]), 1.0 / (extent * extent), moved[0]
     sized = 0
-    for i in range(n):
-        if abs(size[i] - log_scale) > tol_size:
-            continue
-        sized += 1
+    for i in range(len(errors)):
         e = 0.0
         for r in range(3):
-            d = moved[0] * (turn[r, 0] * x[i, 0] + turn[r, 1] * x[i, 1] + turn[r, 2] * x[i, 2]) + moved[1 + r]
-            e += (d - y[i, r]) ** 2
-        bin_ = BINS - 1 if e <= 0.0 else int(min(BINS - 1.0, math.floor(-math.log2(e / (extent * extent)))))
+            d = s * (turn[r, 0] * c[0, i] + turn[r, 1] * c[1, i] + turn[r, 2] * c[2, i]) + moved[1 + r] - c[3 + r, i]
+            e += d * d
+        fits = abs(c[6, i] - log_scale) <= tol_size
+        sized += fits
+        errors[i] = e * unit if fits else 2.0  # beyond all tolerances
+    for b in range(BINS):
+        counts[b] = 0.0
+    for i in range(len(errors)):
+        # floor(-log2) is what the exponent says, and one less where anything follows the leading digit
+        bin_ = 1023 - (bits[i] >> 52) - ((bits[i] & 0xFFFFFFFFFFFFF) != 0)
         if bin_ >= 0:
-            counts[bin_] += 1.0
+            counts[min(bin_, BINS - 1)] += 1.0
     best, at, total = 0.0, -1, 0.0
     for b in range(BINS - 1, -1, -1):
         total += counts[b]
@@ -179,24 +181,27 @@ def best_triples(
     turns, moves = np.zeros((count, 3, 3)), np.zeros((count, 4))
     scores, bins, tries = np.zeros(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
     rules, found = (tol_size, tol_edge, cos_half, cos_line, extent), (turns, moves, scores, bins, tries)
-    threads = thread_count()
-    scratch = np.empty((threads, len(x)), np.int64), np.empty((threads, 5, 3, 3)), np.empty((threads, 4 + BINS))
-    draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, scratch, found)
+    threads, errors = thread_count(), np.empty((thread_count(), len(x)))
+    room = np.empty((threads, 5, 3, 3)), np.empty((threads, 4 + BINS)), errors, errors.view(np.int64)
+    friends = np.empty((threads, len(x)), np.int64)
+    draw_triples(x, y, _columns(x, y, size, turn), seeds, draws, rules, chance, seed, (friends, *room), found)
     return found
 
 
 @parallel_kernel
-def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, scratch, found, call):
+def draw_triples(x, y, columns, seeds, draws, rules, chance, seed, scratch, found, call):
     """`best_triples`, to `found`, which holds zeros, and -1 in the bins."""
     friends, room = scratch[0][call[0]], scratch[1][call[0]]
     R, moved, counts = room[4], scratch[2][call[0], :4], scratch[2][call[0], 4:]
+    errors, bits, size = scratch[3][call[0]], scratch[4][call[0]], columns[6]
     tol_size, tol_edge, cos_half, cos_line, extent = rules
+    wide = math.exp(2.0 * tol_edge)
     turns, moves, scores, bins, tries = found
     for s in share_of(len(seeds), call):
         i = seeds[s]
         many = 0
         for j in range(len(x)):
-            if j != i and _agree(x, y, size, turn, i, j, tol_size, tol_edge, cos_half, cos_line):
+            if _agree(columns, i, j, tol_size, wide, cos_half, cos_line):
                 friends[many] = j
                 many += 1
         if many < 2:
@@ -211,14 +216,14 @@ def draw_triples(x, y, size, turn, seeds, draws, rules, chance, seed, scratch, f
             z = z ^ (z >> np.uint64(31))
             j = friends[np.int64((z & np.uint64(0xFFFFFFFF)) % np.uint64(many))]
             k = friends[np.int64((z >> np.uint64(32)) % np.uint64(many))]
-            if j == k or not _agree(x, y, size, turn, j, k, tol_size, tol_edge, cos_half, cos_line):
+            if not _agree(columns, j, k, tol_size, wide, cos_half, cos_line):
                 continue
             if not _triple(x, y, i, j, k, R, moved, room):
                 continue
             if abs(math.log(moved[0]) - (size[i] + size[j] + size[k]) / 3.0) > tol_edge:
                 continue
             tries[s] += 1
-            score, at = weigh(x, y, size, R, moved, tol_size, extent, chance, counts)
+            score, at = weigh(columns, R, moved, tol_size, extent, chance, counts, errors, bits)
             if score > scores[s]:
                 scores[s], bins[s] = score, at
                 for a in range(3):

@@ -134,7 +134,7 @@ def _answer(
     index: ReferenceIndex, hands: Hands, verdict: Verdict, tried: int, rng: np.random.Generator
 ) -> Registration:
     """The registration that follows from a verdict: every suspect Gaussian is matched."""
-    suspect = hands.of(verdict.mirrored)
+    suspect = hands.bare(verdict.mirrored)
     matches, quality = verdict.match(suspect)
     if quality.mean() < EXPLAINED:
         in_order = verdict.order_quality is not None

@@ -13,17 +13,18 @@ from engine.errors import InputError
 from engine.model import Float64
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
-from engine.watermark.power import evidence_needed, expected_z, measured_change, power
+from engine.watermark.power import Moments, moments
 from engine.watermark.rates import AppliedRate
 from engine.watermark.statistics import (
     CHANCE_RATE,
     DISHONEST_CLAIMANT_RATE,
     Signs,
-    bit_statistics,
-    claim_z,
+    bit_sums,
     decode_bits,
     log10_binomial_tail,
     log10_false_claim_bound,
+    signed_z,
+    weighted_evidence,
     z_threshold,
 )
 
@@ -148,6 +149,7 @@ def decide(
     notes: tuple[str, ...] = (),
     layers: Mapping[str, float] | None = None,
     change: float | None = None,
+    sums: Moments | None = None,
 ) -> Claim:
     """From evidence to claim.
 
@@ -171,6 +173,8 @@ def decide(
         Z of each layer of the mark, where y is the loudest of several: none may be suspicious for `not_marked`.
     change : float, optional
         Largest `measured_change` of those layers; that of y where there is but one.
+    sums : Moments, optional
+        Those of y, w and signal, where they are known.
     """
     config = config or ClaimConfig()
     signal = np.broadcast_to(np.asarray(signal, dtype=np.float64), np.shape(y))
@@ -178,13 +182,14 @@ def decide(
     # 1. The bar is set before the evidence is looked at.
     threshold = z_threshold(config.false_claim_rate, tries)
     # 2. One statistic, for the registered message.
-    z = claim_z(y, w, bit_of, chips, message)
+    c = weighted_evidence(y, w)
+    z = signed_z(c, chips * message[bit_of])
     # 3. How often would a key with no part in this suspect come as far, all tries counted?
     log10_bound = log10_false_claim_bound(z, tries)
     # 4. Would this evidence have shown the mark, even a worn one, and is there no room for one that was covered?
-    expected = expected_z(y, w, signal)
-    strength = power(y, w, config.surviving * signal, threshold)
-    change = measured_change(y, w, signal) if change is None else change
+    sums = moments(y, w, signal) if sums is None else sums
+    expected, strength = sums.expected_z, sums.worn(config.surviving).power(threshold)
+    change = sums.change if change is None else change
     # 5. The answer.
     loudest = max(abs(each) for each in (z, *(layers or {}).values()))  # far below 0: turned round
     doubtful = log10_false_claim_bound(loudest, tries) < math.log10(config.doubt_rate)
@@ -208,10 +213,10 @@ def decide(
         elif strength >= config.power or doubtful:
             missing = _COVERED
         else:
-            missing = _more(evidence_needed(y, w, config.surviving * signal, threshold, config.power))
+            missing = _more(sums.worn(config.surviving).evidence_needed(threshold, config.power))
     # 7. The bits: reported, but no part of the answer.
     n_bits = len(message)
-    T, norm = bit_statistics(y, w, bit_of, chips, n_bits)
+    T, norm = bit_sums(c, bit_of, chips, n_bits)
     bits, reliability = decode_bits(T, norm, _bit_strength(w, signal, bit_of, norm))
     matches = int((bits == message).sum())
 

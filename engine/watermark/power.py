@@ -20,36 +20,104 @@ import numpy as np
 from engine.model import Float64
 from engine.watermark.statistics import magnitude
 
+_ROWS = 1 << 15
+"""Chips looked at together: what is made of them stays in the cache, of 60 million it would take gigabytes."""
 
-class _Moments(NamedTuple):
+
+_SMALL = 1e-200
+"""Sums of squares above this, and below one over it, lose nothing that matters."""
+
+
+class Moments(NamedTuple):
+    """Sums over the chips that all these questions are answered from."""
+
     signal: float  # S
-    root: float  # sqrt(Q)
-    spread: float  # |a|
-    mark: float  # |w s|
+    noise: float  # sum (w y)^2
+    mark: float  # sum (w s)^2; with the first, Q
+    mixed: tuple[float, float]  # sums (w y)^2 w s and (w y)^2 (w s)^2
+    unit: float = 1.0  # in which w y and w s are measured
+
+    @property
+    def root(self) -> float:
+        """sqrt(Q)."""
+        return math.sqrt(self.noise + self.mark)
+
+    @property
+    def expected_z(self) -> float:
+        """See the function."""
+        return self.signal / self.root if self.root > 0 else 0.0
+
+    @property
+    def change(self) -> float:
+        """See `measured_change`."""
+        return math.sqrt(self.noise / self.mark) if self.mark > 0 else math.inf
+
+    def worn(self, share: float) -> "Moments":
+        """Those of a mark of which so much is left."""
+        mixed = share * self.mixed[0], share**2 * self.mixed[1]
+        return Moments(share * self.signal, self.noise, share**2 * self.mark, mixed, self.unit)
+
+    def plus(self, other: "Moments") -> "Moments":
+        """Those of both evidences, on different chips."""
+        unit = max(self.unit, other.unit)
+        powers = np.array([1, 2, 2, 3, 4])
+        both = np.zeros(5)
+        for part in (self, other):
+            both += (part.unit / unit) ** powers * (part.signal, part.noise, part.mark, *part.mixed)
+        signal, noise, mark, *mixed = both.tolist()
+        return Moments(signal, noise, mark, (mixed[0], mixed[1]), unit)
+
+    def power(self, threshold: float, proven: bool = True) -> float:
+        """See the function."""
+        root = self.root
+        margin = self.signal - threshold * root
+        slope = threshold / root if root > 0 else 0.0
+        spread = math.sqrt(max(0.0, self.noise - 2.0 * slope * self.mixed[0] + slope**2 * self.mixed[1]))  # |a|
+        if spread == 0:
+            return 1.0 if margin >= 0 and root > 0 else 0.0
+        x = margin / spread
+        if not proven:
+            return 0.5 * math.erfc(-x / math.sqrt(2))
+        return -math.expm1(-x * x / 2) if x > 0 else 0.0
+
+    def evidence_needed(self, threshold: float, target: float) -> float:
+        """See the function."""
+        if self.signal <= 0:
+            return math.inf
+        x = math.sqrt(-2 * math.log1p(-target))  # of |a| without the threshold's term, which fades as 1 / sqrt(k)
+        return ((threshold * self.root + x * math.sqrt(self.noise)) / self.signal) ** 2
 
 
-def _moments(y: Float64, w: Float64, signal: Float64, threshold: float) -> _Moments:
+def moments(y: Float64, w: Float64, signal: Float64 | float) -> Moments:
+    """The sums of some evidence; the arguments are those of `expected_z`. ValueError unless they are finite and weights
+    at least 0."""
     y, w, signal = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (y, w, signal)))
+    found = _sums(y, w, signal, 1.0, 1.0)
+    if all(_SMALL < size < 1.0 / _SMALL for size in (found.noise + found.mark, found.mixed[1] or 1.0)):
+        return found
+    # Not finite, or squares so large or small that digits are lost: looked at closely.
     largest = magnitude(y), magnitude(w), magnitude(signal)
     if not all(map(math.isfinite, largest)):
         raise ValueError("evidence and signal must be finite")
-    if w.min(initial=0.0) < 0:
-        raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
     unit = max(largest[0], largest[2]) or 1.0
-    wy, ws = y / unit, signal / unit
-    wy *= w
-    ws *= w
-    top = max(magnitude(wy), magnitude(ws)) or 1.0
-    wy /= top
-    ws /= top
-    root = math.sqrt(float(wy @ wy + ws @ ws))
-    total, mark = float(ws.sum()), math.sqrt(float(ws @ ws))
-    if root > 0:  # w y times 1 - threshold w s / root, in place: there may be 60 million chips
-        ws *= threshold
-        ws /= root
-        np.subtract(1.0, ws, out=ws)
-        wy *= ws
-    return _Moments(total, root, math.sqrt(float(wy @ wy)), mark)
+    shown = np.maximum(np.abs(y / unit), np.abs(signal / unit)) * (w / (largest[1] or 1.0))
+    return _sums(y, w, signal, unit, (largest[1] or 1.0) * (float(shown.max(initial=0.0)) or 1.0))
+
+
+def _sums(y: Float64, w: Float64, signal: Float64, unit: float, top: float) -> Moments:
+    """`moments` of y and signal in units, weights in tops."""
+    sums, least = np.zeros(5), 0.0
+    for start in range(0, len(y), _ROWS):
+        rows = slice(start, start + _ROWS)
+        weights = w[rows] / top
+        wy, ws = y[rows] / unit * weights, signal[rows] / unit * weights
+        noise, mark = wy * wy, ws * ws
+        sums += ws.sum(), noise.sum(), mark.sum(), noise @ ws, noise @ mark
+        least = min(least, float(weights.min()))
+    if least < 0:
+        raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
+    total, of_noise, of_mark, *mixed = sums.tolist()
+    return Moments(total, of_noise, of_mark, (mixed[0], mixed[1]), unit * top)
 
 
 def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
@@ -58,8 +126,7 @@ def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
     y and w (C,) are displacement estimates and weights >= 0. The signal, (C,) or one for all, is the mark's amplitude
     as y would show it, in the unit of y; negative where neighbouring chips push a chip's y against its own sign.
     """
-    m = _moments(y, w, signal, 0.0)
-    return m.signal / m.root if m.root > 0 else 0.0
+    return moments(y, w, signal).expected_z
 
 
 def measured_change(y: Float64, w: Float64, signal: Float64) -> float:
@@ -69,8 +136,7 @@ def measured_change(y: Float64, w: Float64, signal: Float64) -> float:
     estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the mark leaves
     sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is no room for it.
     """
-    m = _moments(y, w, signal, 0.0)  # at threshold 0 a is w y
-    return m.spread / m.mark if m.mark > 0 else math.inf
+    return moments(y, w, signal).change
 
 
 def power(y: Float64, w: Float64, signal: Float64, threshold: float, proven: bool = True) -> float:
@@ -86,14 +152,7 @@ def power(y: Float64, w: Float64, signal: Float64, threshold: float, proven: boo
         True: the lower bound of this module's text, which holds for every y. False: the normal approximation,
         close for evidence of many chips of similar weight.
     """
-    m = _moments(y, w, signal, threshold)
-    margin = m.signal - threshold * m.root
-    if m.spread == 0:
-        return 1.0 if margin >= 0 and m.root > 0 else 0.0
-    x = margin / m.spread
-    if not proven:
-        return 0.5 * math.erfc(-x / math.sqrt(2))
-    return -math.expm1(-x * x / 2) if x > 0 else 0.0
+    return moments(y, w, signal).power(threshold, proven)
 
 
 def evidence_needed(y: Float64, w: Float64, signal: Float64, threshold: float, target: float) -> float:
@@ -102,8 +161,4 @@ def evidence_needed(y: Float64, w: Float64, signal: Float64, threshold: float, t
     k independent pieces like this one multiply S by k and Q and |a|^2 by k, so
     sqrt(k) S = threshold sqrt(Q) + x |a|, x = sqrt(-2 ln(1 - target)).
     """
-    m = _moments(y, w, signal, 0.0)  # |a| without the threshold's term, which fades as 1 / sqrt(k)
-    if m.signal <= 0:
-        return math.inf
-    x = math.sqrt(-2 * math.log1p(-target))
-    return ((threshold * m.root + x * m.spread) / m.signal) ** 2
+    return moments(y, w, signal).evidence_needed(threshold, target)

@@ -53,24 +53,22 @@ def weighted_evidence(y: Float64, w: Float64) -> Float64:
     y, w = np.asarray(y, dtype=np.float64), np.asarray(w, dtype=np.float64)
     if y.ndim != 1 or y.shape != w.shape:
         raise ValueError(f"y and w must be equally long lists, got shapes {y.shape} and {w.shape}")
-    if not (math.isfinite(magnitude(y)) and math.isfinite(magnitude(w))):
-        raise ValueError("evidence must be finite: give weight 0 and y 0 to what could not be measured")
+    largest, heaviest = magnitude(y), float(w.max(initial=0.0))
     if w.min(initial=0.0) < 0:
         raise ValueError(f"weights must be >= 0, the smallest is {w.min()}")
-    y, w = _to_unit(y), _to_unit(w)
-    return _to_unit(y * w)
+    if not (math.isfinite(largest) and math.isfinite(heaviest)):
+        raise ValueError("evidence must be finite: give weight 0 and y 0 to what could not be measured")
+    # Each is scaled, so that no square or sum over- or underflows where it matters.
+    c = y / (largest or 1.0)
+    c *= w / (heaviest or 1.0)
+    c /= magnitude(c) or 1.0
+    return c
 
 
 def magnitude(values: Float64) -> float:
     """The largest absolute value, 0 of none; not finite where one is not."""
     low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     return max(-low, high) if low == low else low  # NaN is in both, and in no comparison
-
-
-def _to_unit(values: Float64) -> Float64:
-    """Scale to a largest magnitude of 1, so that no square or sum over- or underflows where it matters."""
-    largest = magnitude(values)
-    return values / largest if largest > 0 else values
 
 
 def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, message: Signs) -> float:
@@ -87,11 +85,13 @@ def claim_z(y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Sign
     message : (B,) +-1
         The *registered* message, never the decoded one.
     """
-    c = weighted_evidence(y, w)
+    return signed_z(weighted_evidence(y, w), chips * message[bit_of])
+
+
+def signed_z(c: Float64, signs: Signs) -> float:
+    """Z of weighted evidence c (C,) and the signs (C,) that chips and message stand for together."""
     norm = math.sqrt(float(c @ c))
-    if norm == 0:
-        return 0.0
-    return float(c @ (chips * message[bit_of]).astype(np.float64)) / norm
+    return float(c @ signs.astype(np.float64)) / norm if norm > 0 else 0.0
 
 
 def log10_false_claim_bound(z: float, tries: int = 1) -> float:
@@ -124,7 +124,11 @@ def bit_statistics(
     norm : (B,) float64
         sqrt(sum (w[i] y[i])^2): for a wrong key, P(T_b / norm_b >= z) <= exp(-z^2 / 2).
     """
-    c = weighted_evidence(y, w)
+    return bit_sums(weighted_evidence(y, w), bit_of, chips, n_bits)
+
+
+def bit_sums(c: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, n_bits: int) -> tuple[Float64, Float64]:
+    """`bit_statistics` of weighted evidence c (C,)."""
     T = np.bincount(bit_of, weights=c * chips, minlength=n_bits).astype(np.float64)
     norm: Float64 = np.sqrt(np.bincount(bit_of, weights=c * c, minlength=n_bits))
     if len(T) != n_bits:

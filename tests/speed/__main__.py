@@ -75,6 +75,7 @@ def without_avx512() -> dict[str, str]:
 def run(checkout: Path, program: str, arguments: list[str], variables: dict[str, str]) -> dict[str, float]:
     """The numbers that a program printed, run by a checkout's modules."""
     environment = {**os.environ, **variables, "PYTHONPATH": str(checkout)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # who installs a package has its byte code
     command = [sys.executable, "-c", program, *arguments]
     ended = subprocess.run(command, cwd=checkout, env=environment, stdout=subprocess.PIPE, check=True)
     numbers: dict[str, float] = json.loads(ended.stdout.splitlines()[-1])
