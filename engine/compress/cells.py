@@ -8,7 +8,7 @@ shows about as much, so every chip and every bit gets about the same evidence. N
 import numpy as np
 
 from engine.model import Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
@@ -16,14 +16,14 @@ COLOR_WEIGHT = 0.06
 _KERNEL_VERSION = 2  # numba's cache looks at this file only
 
 
-@parallel_kernel(allocates=True)
-def _split_level(features, weights, order, starts, scratch, cuts, call):  # type: ignore[no-untyped-def]
-    """Split every node [starts[k], starts[k+1]) of `order` at its weighted median along its widest feature."""
+@parallel_kernel
+def _split_level(features, weights, order, starts, keys, masses, scratch, cuts, call):  # type: ignore[no-untyped-def]
+    """Split every node [starts[k], starts[k+1]) of `order` at its weighted median along its widest feature. Both halves
+    keep the order of the file, in which equal ones are dealt out, too. Keys, masses and scratch (N,) are its own."""
     dims = features.shape[1]
     for k in share_of(len(starts) - 1, call):
         begin, end = starts[k], starts[k + 1]
-        count = end - begin
-        if count < 2:
+        if end - begin < 2:
             cuts[k] = end
             continue
         total = 0.0
@@ -41,19 +41,63 @@ def _split_level(features, weights, order, starts, scratch, cuts, call):  # type
                 spread += weights[order[j]] * gap * gap
             if spread > widest:
                 widest, best = spread, d
-        keys = np.empty(count, np.float32)
-        for j in range(count):
-            keys[j] = features[order[begin + j], best]
-        rank = np.argsort(keys, kind="mergesort")  # stable: ties keep file order, so the tree is reproducible
-        for j in range(count):
-            scratch[begin + j] = order[begin + rank[j]]
-        half, running, cut = 0.5 * total, 0.0, begin + 1
         for j in range(begin, end):
-            order[j] = scratch[j]
-            running += weights[scratch[j]]
-            if running < half:
-                cut = j + 2
-        cuts[k] = min(max(cut, begin + 1), end - 1)
+            keys[j], masses[j] = features[order[j], best], weights[order[j]]
+        median, below = _weighted_median(keys, masses, begin, end, 0.5 * total)
+        low, high, last = begin, 0, -1
+        for j in range(begin, end):
+            key = features[order[j], best]
+            if key < median or (key == median and below < 0.5 * total):
+                if key == median:
+                    below, last = below + weights[order[j]], low
+                order[low] = order[j]
+                low += 1
+            else:
+                scratch[begin + high] = order[j]
+                high += 1
+        if high == 0:  # one that outweighs all others is the greatest: it is a half by itself
+            scratch[begin], high, low = order[last], 1, low - 1
+            for j in range(last, low):
+                order[j] = order[j + 1]
+        for j in range(high):
+            order[low + j] = scratch[begin + j]
+        cuts[k] = low
+
+
+@inlined
+def _weighted_median(keys, masses, begin, end, half):  # type: ignore[no-untyped-def]
+    """The key at which the masses of [begin, end), in the order of their keys, reach `half`; and the mass of all that
+    are smaller. Reorders both, as Hoare's quickselect does."""
+    below, draw = 0.0, 1
+    while end - begin > 1:
+        draw = (draw * 1103515245 + 12345) & 0x7FFFFFFF  # no order of the file is a slow one
+        a, b, c = keys[begin + draw % (end - begin)], keys[(begin + end) >> 1], keys[end - 1]
+        pivot = max(min(a, b), min(max(a, b), c))
+        smaller, j, greater = begin, begin, end  # three heaps: below the pivot, equal to it, above
+        mass, equal = 0.0, 0.0
+        while j < greater:
+            key = keys[j]
+            if key < pivot:
+                mass += masses[j]
+                keys[j], keys[smaller] = keys[smaller], key
+                masses[j], masses[smaller] = masses[smaller], masses[j]
+                smaller += 1
+                j += 1
+            elif key > pivot:
+                greater -= 1
+                keys[j], keys[greater] = keys[greater], key
+                masses[j], masses[greater] = masses[greater], masses[j]
+            else:
+                equal += masses[j]
+                j += 1
+        if smaller > begin and below + mass >= half:
+            end = smaller
+        elif below + mass + equal >= half or greater == end:
+            return pivot, below + mass
+        else:
+            below += mass + equal
+            begin = greater
+    return keys[begin], below
 
 
 def cell_features(model: GaussianModel, radius: float) -> Float32:
@@ -85,10 +129,10 @@ def split_cells(features: Float32, weights: Float64, count: int) -> Int32:
     features = np.ascontiguousarray(features, dtype=np.float32)
     order = np.arange(n, dtype=np.int64)
     starts = np.array([0, n], dtype=np.int64)
-    scratch = np.empty(n, dtype=np.int64)
+    keys, masses, scratch = np.empty(n, np.float32), np.empty(n), np.empty(n, np.int64)
     for _ in range(depth):
         cuts = np.empty(len(starts) - 1, dtype=np.int64)
-        _split_level(features, weights, order, starts, scratch, cuts)
+        _split_level(features, weights, order, starts, keys, masses, scratch, cuts)
         starts = np.unique(np.concatenate([starts, cuts]))
     labels = np.empty(n, dtype=np.int32)
     labels[order] = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))

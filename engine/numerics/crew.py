@@ -9,14 +9,13 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from queue import SimpleQueue
 from typing import Any
 
 # Torch's idle OpenMP workers sleep instead of spinning: beside kernels spinning costs 2 to 20 times on a busy machine.
 # It must be set before torch starts its pool.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-
-import numba
 
 __all__ = ["run_turns", "thread_count", "use_threads"]
 
@@ -26,7 +25,17 @@ _own = threading.local()
 def thread_count() -> int:
     """How many threads a parallel kernel uses when this thread calls it; all that NUMBA_NUM_THREADS allows (by default
     one for each core) unless `use_threads` says otherwise."""
-    return getattr(_own, "count", None) or int(numba.config.NUMBA_NUM_THREADS)
+    return getattr(_own, "count", None) or _allowed()
+
+
+@cache
+def _allowed() -> int:
+    try:
+        asked = int(os.environ.get("NUMBA_NUM_THREADS", "0"))
+    except ValueError:
+        asked = 0
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return asked if asked > 0 else cores
 
 
 @contextmanager

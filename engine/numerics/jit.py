@@ -1,51 +1,122 @@
-"""The numba options of the whole program, in one place, and how kernels are divided among threads.
+"""Compiled kernels: their options, in one place, and how they are divided among threads.
 
 No option set here carries the no-NaN or no-infinity flags: with full ``fastmath`` an ``isnan`` guard silently
 vanishes. Nor does any carry ``reassoc``: it lets LLVM cancel the magic constant of the exponential's range
 reduction (measured: 35 dB images).
 
 Kernels make no arrays unless they say so (``allocates``): then numba counts no references either, which it otherwise
-does at every call of an inlined function (measured: half of the time of a loop that calls one).
+does at every call of an inlined function (measured: half of the time of a loop that calls one). And then their machine
+code stands alone: it is kept and called without numba (`native`), which is imported only to compile.
 
-Numba's disk cache looks at the date of the file that defines a kernel, not at what that file imports. So
-every file of kernels holds a ``_KERNEL_VERSION``; raise it when something the kernels import has changed.
+Those that do make arrays are numba's to keep. Its cache looks at the date of the file that defines a kernel, not at
+what that file imports: so every file of kernels holds a ``_KERNEL_VERSION``; raise it when something they import has
+changed.
 """
 
+import threading
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-import numba
-from numba.extending import register_jitable
-
+from engine.numerics import native
 from engine.numerics.crew import run_turns, thread_count, use_threads
+from engine.numerics.deferred import Deferred, resolved, text_of
 
-__all__ = ["FLOAT_FLAGS", "ParallelKernel", "inlined", "kernel", "parallel_kernel", "share_of", "side_by_side"]
+__all__ = [
+    "FLOAT_FLAGS",
+    "Kernel",
+    "ParallelKernel",
+    "inlined",
+    "kernel",
+    "parallel_kernel",
+    "share_of",
+    "side_by_side",
+]
 
 FLOAT_FLAGS = frozenset({"nsz", "arcp", "contract", "afn"})
 """Floating-point freedoms given to LLVM: signed zeros, reciprocals, fused multiply-add, approximate
 functions."""
 
-_INLINED: dict[str, Any] = {
-    "boundscheck": False,
-    "error_model": "numpy",  # no division-by-zero checks: they stop vectorization
-    "fastmath": set(FLOAT_FLAGS),
-}
-_OPTIONS: dict[str, Any] = {**_INLINED, "cache": True, "nogil": True}
-
 A = TypeVar("A")
 B = TypeVar("B")
 
 
+class Kernel(Deferred):
+    """What `kernel` makes: compiled at the first call with arguments of new types. What other kernels call of it is
+    numba's own callable."""
+
+    def __init__(self, function: Callable[..., Any], allocates: bool = False) -> None:
+        super().__init__(function, self._make_numbas)
+        self._allocates = allocates
+        self._natives: dict[str, native.Native] = {}
+        self._lock = threading.Lock()
+
+    def py_func(self, *arguments: Any) -> Any:
+        """The same, not compiled."""
+        return self.function(*arguments)
+
+    @property
+    def signatures(self) -> list[str]:
+        """Types of arguments for which there is code by now."""
+        return [*self._natives, *map(str, self._compiled.signatures if self._compiled is not None else ())]
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it."""
+        code = self._code(arguments)
+        return self.compiled()(*arguments) if code is None else code(*native.flatten(arguments, []))
+
+    def _code(self, arguments: tuple[Any, ...]) -> native.Native | None:
+        """Machine code for such arguments; None where numba must run it."""
+        if self._allocates:
+            return None
+        kinds = native.kind_of(arguments)
+        if kinds is None:
+            return None
+        return self._natives.get(kinds) or self._made(kinds, arguments)
+
+    def _made(self, kinds: str, arguments: tuple[Any, ...]) -> native.Native | None:
+        with self._lock:
+            if kinds in self._natives:
+                return self._natives[kinds]
+            label, text = f"{self.__module__}.{self.__name__}", text_of(self.function)
+            code = native.find(label, text, kinds)
+            if code is None:
+                native.announce()
+                from engine.numerics.compiling import compile_kernel
+
+                code = compile_kernel(resolved(self.function), FLOAT_FLAGS, arguments)
+                if code is None:
+                    return None
+                native.keep(label, text, kinds, code)
+            ready = native.load(code)
+            if ready is not None:
+                self._natives[kinds] = ready
+            return ready
+
+    def _make_numbas(self) -> Any:
+        from engine.numerics.compiling import dispatcher
+
+        return dispatcher(resolved(self.function), FLOAT_FLAGS, self._allocates)
+
+
 def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = False) -> Any:
     """Compile a single-threaded kernel."""
-    compiled = numba.njit(_nrt=allocates, **_OPTIONS)
-    return compiled if function is None else compiled(function)
+    if function is None:
+        return lambda given: Kernel(given, allocates)
+    return Kernel(function, allocates)
 
 
 def inlined(function: Callable[..., Any] | None = None, *, allocates: bool = False) -> Any:
-    """Compile a piece of a kernel that LLVM inlines wherever it is called."""
-    compiled = numba.njit(forceinline=True, _nrt=allocates, **_INLINED)
-    return compiled if function is None else compiled(function)
+    """A piece of a kernel that LLVM inlines wherever it is called."""
+
+    def make(given: Callable[..., Any]) -> Deferred:
+        def compiled() -> Any:
+            from engine.numerics.compiling import inlined_function
+
+            return inlined_function(resolved(given), FLOAT_FLAGS, allocates)
+
+        return Deferred(given, compiled, (allocates,))
+
+    return make if function is None else make(function)
 
 
 def parallel_kernel(function: Callable[..., Any] | None = None, *, allocates: bool = False) -> Any:
@@ -57,27 +128,37 @@ def parallel_kernel(function: Callable[..., Any] | None = None, *, allocates: bo
     return ParallelKernel(function, allocates)
 
 
-@register_jitable(forceinline=True)
-def share_of(count, call):  # type: ignore[no-untyped-def]  # of kernels
+def _deferred_share_of(count, call):  # type: ignore[no-untyped-def]  # of kernels
     """The part of range(count) that belongs to one of the calls of a parallel kernel: contiguous, as even as can be."""
     return range(count * call[0] // call[1], count * (call[0] + 1) // call[1])
 
 
-class ParallelKernel:
+def _compiled_share_of() -> Any:
+    from engine.numerics.compiling import plain_function
+
+    return plain_function(_deferred_share_of)
+
+
+share_of: Any = Deferred(_deferred_share_of, _compiled_share_of)
+
+
+class ParallelKernel(Kernel):
     """What `parallel_kernel` makes: called without `call`, it runs on `thread_count` threads."""
 
-    def __init__(self, function: Callable[..., Any], allocates: bool) -> None:
-        self.one_turn: Any = kernel(function, allocates=allocates)
-        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+    def py_func(self, *arguments: Any) -> None:
+        """The same, not compiled and in one turn."""
+        self.function(*arguments, (0, 1))
 
     def __call__(self, *arguments: Any, turns: int | None = None) -> None:
         """Run it; `turns` for another number of threads."""
         turns = turns or thread_count()
-        run_turns(lambda number: self.one_turn(*arguments, (number, turns)), turns)
-
-    def py_func(self, *arguments: Any) -> None:
-        """The same, not compiled and in one turn."""
-        self.one_turn.py_func(*arguments, (0, 1))
+        code = self._code((*arguments, (0, turns)))
+        if code is None:
+            run = self.compiled()
+            run_turns(lambda number: run(*arguments, (number, turns)), turns)
+        else:
+            given = native.flatten(arguments, [])
+            run_turns(lambda number: code(*given, number, turns), turns)
 
 
 def side_by_side(function: Callable[[A], B], items: Iterable[A]) -> list[B]:

@@ -10,6 +10,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from engine.numerics.native import compiler, processor, store
+
 __all__ = ["is_stamped", "stamp"]
 
 _ENGINE = Path(__file__).parents[1]
@@ -30,19 +32,12 @@ def stamp(work: str) -> None:
 
 
 def _path(work: str) -> Path:
-    from numba.core import config
-
     digest = hashlib.sha256("\0".join([work, *_facts()]).encode()).hexdigest()
-    return Path(config.CACHE_DIR or _ENGINE / "__pycache__") / f"kernels-{digest[:32]}.stamp"
+    return store() / f"kernels-{digest[:32]}.stamp"
 
 
 def _facts() -> Iterator[str]:
-    import llvmlite.binding as llvm
-    import numba
-    from numba.core import config
-
-    yield from (sys.version, numba.__version__, config.CPU_NAME or llvm.get_host_cpu_name())
-    yield config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
+    yield from (sys.version, *compiler(), *processor())
     for source in sorted(_ENGINE.rglob("*.py")):
         facts = source.stat()
         yield f"{source.relative_to(_ENGINE)} {facts.st_mtime_ns} {facts.st_size}"

@@ -126,21 +126,25 @@ def _cells(points, axes, edges, out, call):
         out[i] = cell
 
 
-@kernel(allocates=True)
-def _counting_sort(cell, count):
+def _counting_sort(cell: Int32, count: int) -> tuple[Int32, Int32]:
     """Offsets (count + 1,) and the stable order of the points by cell."""
-    start = np.zeros(count + 1, np.int32)
+    start, order = np.zeros(count + 1, np.int32), np.empty(len(cell), np.int32)
+    _sort_by_cell(cell, start, np.empty(count, np.int32), order)
+    return start, order
+
+
+@kernel
+def _sort_by_cell(cell, start, fill, order):
+    """`_counting_sort`, to `start`, which holds zeros, and `order`; `fill` (count,) is scratch."""
     for c in cell:
         start[c + 1] += 1
-    for c in range(count):
+    for c in range(len(fill)):
         start[c + 1] += start[c]
-    fill = start[:-1].copy()
-    order = np.empty(len(cell), np.int32)
+        fill[c] = start[c]
     for i in range(len(cell)):
         c = cell[i]
         order[fill[c]] = i
         fill[c] += 1
-    return start, order
 
 
 @parallel_kernel

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.crew import thread_count
 from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.resampling import smooth
 from engine.pictures.background import MARGIN, fill_background
@@ -101,14 +102,14 @@ class Refined:
         return -0.5 * self.pixels * float(np.log(max(1.0 - max(self.correlation, 0.0) ** 2, 1e-9)))
 
 
-@parallel_kernel(allocates=True)
-def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, rows, flows, call):
+@parallel_kernel
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, room, rows, flows, call):
+    """Adds up each row of pixels in `rows` and `flows`, which hold zeros; `room` is scratch."""
     height, width = base.shape
+    column, u, v = room[call[0], 0], room[call[0], 1], room[call[0], 2]
+    for k in range(PARAMETERS):
+        u[k], v[k] = np.float64(k == 7), np.float64(k == 8)
     for j in share_of(height, call):
-        column = np.zeros(PARAMETERS + 2)
-        u = np.zeros(PARAMETERS)
-        v = np.zeros(PARAMETERS)
-        u[7] = v[8] = 1.0
         b = (j + 0.5 - cy) / focal
         for i in range(width):
             if weight[j, i] <= 0.0:
@@ -188,6 +189,7 @@ def refine_level(
             camera.K[0, 2],
             camera.K[1, 2],
             outlying,
+            np.empty((thread_count(), 3, _UNKNOWNS)),
             rows,
             flows,
         )

@@ -3,8 +3,13 @@ roll, size and place."""
 
 # mypy: allow-untyped-defs
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Bool, Float32, Float64, Int64
+from engine.numerics.crew import thread_count
 from engine.numerics.jit import kernel, parallel_kernel, share_of
 
 __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
@@ -26,8 +31,16 @@ RUN = 8
 """Jobs that share their memory."""
 
 
-@parallel_kernel(allocates=True)
-def look_again(maps, inside, places, directions, views, starts, scores, poses, call):
+def look_again(
+    maps: Float32,
+    inside: Float32,
+    places: Float32,
+    directions: Float32,
+    views: Int64,
+    starts: Float64,
+    scores: Float32,
+    poses: Float64,
+) -> None:
     """The best pose near each of F finds: roll within 7.5 degrees, size within 11 %, place within 2 pixels.
 
     Parameters
@@ -39,12 +52,17 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses, c
         Roll, radians; size, pixels; x, y of the middle, pixels.
     scores, poses : (F,), (F, 4) out
     """
+    room = np.empty((thread_count(), 3, directions.shape[1]), dtype=np.int64)
+    _look_again(maps, inside, places, directions, views, starts, room, scores, poses)
+
+
+@parallel_kernel
+def _look_again(maps, inside, places, directions, views, starts, room, scores, poses, call):
     points = directions.shape[1]
+    columns, rows, bins = room[call[0], 0], room[call[0], 1], room[call[0], 2]
     for f in share_of(views.shape[0], call):
         view = views[f]
         best = np.float32(-1e9)
-        columns, rows = np.empty(points, dtype=np.int64), np.empty(points, dtype=np.int64)
-        bins = np.empty(points, dtype=np.int64)
         for turn in range(-2, 3):
             angle = starts[f, 0] + turn * (np.pi / ROLLS / 2.0)
             c, s = np.cos(angle), np.sin(angle)
@@ -72,8 +90,16 @@ def look_again(maps, inside, places, directions, views, starts, scores, poses, c
         scores[f] = best
 
 
-@parallel_kernel(allocates=True)
-def score_views(maps, places, directions, jobs, radii, size, scores, found, call):
+def score_views(
+    maps: Float32,
+    places: Float32,
+    directions: Float32,
+    jobs: Int64,
+    radii: npt.NDArray[Any],
+    size: npt.NDArray[Any],
+    scores: Float32,
+    found: npt.NDArray[Any],
+) -> None:
     """Best place of each job: a view, a roll and a size.
 
     Parameters
@@ -91,13 +117,20 @@ def score_views(maps, places, directions, jobs, radii, size, scores, found, call
     found : (J, 2) out
         x, y of the middle there, pixels.
     """
+    step, threads = maps.shape[1], thread_count()
+    rows, columns = ((int(side) + 2 * BEYOND) // step for side in size)
+    room = np.empty((threads, rows, columns), np.float32), np.empty((threads, rows + 1, columns + 1), np.int32)
+    roots = np.sqrt(np.arange(directions.shape[1] + 1).astype(np.float32))
+    _score_views(maps, places, directions, jobs, radii, size, roots, room, scores, found)
+
+
+@parallel_kernel
+def _score_views(maps, places, directions, jobs, radii, size, roots, room, scores, found, call):
     points, step = directions.shape[1], maps.shape[1]
     height, width = size[0], size[1]
-    rows, columns = (height + 2 * BEYOND) // step, (width + 2 * BEYOND) // step
-    roots = np.sqrt(np.arange(points + 1).astype(np.float32))
+    said, counted = room[0][call[0]], room[1][call[0]]
+    rows, columns = said.shape
     for run in share_of((len(jobs) + RUN - 1) // RUN, call):
-        said = np.empty((rows, columns), dtype=np.float32)
-        counted = np.empty((rows + 1, columns + 1), dtype=np.int32)
         for job in range(run * RUN, min(run * RUN + RUN, len(jobs))):
             view, radius = jobs[job, 0], radii[jobs[job, 2]]
             angle = 2.0 * np.pi * jobs[job, 1] / ROLLS
@@ -137,16 +170,21 @@ def score_views(maps, places, directions, jobs, radii, size, scores, found, call
             scores[job] = best
 
 
-@kernel(allocates=True)
-def spread_out(strength, order, count, free, reach):
+def spread_out(strength: Float32, order: Int64, count: int, free: Bool, reach: int) -> Int64:
     """(P, 2) x, y of at most `count` pixels of `strength` (h, w), in `order` of it, while it is above 0: those that are
     `free` (h, w) and more than `reach` pixels, along an axis, from those before. `free` is used up."""
-    height, width = strength.shape
     chosen = np.empty((count, 2), dtype=np.int64)
+    return chosen[: _spread_out(strength, order, free, reach, chosen)]
+
+
+@kernel
+def _spread_out(strength, order, free, reach, chosen):
+    """`spread_out`, to `chosen`; returns how many."""
+    height, width = strength.shape
     taken = 0
     for index in order:
         row, column = index // width, index % width
-        if taken == count or strength[row, column] <= 0:
+        if taken == len(chosen) or strength[row, column] <= 0:
             break
         if free[row, column]:
             chosen[taken, 0], chosen[taken, 1] = column, row
@@ -154,4 +192,4 @@ def spread_out(strength, order, count, free, reach):
             for j in range(max(0, row - reach), min(height, row + reach + 1)):
                 for i in range(max(0, column - reach), min(width, column + reach + 1)):
                     free[j, i] = False
-    return chosen[:taken]
+    return taken

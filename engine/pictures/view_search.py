@@ -48,8 +48,8 @@ def search_views(
 
     def best_places(maps: Float32, points: slice, jobs: Int64) -> tuple[Float32, Int64]:
         scores, found = np.empty(len(jobs), dtype=np.float32), np.empty((len(jobs), 2), dtype=np.int64)
-        asked = (np.ascontiguousarray(each[:, points]) for each in (edges, directions))
-        score_views(maps, *asked, jobs, sizes, shape, scores, found)
+        where, along = (np.ascontiguousarray(each[:, points]) for each in (edges, directions))
+        score_views(maps, where, along, jobs, sizes, shape, scores, found)
         return scores, found
 
     maps, coarse = picture.maps

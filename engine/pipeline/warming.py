@@ -1,7 +1,7 @@
-"""Make the kernels of a job ready before it begins: loaded from numba's disk cache, or compiled.
+"""Make the kernels of a job ready before it begins: loaded as they were kept, or compiled.
 
 Compiling is work for one core at a time, so the first kernel that is found to be missing calls helpers: processes that
-each compile steps of `engine.pipeline.warm_steps` into the same cache, from which this process then loads it.
+each compile steps of `engine.pipeline.warm_steps` and keep what they made, which this process then loads.
 """
 
 import os
@@ -11,10 +11,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from numba.core import event
-
+from engine.numerics.native import on_compiling
 from engine.pipeline.warm_steps import Step, Work, steps_of
 
 __all__ = ["Work", "expected_seconds", "warm_up"]
@@ -107,24 +105,20 @@ class _Plan:
             self._changed.wait_for(lambda: len(self._done) == len(self._steps))
 
 
-class _AtFirstCompilation(event.Listener):  # type: ignore[misc]  # numba is untyped
-    def __init__(self, then: Callable[[], None]) -> None:
-        self._then: Callable[[], None] | None = then
-
-    def on_start(self, event: Any) -> None:
-        then, self._then = self._then, None
-        if then is not None:
-            then()
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
 @contextmanager
 def _at_first_compilation(then: Callable[[], None]) -> Iterator[None]:
-    """Call this once, when numba compiles what it could not load."""
-    with event.install_listener("numba:compile", _AtFirstCompilation(then)):
+    """Call this once, when a kernel is compiled that was not kept."""
+    left = [then]
+
+    def tell() -> None:
+        if left:
+            left.pop()()
+
+    on_compiling.append(tell)
+    try:
         yield
+    finally:
+        on_compiling.remove(tell)
 
 
 def _call_helpers(plan: _Plan, count: int) -> None:

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.raster.lanes import FLOATS, INTS, floats, fused, ints, ir_function, lanes
+from engine.raster.lane_ir import FLOATS, INTS, floats, ints
+from engine.raster.lanes import fused, ir_function, lanes
 
 _ROUND = 12582912.0
 """1.5 * 2^23: adding it rounds a float32 below 2^22 to the nearest integer and leaves that in the low bits."""

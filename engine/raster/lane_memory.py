@@ -8,22 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba import types
 
+from engine.numerics.deferred import Deferred
+from engine.raster.lane_ir import FLOAT, FLOATS, INT32, INTS, LANES, broadcast, call_llvm, floats
 from engine.raster.lane_order import joined, permute
-from engine.raster.lanes import (
-    FLOAT,
-    FLOATS,
-    INT32,
-    INTS,
-    LANES,
-    broadcast,
-    call_llvm,
-    floats,
-    ir_function,
-    lanes,
-    make_intrinsic,
-)
+from engine.raster.lanes import TYPES, ir_function, lanes
 
 _EIGHT_BYTES, _EIGHT_INTS = ir.VectorType(ir.IntType(8), 8), ir.VectorType(INT32, 8)
 _FOUR_FLOATS = ir.VectorType(FLOAT, 4)
@@ -49,22 +38,17 @@ def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.ND
     return raw[start : start + size].view(kind).reshape(shape)
 
 
-def on_array(result: Any, *arguments: Any) -> Callable[..., Any]:
+def on_array(result: Any, *arguments: Any) -> Callable[..., Deferred]:
     """Decorator: an intrinsic of an array and these types, out of a function that emits its IR from the builder, a
     function from an index of the array to its address, and the values; of a tuple (None) it gets the length."""
 
-    def decorate(emit: Callable[..., Any]) -> Any:
-        def lower(context: Any, b: Any, sig: Any, args: Any) -> Any:
-            data = context.make_array(sig.args[0])(context, b, args[0]).data
-            pairs = zip(sig.args[1:], args[1:], strict=True)
-            values = [len(kind) if isinstance(kind, types.BaseTuple) else value for kind, value in pairs]
-            out = emit(b, lambda index: b.gep(data, [index]), *values)
-            return context.get_dummy_value() if result is types.void else out
+    def decorate(emit: Callable[..., Any]) -> Deferred:
+        def compiled() -> Any:
+            from engine.raster.lane_types import array_function_of
 
-        def typing(array: Any, *given: Any) -> Any:
-            return result(array, *(g if t is None else t for t, g in zip(arguments, given, strict=True)))
+            return array_function_of(emit, result, arguments)
 
-        return make_intrinsic(typing, lower, emit)
+        return Deferred(emit, compiled, (result, arguments, TYPES))
 
     return decorate
 
@@ -81,13 +65,13 @@ def load_vector(b: Any, pointer: Any, row: int = 0) -> Any:
     return value
 
 
-@on_array(lanes, types.intp)
+@on_array(lanes, "intp")
 def load(b, at, index):
     """array[index : index + 16]."""
     return load_vector(b, at(index))
 
 
-@on_array(types.void, types.intp, lanes)
+@on_array("void", "intp", lanes)
 def store(b, at, index, value):
     """array[index : index + 16] = value."""
     b.store(value, vector_at(b, at(index))).align = 4
@@ -98,7 +82,7 @@ def _quarter(b: Any, at: Any, index: Any, block: int) -> Any:
     return b.gep(b.bitcast(at(index), _FOUR_FLOATS.as_pointer()), [ir.Constant(INT32, block * LANES // 4)])
 
 
-@on_array(lanes, types.intp)
+@on_array(lanes, "intp")
 def load_quarters(b, at, index):
     """Four numbers each of four vectors in a row, of which the first begins at array[index]."""
     return joined(b, [_load_quarter(b, _quarter(b, at, index, block)) for block in range(4)])[0]
@@ -110,26 +94,26 @@ def _load_quarter(b: Any, pointer: Any) -> Any:
     return value
 
 
-@on_array(types.void, types.intp, lanes)
+@on_array("void", "intp", lanes)
 def store_quarters(b, at, index, value):
     """The inverse of `load_quarters`."""
     for block in range(4):
         b.store(permute(b, value, [4 * block + k for k in range(4)]), _quarter(b, at, index, block)).align = 4
 
 
-@on_array(types.float32, types.intp)
+@on_array("float32", "intp")
 def number(b, at, index):
     """array[index], which may not be negative: Python's count from the end costs a comparison at every access."""
     return b.load(at(index), typ=FLOAT)
 
 
-@on_array(types.void, types.intp, types.float32)
+@on_array("void", "intp", "float32")
 def put(b, at, index, value):
     """array[index] = value, index as of `number`."""
     b.store(value, at(index))
 
 
-@on_array(types.int32, types.intp)
+@on_array("int32", "intp")
 def entry(b, at, index):
     """As `number`, of an int32 array."""
     return b.load(at(index), typ=INT32)
@@ -140,21 +124,21 @@ def _first_lanes(b: Any, count: Any) -> Any:
     return b.icmp_signed("<", _LANE_NUMBERS, broadcast(b, count, INTS))
 
 
-@on_array(lanes, types.intp, types.int32)
+@on_array(lanes, "intp", "int32")
 def load_some(b, at, index, count):
     """array[index : index + count] and zeros after it; count may be anything, also negative. Reads no further."""
     arguments = [vector_at(b, at(index)), ir.Constant(INT32, 4), _first_lanes(b, count), floats(0)]
     return call_llvm(b, f"llvm.masked.load.v{LANES}f32.p0", FLOATS, arguments)
 
 
-@on_array(types.void, types.intp, types.int32, lanes)
+@on_array("void", "intp", "int32", lanes)
 def store_some(b, at, index, count, value):
     """array[index : index + count] = the first lanes; count may be anything, also negative."""
     arguments = [value, vector_at(b, at(index)), ir.Constant(INT32, 4), _first_lanes(b, count)]
     call_llvm(b, f"llvm.masked.store.v{LANES}f32.p0", ir.VoidType(), arguments)
 
 
-@on_array(types.void, types.intp)
+@on_array("void", "intp")
 def prefetch(b, at, index):
     """Ask for the cache line of array[index]."""
     read, near, data = (ir.Constant(INT32, v) for v in (0, 3, 1))
@@ -162,7 +146,7 @@ def prefetch(b, at, index):
     call_llvm(b, "llvm.prefetch.p0", ir.VoidType(), [pointer, read, near, data])
 
 
-@on_array(types.int64, types.intp, types.int64)
+@on_array("int64", "intp", "int64")
 def fetch_add(b, at, index, amount):
     """Atomically add to an int64 array; returns the value before."""
     return b.atomic_rmw("add", at(index), amount, "monotonic")
@@ -181,7 +165,7 @@ def _places_of_bits(module: Any) -> Any:
     return module.globals[name]
 
 
-@on_array(types.void, types.intp, types.int32, types.int32)
+@on_array("void", "intp", "int32", "int32")
 def append_set_bits(b, at, index, bits, base):
     """Write base | lane to the int32 array from index on, for every set bit of the low 16, ascending; what it writes
     behind them, as far as index + 16, is garbage.
@@ -198,13 +182,13 @@ def append_set_bits(b, at, index, bits, base):
         index = b.add(index, b.zext(call_llvm(b, "llvm.ctpop.i32", INT32, [byte]), index.type))
 
 
-@ir_function(types.int32, types.int32)
+@ir_function("int32", "int32")
 def count_bits(b, x):
     """Number of set bits."""
     return call_llvm(b, "llvm.ctpop.i32", INT32, [x])
 
 
-@ir_function(types.int32, types.int32)
+@ir_function("int32", "int32")
 def lowest_bit(b, x):
     """Index of the lowest set bit of a number that is not 0."""
     return call_llvm(b, "llvm.cttz.i32", INT32, [x, ir.Constant(ir.IntType(1), 1)])

@@ -4,12 +4,19 @@
 from typing import Any
 
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
 
-from engine.raster.lanes import INT32, INTS, LANES, REGISTER, ir_function, lanes
+from engine.raster.lane_ir import INT32, INTS, LANES, REGISTER
+from engine.raster.lanes import ir_function, lanes
 
-_THREE, _FOUR = types.UniTuple(lanes, 3), types.UniTuple(lanes, 4)
+_THREE, _FOUR = (lanes, 3), (lanes, 4)
+
+
+def together(b: Any, values: list[Any]) -> Any:
+    """IR: a tuple of values of one type."""
+    packed = ir.Constant(ir.ArrayType(values[0].type, len(values)), ir.Undefined)
+    for place, value in enumerate(values):
+        packed = b.insert_value(packed, value, place)
+    return packed
 
 
 def shuffle(b: Any, x: Any, y: Any, lanes_of_xy: list[int]) -> Any:
@@ -65,7 +72,7 @@ def unzip3(b, x, y, z):
             source = {place % REGISTER: place // REGISTER for place in places}
             gathered = _blend(b, pieces[at : at + 3], [source[lane] for lane in range(REGISTER)])
             found.append(permute(b, gathered, [place % REGISTER for place in places]))
-    return cgutils.pack_array(b, [joined(b, found)[0] for found in channels])
+    return together(b, [joined(b, found)[0] for found in channels])
 
 
 @ir_function(_THREE, lanes, lanes, lanes)
@@ -80,7 +87,7 @@ def zip3(b, x, y, z):
             spread_out.append(permute(b, parts[group], [lane_of[lane] for lane in range(REGISTER)]))
         for part in range(3):
             pieces.append(_blend(b, spread_out, [(part * REGISTER + lane) % 3 for lane in range(REGISTER)]))
-    return cgutils.pack_array(b, joined(b, pieces))
+    return together(b, joined(b, pieces))
 
 
 @ir_function(_FOUR, lanes, lanes, lanes, lanes)
@@ -91,7 +98,7 @@ def unzip4(b, w, x, y, z):
         picks = [4 * i + channel for i in range(8)] * 2  # of 32 numbers, 8 belong to the channel
         low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
         parts.append(shuffle(b, low, high, [*range(8), *range(16, 24)]))
-    return cgutils.pack_array(b, parts)
+    return together(b, parts)
 
 
 @ir_function(_FOUR, lanes, lanes, lanes, lanes)
@@ -102,4 +109,4 @@ def zip4(b, w, x, y, z):
         picks = [part * 4 + i // 4 + 16 * (i % 2) for i in range(LANES)]
         low, high = shuffle(b, w, x, picks), shuffle(b, y, z, picks)
         parts.append(shuffle(b, low, high, [i if i % 4 < 2 else 16 + i for i in range(LANES)]))
-    return cgutils.pack_array(b, parts)
+    return together(b, parts)

@@ -3,11 +3,10 @@
 # mypy: allow-untyped-defs, allow-untyped-decorators, allow-untyped-calls
 from typing import Any
 
-from numba import types
-
+from engine.raster.lane_ir import FLAGS, LANES, floats
 from engine.raster.lane_memory import load_vector, on_array, vector_at
 from engine.raster.lane_order import shuffle
-from engine.raster.lanes import FLAGS, LANES, floats, lanes
+from engine.raster.lanes import lanes
 
 
 def _fold(b: Any, x: Any, y: Any, distance: int, combine: Any) -> Any:
@@ -37,21 +36,21 @@ def _transposed(b: Any, rows: list[Any], combine: Any) -> Any:
     return current[0]
 
 
-@on_array(lanes, types.intp, None)
+@on_array(lanes, "intp", None)
 def sum_rows(b, at, index, count):
     """Lane k of the result is the sum of the 16 numbers of row k, for as many rows as the tuple `count` is long."""
     rows = [load_vector(b, at(index), row) for row in range(count)]
     return _transposed(b, rows, lambda b, x, y: b.fadd(x, y, flags=FLAGS))
 
 
-@on_array(lanes, types.intp, None)
+@on_array(lanes, "intp", None)
 def max_rows(b, at, index, count):
     """As `sum_rows`, the largest number of each row."""
     rows = [load_vector(b, at(index), row) for row in range(count)]
     return _transposed(b, rows, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
 
 
-@on_array(types.void, types.intp, types.intp)
+@on_array("void", "intp", "intp")
 def transpose(b, at, source, target):
     """The 16 x 16 numbers at `target` become the transpose of those at `source`."""
     rows = [load_vector(b, at(source), row) for row in range(LANES)]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from tests.architecture.tree import dotted, parse, product_files
 
-COMPILERS = {"cfunc", "guvectorize", "jit", "jitclass", "njit", "stencil", "vectorize"}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Rule = Callable[[ast.Module], Iterable[object]]
 """What a file's syntax tree has against a rule."""
@@ -231,68 +230,21 @@ def test_library_code_does_not_print() -> None:
     assert printing(ast.parse("a.print()\nprint(a)")) == [2]
 
 
-def numba_names(tree: ast.Module) -> set[str]:
-    """Spellings under which a file can reach numba's compilers: `numba.njit`, `nb.njit`, `njit`."""
-    names: set[str] = set()
+def imports_of_numba(tree: ast.Module) -> list[int]:
+    """Lines that import numba, anywhere in a file."""
+    lines = []
     for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                if alias.name.split(".")[0] == "numba":
-                    names |= {f"{alias.asname or alias.name}.{compiler}" for compiler in COMPILERS}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "numba":
-            names |= {alias.asname or alias.name for alias in node.names if alias.name in COMPILERS}
-    return names
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        lines += [node.lineno for name in names if name.split(".")[0] == "numba"]
+    return sorted(lines)
 
 
-def uncached_kernels(tree: ast.Module) -> list[int]:
-    """Lines that compile with numba and do not say cache=True.
-
-    A dict of options of the same module counts when it is written out there; so does forceinline, for such a
-    piece is compiled into its callers and cached with them.
-    """
-    compilers = numba_names(tree)
-    caching = set()
-    for node in tree.body:
-        value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
-        if isinstance(value, ast.Dict):
-            pairs = {k.value: v for k, v in zip(value.keys, value.values, strict=True) if isinstance(k, ast.Constant)}
-            if isinstance(pairs.get("cache"), ast.Constant) and pairs["cache"].value is True:
-                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                caching |= {dotted(target) for target in targets}
-    cached = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and dotted(node.func) in compilers:
-            for keyword in node.keywords:
-                said = isinstance(keyword.value, ast.Constant) and keyword.value.value is True
-                if (keyword.arg in ("cache", "forceinline") and said) or (
-                    keyword.arg is None and dotted(keyword.value) in caching
-                ):
-                    cached.add(id(node.func))
-    uses = [node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute)]
-    return sorted(node.lineno for node in uses if dotted(node) in compilers and id(node) not in cached)
-
-
-def test_kernels_are_kept_on_disk() -> None:
-    assert not offenders(uncached_kernels)
-
-
-def test_kernel_rule_sees_what_it_looks_for() -> None:
-    code = """
-import numba
-import numba as nb
-from numba import njit as compiled, prange
-GOOD = {"cache": True}
-BAD = {"cache": False}
-@numba.njit(cache=True)
-def a(): pass
-@nb.njit(**GOOD)
-def b(): pass
-@numba.njit
-def c(): pass
-@compiled(parallel=True)
-def d(): pass
-e = numba.vectorize(**BAD)(a)
-f = compiled(cache=False)(a)
-g = nb.njit(forceinline=True)(a)
-"""
-    assert uncached_kernels(ast.parse(code)) == [11, 13, 15, 16]
+def test_numba_is_there_to_compile_alone() -> None:
+    """Kernels that are kept run without it: it costs every command half a second."""
+    found = offenders(imports_of_numba)
+    assert {line.split(":")[0] for line in found} == {"engine/numerics/compiling.py", "engine/raster/lane_types.py"}
+    assert imports_of_numba(ast.parse("import numpy\ndef f():\n    from numba.core import x\nimport numba as n")) == [
+        3,
+        4,
+    ]

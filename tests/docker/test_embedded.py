@@ -97,8 +97,8 @@ def test_a_mark_made_is_found_and_an_unmarked_model_is_not(
 def test_kernels_come_from_the_image(client: Client, container: str, asset: str, plant: bytes) -> None:
     marked = client.get(f"/v1/assets/{asset}/model").content
     client.end(client.start("verify", marked, asset_id=asset))
-    compiled = run("docker", "exec", container, "find", "/data/numba", "-name", "*.nb*").splitlines()
-    shipped = run("docker", "exec", container, "find", "/opt/mark3dgs/numba", "-name", "*.nb*").splitlines()
+    compiled = run("docker", "exec", container, "find", "/data/numba", "-name", "*.kernel").splitlines()
+    shipped = run("docker", "exec", container, "find", "/opt/mark3dgs/numba", "-name", "*.kernel").splitlines()
     assert shipped
     assert len(compiled) == len(shipped)
 

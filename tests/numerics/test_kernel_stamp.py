@@ -7,17 +7,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from numba.core import config
 
 from engine.cli.console import Console
 from engine.cli.kernels import prepare_kernels
-from engine.numerics import kernel_stamp
+from engine.numerics import kernel_stamp, native
 from engine.numerics.kernel_stamp import is_stamped, stamp
 
 
 @pytest.fixture
 def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(kernel_stamp, "store", lambda: tmp_path / "cache")
     monkeypatch.setattr(kernel_stamp, "_ENGINE", tmp_path / "engine")
     (tmp_path / "engine" / "deep").mkdir(parents=True)
     (tmp_path / "engine" / "deep" / "kernels.py").write_text("x = 1\n")
@@ -36,10 +35,10 @@ def test_a_stamp_is_of_its_work_and_of_everything(sources: Path) -> None:
 def test_another_date_or_processor_is_another_stamp(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stamp("embed")
     with monkeypatch.context() as other:
-        other.setattr(config, "CPU_NAME", "another")
+        other.setattr(kernel_stamp, "processor", lambda: ("another", native.processor()[1]))
         assert not is_stamped("embed")
     with monkeypatch.context() as other:
-        other.setattr(config, "CPU_FEATURES", "+fewer")
+        other.setattr(kernel_stamp, "processor", lambda: (native.processor()[0], "+fewer"))
         assert not is_stamped("embed")
     assert is_stamped("embed")
     os.utime(sources, ns=(1, 1))

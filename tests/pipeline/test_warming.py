@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import MagicMock
 
-import numba
 import pytest
 
+from engine.numerics import native
 from engine.pipeline import warming
 from engine.pipeline.warm_steps import STEPS, Step
 from engine.pipeline.warming import Work, expected_seconds, warm_up
@@ -46,7 +46,7 @@ def test_a_missing_kernel_calls_helpers_and_what_they_did_is_loaded(
     ran, told = list[str](), list[float]()
 
     def compiling() -> None:
-        numba.njit(lambda x: x + 1)(1.0)
+        native.announce()
         deadline = time.monotonic() + 20.0
         while not asked and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -79,7 +79,7 @@ def test_loading_ends_when_it_is_enough_and_compiling_does_not(
     assert ran == ["first"]
 
     ran.clear()
-    small_steps(monkeypatch, first=lambda: ran.append(str(numba.njit(lambda x: x + 2)(1.0))), second=lambda: None)
+    small_steps(monkeypatch, first=lambda: ran.append(str(native.announce())), second=lambda: None)
     told = list[float]()
     warm_up("embed", told.append, processes=1, enough=lambda: bool(ran))
     assert told[-1] == 1.0
@@ -116,7 +116,7 @@ def test_a_helper_that_ends_is_no_loss(monkeypatch: pytest.MonkeyPatch) -> None:
     ran = list[str]()
 
     def compiling() -> None:
-        numba.njit(lambda x: x + 2)(1.0)
+        native.announce()
         time.sleep(0.2)
 
     small_steps(monkeypatch, first=compiling, second=lambda: ran.append("second"), third=lambda: ran.append("third"))
@@ -135,8 +135,8 @@ def test_steps_come_after_those_they_name_and_the_wait_is_foretold() -> None:
 WORKS = """
 import sys
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 from engine.formats import read_model
+from engine.numerics.jit import Kernel
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile
 from engine.pipeline.sealing import open_record
@@ -149,8 +149,8 @@ from engine.watermark.keys import OwnerKey
 
 def compiled():
     modules = [module for name, module in sys.modules.items() if name.startswith("engine.")]
-    kernels = {kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)}
-    return {(kernel.py_func.__name__, signature) for kernel in kernels for signature in kernel.signatures}
+    kernels = {kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Kernel)}
+    return {(kernel.__name__, signature) for kernel in kernels for signature in kernel.signatures}
 
 loaded, key = read_model(sys.argv[1]), OwnerKey(bytes(range(32)))
 for work in ("embed", "model", "pictures"):

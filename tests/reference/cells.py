@@ -31,4 +31,4 @@ def _halve(members: np.ndarray, features: np.ndarray, weights: np.ndarray) -> li
     running = np.cumsum(weights[members])
     cut = int((running < 0.5 * w.sum()).sum()) + 1
     cut = min(max(cut, 1), len(members) - 1)
-    return [members[:cut], members[cut:]]
+    return [np.sort(members[:cut]), np.sort(members[cut:])]

@@ -12,8 +12,9 @@ import numpy as np
 
 from engine.numerics.crew import thread_count
 from engine.numerics.jit import parallel_kernel, share_of
+from engine.raster.lane_ir import LANES
 from engine.raster.lane_memory import aligned, load, store
-from engine.raster.lanes import LANES, fma
+from engine.raster.lanes import fma
 
 __all__ = ["peak_bandwidth", "peak_flops"]
 

@@ -88,23 +88,30 @@ def _cost(mass, moment, square, first, last):
     return max(square[last] - square[first] - s * s / m, 0.0)
 
 
-@kernel(allocates=True)
-def _best_cuts(mass, moment, square, levels):
+def _best_cuts(mass: Float64, moment: Float64, square: Float64, levels: int) -> npt.NDArray[np.int64]:
     """(levels + 1,) borders among the cells that minimise the total cost, from prefix sums (cells + 1,)."""
-    n = len(mass) - 1
-    before, best = np.empty(n + 1), np.empty(n + 1)
-    came_from = np.zeros((levels, n + 1), np.int32)
+    cuts = np.empty(levels + 1, np.int64)
+    scratch = np.empty((2, len(mass))), np.zeros((levels, len(mass)), np.int32), np.empty((64, 4), np.int64)
+    _find_cuts(mass, moment, square, scratch, cuts)
+    return cuts
+
+
+@kernel
+def _find_cuts(mass, moment, square, scratch, cuts):
+    """`_best_cuts`, to `cuts`."""
+    n, levels = len(mass) - 1, len(cuts) - 1
+    before, best, came_from, stack = scratch[0][0], scratch[0][1], scratch[1], scratch[2]
     for j in range(n + 1):
         before[j] = _cost(mass, moment, square, 0, j)
-    stack = np.empty((64, 4), np.int64)
     for level in range(1, levels):
         # best[j] = min over i of before[i] + cost(i, j); the minimising i grows with j.
-        best[:level] = 0.0
+        for j in range(level):
+            best[j] = 0.0
         top = 1
-        stack[0] = (level, n, level - 1, n)
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = level, n, level - 1, n
         while top > 0:
             top -= 1
-            low, high, i_low, i_high = stack[top]
+            low, high, i_low, i_high = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
             j = (low + high) // 2
             least, at = np.inf, i_low
             for i in range(i_low, min(j, i_high) + 1):
@@ -113,15 +120,14 @@ def _best_cuts(mass, moment, square, levels):
                     least, at = total, i
             best[j], came_from[level, j] = least, at
             if low < j:
-                stack[top] = (low, j - 1, i_low, at)
+                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = low, j - 1, i_low, at
                 top += 1
             if j < high:
-                stack[top] = (j + 1, high, at, i_high)
+                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = j + 1, high, at, i_high
                 top += 1
-        before[:] = best
-    cuts = np.empty(levels + 1, np.int64)
+        for j in range(n + 1):
+            before[j] = best[j]
     cuts[levels] = n
     for level in range(levels - 1, 0, -1):
         cuts[level] = came_from[level, cuts[level + 1]]
     cuts[0] = 0
-    return cuts

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32, Float64, Int64
+from engine.numerics.crew import thread_count
 from engine.numerics.jit import parallel_kernel, share_of
 
 _KERNEL_VERSION = 1
@@ -50,7 +51,8 @@ def learn_palette(vectors: Float32, size: int) -> tuple[Float32, Int64]:
     slots = np.concatenate([[0], np.cumsum(codes_of_group)])
     codes = np.zeros((slots[-1], vectors.shape[1]), dtype=np.float32)
     sorted_labels = np.zeros(len(vectors), dtype=np.int64)
-    _refine_groups(vectors[order], rows, codes, slots, sorted_labels, _CODE_ROUNDS)
+    scratch = _room(vectors.shape[1], int(held.max()), int(codes_of_group.max()))
+    _refine_groups(vectors[order], rows, codes, slots, sorted_labels, _CODE_ROUNDS, scratch)
     labels = np.empty_like(sorted_labels)
     labels[order] = sorted_labels
     return codes, labels
@@ -102,16 +104,19 @@ def _group_errors(vectors: Float32, groups: Int64, held: npt.NDArray[Any]) -> Fl
 def _nearest(vectors: Float32, centres: Float32) -> Int64:
     labels = np.empty(len(vectors), dtype=np.int64)
     half = (0.5 * (centres.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
-    _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, labels)
+    scores = np.empty((thread_count(), len(half)), dtype=np.float32)
+    _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, scores, labels)
     return labels
 
 
-@parallel_kernel(allocates=True)
-def _nearest_kernel(vectors, centres, half, labels, call):
+@parallel_kernel
+def _nearest_kernel(vectors, centres, half, scores, labels, call):
     """argmin |c|^2 / 2 - x.c for each row; centres (d, P), so that the innermost loop runs over lanes."""
     dims, count = centres.shape
+    score = scores[call[0]]
     for i in share_of(len(vectors), call):
-        score = half.copy()
+        for j in range(count):
+            score[j] = half[j]
         for k in range(dims):
             v = vectors[i, k]
             for j in range(count):
@@ -123,26 +128,35 @@ def _nearest_kernel(vectors, centres, half, labels, call):
         labels[i] = best
 
 
-@parallel_kernel(allocates=True)
-def _refine_groups(vectors, rows, codes, slots, labels, rounds, call):
-    """k-means inside every group; rows and slots bound the vectors and the codes of group g."""
+def _room(dims: int, members: int, codes: int) -> tuple[npt.NDArray[Any], ...]:
+    """Scratch of `_refine_groups` for each thread: groups have at most so many members and codes."""
+    threads = thread_count()
+    books, scores = np.empty((threads, dims, codes), np.float32), np.empty((threads, 2, codes), np.float32)
+    errors, sums = np.empty((threads, members), np.float32), np.empty((threads, codes, dims))
+    return books, scores, errors, sums, np.empty((threads, members), np.int64), np.empty((threads, codes), np.int64)
+
+
+@parallel_kernel
+def _refine_groups(vectors, rows, codes, slots, labels, rounds, scratch, call):
+    """k-means inside every group; rows and slots bound the vectors and the codes of group g; `scratch` from `_room`."""
     dims = vectors.shape[1]
+    mine = call[0]
     for g in share_of(len(rows) - 1, call):
         first, n = rows[g], rows[g + 1] - rows[g]
         slot, count = slots[g], slots[g + 1] - slots[g]
-        book = np.empty((dims, count), np.float32)
+        book, half, score = scratch[0][mine][:, :count], scratch[1][mine, 0, :count], scratch[1][mine, 1, :count]
+        error, sums, own, held = scratch[2][mine, :n], scratch[3][mine], scratch[4][mine], scratch[5][mine]
         for j in range(count):
             for k in range(dims):
                 book[k, j] = vectors[first + j * n // count, k] if n > 0 else np.float32(0.0)
-        half, score = np.empty(count, np.float32), np.empty(count, np.float32)
-        own, error = np.zeros(n, np.int64), np.empty(n, np.float32)
         for step in range(rounds + 1):
             half[:] = 0.0
             for k in range(dims):
                 for j in range(count):
                     half[j] += np.float32(0.5) * book[k, j] * book[k, j]
             for i in range(n):
-                score[:] = half
+                for j in range(count):
+                    score[j] = half[j]
                 square = np.float32(0.0)
                 for k in range(dims):
                     v = vectors[first + i, k]
@@ -156,7 +170,10 @@ def _refine_groups(vectors, rows, codes, slots, labels, rounds, call):
                 own[i], error[i] = best, square + np.float32(2.0) * score[best]
             if step == rounds:
                 break
-            sums, held = np.zeros((count, dims)), np.zeros(count, np.int64)
+            for j in range(count):
+                held[j] = 0
+                for k in range(dims):
+                    sums[j, k] = 0.0
             for i in range(n):
                 held[own[i]] += 1
                 for k in range(dims):

@@ -1,0 +1,210 @@
+"""Kernels kept as machine code: called as numba would call them, found again by their text, never out of date."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.numerics import native
+from engine.numerics.deferred import text_of
+from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
+
+SCALE = 2.0
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(native, "store", lambda: tmp_path / "kernels")
+    return tmp_path / "kernels"
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A word for each kernel that is compiled."""
+    words: list[str] = []
+    monkeypatch.setattr(native, "on_compiling", [lambda: words.append("compiled")])
+    return words
+
+
+def _mixed(x, some, flag, n, f, out, more):  # type: ignore[no-untyped-def]
+    pair, (weight, shift) = some
+    if more is not None:
+        shift += more[0]
+    for i in range(len(x)):
+        out[i] = (x[i] * weight + pair[i % 2] if flag else -1.0) + shift + n * f
+    return out[0], len(x), flag
+
+
+@pytest.mark.usefixtures("store")
+def test_arguments_of_every_kind_arrive() -> None:
+    run = kernel(_mixed)
+    grid = np.arange(24.0).reshape(4, 6)
+    frozen = np.arange(4.0)
+    frozen.flags.writeable = False
+    pair = np.array([10, 20], np.int32)
+    for x in (np.arange(4.0), frozen, grid[:, 2], np.asfortranarray(grid)[1], np.arange(4, dtype=np.float32)):
+        cases = (
+            (True, 3, 0.5, None),
+            (np.bool_(False), np.int64(-2), np.float32(0.25), ()),
+            (True, np.uint8(7), 1, (3,)),
+        )
+        for flag, n, f, more in cases:
+            more = more or None
+            out, wanted = np.zeros(len(x)), np.zeros(len(x))
+            some = (pair, (2.0, np.float64(1.0)))
+            first, length, said = run(x, some, flag, n, f, out, more)
+            assert (first, length, bool(said)) == _mixed(x, some, flag, n, f, wanted, more)
+            np.testing.assert_array_equal(out, wanted)
+    assert run.signatures
+    assert run._compiled is None, "numba was asked to run it"
+
+
+@pytest.mark.usefixtures("store")
+def test_what_numba_alone_knows_is_left_to_it() -> None:
+    @kernel
+    def first(values):
+        return values[0]
+
+    table = np.array([(1, 2.5)], dtype=[("a", "i4"), ("b", "f8")])
+    assert native.kind_of(table) is None
+    assert first(table)["b"] == 2.5
+
+    @kernel(allocates=True)
+    def doubled(x):
+        return 2 * x
+
+    np.testing.assert_array_equal(doubled(np.arange(3)), [0, 2, 4])
+
+
+def test_code_is_kept_and_found_and_a_broken_file_is_made_anew(store: Path, compiled: list[str]) -> None:
+    def total(x):  # type: ignore[no-untyped-def]
+        s = 0.0
+        for each in x:
+            s += math.exp(each)
+        return s
+
+    wanted = np.exp([0.5, 1.5]).sum()
+    assert kernel(total)(np.array([0.5, 1.5])) == pytest.approx(wanted)
+    assert kernel(total)(np.array([0.5, 1.5])) == pytest.approx(wanted)
+    assert compiled == ["compiled"]
+    (file,) = store.iterdir()
+    whole = file.read_bytes()
+    for broken in (whole[:-100], whole[:-1] + bytes([whole[-1] ^ 1]), b"", b"{}\n", b"\xff\xfe"):
+        file.write_bytes(broken)
+        compiled.clear()
+        assert kernel(total)(np.array([0.5, 1.5])) == pytest.approx(wanted)
+        assert compiled == ["compiled"]
+        assert [path.name for path in store.iterdir()] == [file.name]
+
+
+def test_where_nothing_can_be_written_kernels_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr(native, "store", lambda: tmp_path / "file" / "kernels")
+    assert kernel(lambda x: x + 1)(1) == 2
+
+
+def test_code_that_calls_what_is_not_there_is_not_loaded() -> None:
+    """LLVM would end the process."""
+    assert native.load(native.Code("f", [], [], False, ["no_such_function_anywhere"], b"")) is None
+
+
+def _uses(piece, constant):  # type: ignore[no-untyped-def]
+    def f(x):  # type: ignore[no-untyped-def]
+        return piece(x) * constant
+
+    return f
+
+
+def test_another_text_is_another_kernel() -> None:
+    once, twice = inlined(lambda x: x * SCALE), inlined(lambda x: x * SCALE + 1)
+    assert text_of(_uses(once, 1.0)) == text_of(_uses(once, 1.0))
+    others = [_uses(twice, 1.0), _uses(once, 2.0), _uses(once, np.float32(1.0)), _uses(once, 1)]
+    assert len({text_of(f) for f in (_uses(once, 1.0), *others)}) == 5
+    assert text_of(_uses(inlined(lambda x: x * SCALE, allocates=True), 1.0)) != text_of(_uses(once, 1.0))
+
+
+def test_a_constant_of_the_module_is_part_of_the_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = text_of(_uses(inlined(lambda x: x * SCALE), 1.0))
+    monkeypatch.setitem(globals(), "SCALE", 3.0)
+    assert text_of(_uses(inlined(lambda x: x * SCALE), 1.0)) != before
+
+
+def test_what_has_no_text_is_refused() -> None:
+    with pytest.raises(TypeError, match="no text"):
+        text_of(_uses(object(), 1.0))
+
+
+@pytest.mark.usefixtures("store")
+def test_a_parallel_kernel_runs_every_turn() -> None:
+    @parallel_kernel
+    def halves(x, out, call):
+        for i in share_of(len(x), call):
+            out[i] = 0.5 * x[i]
+
+    x = np.arange(101, dtype=np.float32)
+    for turns in (1, 2, 5):
+        out = np.full(101, np.nan, np.float32)
+        halves(x, out, turns=turns)
+        np.testing.assert_array_equal(out, 0.5 * x)
+
+
+def test_other_facts_are_other_files(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def path() -> Path:
+        return native._path("a.b", b"text", "<f8")
+
+    first = path()
+    assert first == path()
+    assert len({first, native._path("a.b", b"other", "<f8"), native._path("a.b", b"text", "<f4")}) == 3
+    for name, other in (("processor", lambda: ("other", "+avx")), ("compiler", lambda: ["0"])):
+        with monkeypatch.context() as patch:
+            patch.setattr(native, name, other)
+            assert path() != first
+    assert first.parent == store
+
+
+def test_the_store_is_where_numba_was_told_or_beside_the_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    find = native.store.__wrapped__
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert find() == tmp_path / "kernels"
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert find().parent.name == "__pycache__"
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
+    assert find() == tmp_path / "own" / "mark3dgs" / "kernels"
+
+
+WORK = """
+import sys
+from engine.formats import read_model
+from engine.pipeline.embedding import embed
+from engine.pipeline.profiles import profile
+from engine.pipeline.sealing import open_record
+from engine.pipeline.verification import verify_images, verify_model
+from engine.pipeline.warming import warm_up
+from engine.raster import render
+from engine.watermark.keys import OwnerKey
+if sys.argv[2] == "warm":
+    warm_up("main")
+    sys.exit()
+sys.modules["numba"] = None  # whoever imports it fails
+loaded, key = read_model(sys.argv[1]), OwnerKey(bytes(range(32)))
+config = profile("fast", landmark_views=4, views=2, view_size=128)
+made = embed(loaded.model, key, original_sha256=loaded.sha256, config=config)
+opened = open_record(made.record.to_bytes(key), key)
+verify_model(made.model, opened)
+verify_images([render(made.model, opened.cameras[0])], opened)
+"""
+
+
+def test_the_usual_work_does_without_numba() -> None:
+    """Once its kernels are kept."""
+    model = Path(__file__).parents[1] / "data" / "train_1000.ply"
+    for what in ("warm", "work"):
+        run = [sys.executable, "-c", WORK, str(model), what]
+        done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=model.parents[2])
+        assert done.returncode == 0, done.stderr
