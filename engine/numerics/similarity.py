@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.model import Float32, Float64, GaussianModel
+from engine.model import Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_rotation
 
 MIRROR = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
@@ -13,8 +13,6 @@ MIRROR_QUATS = np.array([1.0, 1.0, -1.0, -1.0], dtype=np.float32)
 """What it does to a quaternion w, x, y, z: the axis of a turn keeps x and loses its sense."""
 ODD_IN_X = (3, 4, 7, 10, 13, 15)
 """Spherical harmonics, of the 16 up to degree 3, that change their sign with x."""
-
-_ROWS = 1 << 16
 
 
 def quaternion_product(p: npt.ArrayLike, q: npt.ArrayLike) -> Float64:
@@ -57,16 +55,6 @@ def quaternion_to_rotation(quats: npt.ArrayLike) -> Float64:
     R[..., 2, 1] = 2 * (y * z + w * x)
     R[..., 2, 2] = 1 - 2 * (x * x + y * y)
     return R
-
-
-def turned(quats: Float32, vectors: Float64, *, back: bool = False) -> Float64:
-    """Vectors (N, 3) turned by unit quaternions (N, 4) each, or `back`, by their inverses."""
-    out = np.empty(vectors.shape)
-    for start in range(0, len(out), _ROWS):  # matrices of all would take 72 bytes each
-        rows = slice(start, start + _ROWS)
-        R = quaternion_to_rotation(quats[rows])
-        out[rows] = np.matmul(R.swapaxes(1, 2) if back else R, vectors[rows, :, None])[:, :, 0]
-    return out
 
 
 def transform_model(model: GaussianModel, scale: float, R: npt.ArrayLike, t: npt.ArrayLike) -> GaussianModel:

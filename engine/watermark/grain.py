@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Bool, Float32, Float64, GaussianModel
-from engine.numerics.similarity import turned
+from engine.watermark.grain_kernels import displace
 
 ATTRIBUTES = 6
 """Chips of one Gaussian."""
@@ -74,9 +74,7 @@ def roughen(model: GaussianModel, grain: Grain, signs: Float32) -> GaussianModel
     signs : (N, 6) +-1
         Chip times bit of each chip.
     """
-    along = grain.center * signs[:, :3] * units(model.log_scales)  # (N, 3) in own axes
-    shift = turned(model.quats, along)
-    step = np.where(thin(model.log_scales), 0.0, grain.scale * signs[:, 3:])
-    return model.with_(
-        means=(model.means + shift).astype(np.float32), log_scales=(model.log_scales + step).astype(np.float32)
-    )
+    means, log_scales = np.empty_like(model.means), np.empty_like(model.log_scales)
+    steps, limits = np.array([grain.center, grain.scale]), np.array([FLAT, THINNEST])
+    displace(model.means, model.log_scales, model.quats, signs, steps, limits, means, log_scales)
+    return model.with_(means=means, log_scales=log_scales)

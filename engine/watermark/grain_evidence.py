@@ -11,11 +11,13 @@ import math
 
 import numpy as np
 
-from engine.model import Bool, Float32, Float64, GaussianModel, Int32
+from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.numerics.crew import thread_count
 from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
-from engine.watermark.grain import ATTRIBUTES, FLAT, Grain, thin
+from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain
+from engine.watermark.grain_kernels import axes_of, middle_of
 from engine.watermark.model_evidence import Evidence
 
 _KERNEL_VERSION = 1
@@ -26,6 +28,7 @@ SIZES = 16
 """Classes of like size; each spans a factor of two, the middle one begins at the median."""
 OCTAVES, PER_OCTAVE = 48, 8
 """Range and resolution of the histogram in which the usual size of a difference is looked up."""
+_WIDTH = OCTAVES * PER_OCTAVE
 LOST = 4.0
 """Deviations beyond which a difference is no displacement but a wrong match, and says nothing."""
 
@@ -38,17 +41,6 @@ def _product(a, b):
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
         a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
         a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
-
-
-@inlined
-def _axes(q):
-    """The three axes that a unit quaternion turns those of space into."""
-    w, x, y, z = q
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
     )
 
 
@@ -89,11 +81,14 @@ def _partners(ref_axes, axes, ref_logs, logs):
 
 
 @parallel_kernel
-def _differences(means, log_scales, quats, ref_means, ref_log_scales, ref_quats, target, move, shift, turn, out, call):
-    """Fills out (n, 6): centre in `units` along the reference's axes, and log scales, suspect less reference.
+def _differences(
+    means, log_scales, quats, ref_means, ref_log_scales, ref_quats, target, rows, move, shift, turn, out, call
+):
+    """Fills out (R, 6): centre in `units` along the reference's axes, and log scales, suspect less reference.
 
-    `target` (n,) reference row of each suspect row or -1; `move` (3, 3) scale times rotation and `shift` (3,) take the
-    suspect to the reference, `turn` (5,) is the rotation's quaternion and the logarithm of the scale.
+    `target` (n,) reference row of each suspect row or -1, `rows` (n,) that of `out` where it goes; `move` (3, 3) scale
+    times rotation and `shift` (3,) take the suspect to the reference, `turn` (5,) is the rotation's quaternion and the logarithm
+    of the scale.
     """
     whole = (turn[0], turn[1], turn[2], turn[3])
     for i in share_of(len(target), call):
@@ -101,9 +96,9 @@ def _differences(means, log_scales, quats, ref_means, ref_log_scales, ref_quats,
         if j < 0:
             continue
         q = quats[i]
-        axes = _axes(_product(whole, (np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))))
+        axes = axes_of(_product(whole, (np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))))
         q = ref_quats[j]
-        ref_axes = _axes((np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])))
+        ref_axes = axes_of((np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])))
         x, y, z = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
         gap = (
             move[0, 0] * x + move[0, 1] * y + move[0, 2] * z + shift[0] - ref_means[j, 0],
@@ -121,8 +116,8 @@ def _differences(means, log_scales, quats, ref_means, ref_log_scales, ref_quats,
         partner = _partners(ref_axes, axes, ref_logs, logs)
         for a in range(3):
             along = ref_axes[a][0] * gap[0] + ref_axes[a][1] * gap[1] + ref_axes[a][2] * gap[2]
-            out[i, a] = along / max(math.exp(ref_logs[a]), least)
-            out[i, 3 + a] = logs[partner[a]] + turn[4] - ref_logs[a]
+            out[rows[i], a] = along / max(math.exp(ref_logs[a]), least)
+            out[rows[i], 3 + a] = logs[partner[a]] + turn[4] - ref_logs[a]
 
 
 def gather_grain_evidence(
@@ -145,8 +140,9 @@ def gather_grain_evidence(
         Of 6 N chips, N Gaussians of the reference.
     """
     found = np.where(quality > 0, matches, -1).astype(np.int32)
-    out = np.zeros((len(suspect), ATTRIBUTES), dtype=np.float32)
-    turn = np.append(rotation_to_quaternion(fit.R), math.log(fit.scale))
+    hit = np.flatnonzero(found >= 0)
+    alone = np.bincount(found[hit], minlength=len(reference)).max(initial=0) <= 1
+    y = np.zeros((len(reference) if alone else len(suspect), ATTRIBUTES))
     _differences(
         suspect.means,
         suspect.log_scales,
@@ -155,58 +151,74 @@ def gather_grain_evidence(
         reference.log_scales,
         reference.quats,
         found,
+        found if alone else np.arange(len(suspect), dtype=np.int32),
         np.ascontiguousarray(fit.scale * fit.R, dtype=np.float64),
         np.asarray(fit.t, dtype=np.float64),
-        turn,
-        out,
+        np.append(rotation_to_quaternion(fit.R), math.log(fit.scale)),
+        y,
     )
-    y, trust = _by_reference(out, found, quality, len(reference))
-    amplitudes = np.repeat(np.array([grain.center, grain.scale]), 3)  # (6,)
-    carries = np.ones_like(y, dtype=bool)
-    carries[:, 3:] = ~thin(reference.log_scales)
-    noise = _usual(y, trust > 0, _size_classes(reference.log_scales))  # (N, 6)
-    far = np.square(y / (LOST * np.maximum(noise, amplitudes)))
-    sure = trust[:, None] * np.square(np.maximum(1.0 - far, 0.0))  # Tukey's: an even function of y, blind to its sign
-    weights = np.where(carries, sure * amplitudes / (np.square(noise) + np.square(amplitudes)), 0.0)
-    signal = np.where((trust[:, None] > 0) & carries, amplitudes, 0.0)
+    trust = np.bincount(found[hit], quality[hit], len(reference)).astype(np.float64)
+    if not alone:
+        y, trust = _by_reference(y[hit], found[hit], quality[hit], trust)
+    scales = reference.log_scales
+    origin = float(np.median(scales[:: max(1, len(scales) // 10_000)])) / math.log(2.0) - SIZES // 2
+    usual = _usual(y, trust, scales, origin)
+    weights, signal = np.empty_like(y), np.empty_like(y)
+    _weigh(y, trust, scales, origin, usual, np.array([grain.center, grain.scale]), weights, signal)
     return Evidence(y.reshape(-1), weights.reshape(-1), signal.reshape(-1))
 
 
-def _by_reference(rows: Float32, found: Int32, quality: Float32, count: int) -> tuple[Float64, Float64]:
-    """(N, 6) mean difference of each reference Gaussian, over all that are its copies, and (N,) trust."""
-    hit = np.flatnonzero(found >= 0)
-    target, trust = found[hit], quality[hit].astype(np.float64)
-    times = np.bincount(target, minlength=count)
-    y = np.zeros((count, ATTRIBUTES))
-    if times.max(initial=0) <= 1:
-        total = np.zeros(count)
-        y[target], total[target] = rows[hit], trust
-        return y, total
-    total = np.bincount(target, trust, count).astype(np.float64)
-    for a in range(ATTRIBUTES):
-        y[:, a] = np.bincount(target, trust * rows[hit, a], count) / np.maximum(total, 1e-12)
-    return y, np.minimum(total, 1.0)
+def _by_reference(y: Float64, found: Int32, quality: Float32, total: Float64) -> tuple[Float64, Float64]:
+    """(N, 6) mean difference of each reference Gaussian over all that are its copies, and (N,) trust, of rows (h, 6),
+    what they are found to be, the trust in each, and its sum for each reference Gaussian."""
+    mean = np.stack([np.bincount(found, quality * column, len(total)) for column in y.T], axis=1)
+    return mean / np.maximum(total, 1e-12)[:, None], np.minimum(total, 1.0)
 
 
-def _size_classes(log_scales: Float32) -> Int32:
-    """(N, 3) class 0 to SIZES - 1 of each axis, a factor of two in length each."""
-    octaves = log_scales * np.float32(1.0 / math.log(2.0))
-    steps = np.floor(octaves - np.median(octaves[:: max(1, len(octaves) // 10_000)]))
-    return np.asarray(np.clip(steps.astype(np.int32) + SIZES // 2, 0, SIZES - 1))
+@inlined
+def _size_class(log_scale, origin):
+    """Class 0 to SIZES - 1 of an axis, a factor of two in length each."""
+    return min(max(math.floor(log_scale * (1.0 / math.log(2.0)) - origin), 0), SIZES - 1)
 
 
-def _usual(y: Float64, seen: Bool, classes: Int32) -> Float64:
-    """(N, 6) robust deviation of differences of the same kind and class: the median size over 0.6745.
+@parallel_kernel
+def _count_sizes(y, trust, log_scales, origin, table, call):
+    """How often differences of each kind, class and size occur, to table (calls, 2, SIZES, _WIDTH), which holds zeros;
+    centres and scales are two kinds."""
+    mine = table[call[0]]
+    for i in share_of(len(y), call):
+        if trust[i] > 0.0:
+            for a in range(ATTRIBUTES):
+                size = abs(y[i, a])
+                octave = math.log2(size) + OCTAVES / 2 if size > 0.0 else 0.0
+                place = int(min(max(octave * PER_OCTAVE, 0.0), _WIDTH - 1.0))
+                mine[a // 3, _size_class(log_scales[i, a % 3], origin), place] += 1
 
-    From a histogram over the logarithm of the size, PER_OCTAVE to a factor of two; centres and scales are two kinds.
+
+@parallel_kernel
+def _weigh(y, trust, log_scales, origin, usual, amplitudes, weights, signal, call):
+    """What each difference tells, to weights and signal (N, 6)."""
+    for i in share_of(len(y), call):
+        scales = (math.exp(log_scales[i, 0]), math.exp(log_scales[i, 1]), math.exp(log_scales[i, 2]))
+        least = THINNEST * middle_of(scales)
+        for a in range(ATTRIBUTES):
+            kind, axis = a // 3, a % 3
+            amplitude, noise = amplitudes[kind], usual[kind, _size_class(log_scales[i, axis], origin)]
+            carries = kind == 0 or scales[axis] >= least
+            far = y[i, a] / (LOST * max(noise, amplitude))
+            sure = max(1.0 - far * far, 0.0)  # Tukey's: an even function of y, blind to its sign
+            weight = trust[i] * sure * sure * amplitude / (noise * noise + amplitude * amplitude)
+            weights[i, a] = weight if carries and amplitude > 0.0 else 0.0
+            signal[i, a] = amplitude if carries and trust[i] > 0.0 else 0.0
+
+
+def _usual(y: Float64, trust: Float64, log_scales: Float32, origin: float) -> Float64:
+    """(2, SIZES) robust deviation of differences of the same kind and class: the median size over 0.6745.
+
+    From a histogram over the logarithm of the size, PER_OCTAVE to a factor of two.
     """
-    with np.errstate(divide="ignore"):
-        size = np.log2(np.abs(y))
-    bins = np.clip((size + OCTAVES / 2) * PER_OCTAVE, 0, OCTAVES * PER_OCTAVE - 1).astype(np.int32)  # (N, 6)
-    kinds = np.concatenate([classes, classes + SIZES], axis=1)
-    width = OCTAVES * PER_OCTAVE
-    table = np.bincount((kinds * width + bins)[seen].reshape(-1), minlength=2 * SIZES * width)
-    running = np.cumsum(table.reshape(2 * SIZES, width), axis=1)
-    middle = np.argmax(2 * running >= running[:, -1:], axis=1)  # bin of the median
-    deviation = 2.0 ** ((middle + 0.5) / PER_OCTAVE - OCTAVES / 2) / 0.6745
-    return np.asarray(deviation[kinds])
+    tables = np.zeros((thread_count(), 2, SIZES, _WIDTH), np.int64)
+    _count_sizes(y, trust, log_scales, origin, tables)
+    running = np.cumsum(tables.sum(axis=0), axis=2)
+    middle = np.argmax(2 * running >= running[:, :, -1:], axis=2)  # bin of the median
+    return np.asarray(2.0 ** ((middle + 0.5) / PER_OCTAVE - OCTAVES / 2) / 0.6745)

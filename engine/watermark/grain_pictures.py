@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.model import Float32, Float64, GaussianModel
-from engine.numerics.similarity import turned
 from engine.raster import Rendering, View, backward
-from engine.watermark.grain import ATTRIBUTES, Grain, thin, units
+from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain, thin
+from engine.watermark.grain_kernels import pull_along
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,5 +38,6 @@ class GrainView:
 
 def _along_own_axes(model: GaussianModel, means: Float32, log_scales: Float32) -> Float64:
     """(6 N,) gradients by the grain's own coordinates, from those by centres and log scales (N, 3)."""
-    along = turned(model.quats, means.astype(np.float64), back=True)
-    return np.concatenate([along * units(model.log_scales), log_scales], axis=1).reshape(-1)
+    out = np.empty((len(model), ATTRIBUTES))
+    pull_along(model.log_scales, model.quats, means, log_scales, np.array([FLAT, THINNEST]), out)
+    return out.reshape(-1)

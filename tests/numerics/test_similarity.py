@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
 from engine.model import GaussianModel
-from engine.numerics import similarity
 from engine.numerics.similarity import (
     MIRROR,
     ODD_IN_X,
@@ -17,7 +16,6 @@ from engine.numerics.similarity import (
     quaternion_to_rotation,
     rotation_to_quaternion,
     transform_model,
-    turned,
 )
 from engine.numerics.spherical_harmonics import sh_basis, sh_rotation
 from tests.reference.similarity import covariance, moved_colour, moved_covariance
@@ -141,13 +139,3 @@ def test_harmonics_that_are_odd_in_x():
     directions = random_directions(20)
     ratio = sh_basis(directions * MIRROR, 3) / sh_basis(directions, 3)
     np.testing.assert_allclose(ratio, np.broadcast_to(np.where(np.isin(np.arange(16), ODD_IN_X), -1, 1), (20, 16)))
-
-
-def test_each_vector_is_turned_by_its_own_quaternion(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(similarity, "_ROWS", 3)  # more than one stretch
-    rng = np.random.default_rng(3)
-    quats, vectors = rng.normal(size=(8, 4)), rng.normal(size=(8, 3))
-    quats = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
-    expected = np.einsum("nij,nj->ni", quaternion_to_rotation(quats), vectors)
-    np.testing.assert_allclose(turned(quats, vectors), expected, atol=1e-12)
-    np.testing.assert_allclose(turned(quats, expected, back=True), vectors, atol=1e-6)

@@ -31,3 +31,14 @@ def differences(reference: GaussianModel, suspect: GaussianModel, fit: Similarit
             along = tuple(order[np.argsort(np.argsort(reference.log_scales[j], kind="stable"))])
         out[i, 3:] = suspect.log_scales[i][list(along)] + np.log(fit.scale) - reference.log_scales[j]
     return out
+
+
+def roughened(model: GaussianModel, center: float, scale: float, signs: Float64) -> tuple[Float64, Float64]:
+    """Centres and log scales (N, 3) displaced, from the definitions."""
+    means, log_scales = model.means.astype(float), model.log_scales.astype(float)
+    for i in range(len(model)):
+        scales = np.exp(log_scales[i])
+        units = np.maximum(scales, 0.3 * np.sort(scales)[1])
+        means[i] += rotation_of(model.quats[i].astype(float)) @ (center * signs[i, :3] * units)
+        log_scales[i] += np.where(scales < 1e-5 * np.sort(scales)[1], 0.0, scale * signs[i, 3:])
+    return means, log_scales

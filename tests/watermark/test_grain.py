@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.model import DISC_THICKNESS, GaussianModel
 from engine.watermark.grain import ATTRIBUTES, FLAT, Grain, roughen, thin, units
-from tests.reference.grain import rotation_of
+from tests.reference.grain import rotation_of, roughened
 
 
 def blobs(count: int = 500, seed: int = 0) -> GaussianModel:
@@ -38,6 +38,15 @@ def test_every_centre_moves_along_its_own_axes_and_every_size_by_a_step() -> Non
     np.testing.assert_allclose(rough.log_scales - model.log_scales, 0.02 * signs[:, 3:], atol=1e-6)
     for name in ("quats", "opacity_logits", "sh"):
         np.testing.assert_array_equal(getattr(rough, name), getattr(model, name))
+
+
+def test_what_is_displaced_is_that_of_the_slow_twin() -> None:
+    model, grain = blobs(), Grain(0.3, 0.2)
+    signs = signs_for(model)
+    rough = roughen(model, grain, signs)
+    means, log_scales = roughened(model, grain.center, grain.scale, signs)
+    np.testing.assert_allclose(rough.means, means, atol=1e-6)
+    np.testing.assert_allclose(rough.log_scales, log_scales, atol=1e-6)
 
 
 def test_a_sheet_moves_through_its_thickness_by_a_share_of_its_width() -> None:

@@ -43,10 +43,10 @@ def test_differences_are_those_of_the_slow_twin() -> None:
     back = Similarity(0.5, turn.T, -0.5 * turn.T @ [1, 2, 3])
     matches = order.astype(np.int32)
     matches[7] = -1
-    out = np.zeros((300, ATTRIBUTES), np.float32)
+    out, rows = np.zeros((300, ATTRIBUTES)), np.arange(300, dtype=np.int32)
     turned = np.append(np.roll(Rotation.from_matrix(back.R).as_quat(), 1), np.log(back.scale))
     arrays = [getattr(model, name) for model in (swapped, reference) for name in ("means", "log_scales", "quats")]
-    grain_evidence._differences(*arrays, matches, back.scale * back.R, back.t, turned, out)
+    grain_evidence._differences(*arrays, matches, rows, back.scale * back.R, back.t, turned, out)
     np.testing.assert_allclose(out, differences(reference, swapped, back, matches), atol=2e-3)
 
 
