@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.errors import FormatError
 from engine.model import Camera, Float32, Int64
@@ -105,7 +105,7 @@ def _views_of_each(landmarks: Landmarks, cameras: Sequence[Camera]) -> Int64:
     eyes = np.array([camera.position for camera in cameras])
     distance = np.median(np.linalg.norm(landmarks.points - eyes[landmarks.views], axis=1))
     reach = SAME_PLACE * distance / cameras[0].K[0, 0]
-    _, near = cKDTree(landmarks.points).query(landmarks.points, NEIGHBOURS, distance_upper_bound=reach)
+    _, near = scipy.spatial.cKDTree(landmarks.points).query(landmarks.points, NEIGHBOURS, distance_upper_bound=reach)
     descriptors = landmarks.descriptors.astype(np.float32)
     shown_by = np.zeros((len(landmarks), len(cameras)), dtype=bool)
     for column in near.T:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Bool, Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
@@ -72,7 +72,7 @@ def spatial_coherence(model: GaussianModel) -> Float64:
     """(N,) exp(-|mu_i - mu_nn|^2 / 2 sigma^2), third factor of Eq 4; sigma is twice the median distance."""
     if len(model) < 2:
         return np.ones(len(model))
-    distance = cKDTree(model.means).query(model.means, k=2, workers=2)[0][:, 1]
+    distance = scipy.spatial.cKDTree(model.means).query(model.means, k=2, workers=2)[0][:, 1]
     sigma = 2.0 * float(np.median(distance)) + 1e-30
     return np.asarray(np.exp(-0.5 * np.minimum(distance / sigma, 10.0) ** 2))
 

@@ -1,8 +1,7 @@
 """Merging of near-duplicate Gaussians by an anisotropic (Mahalanobis) distance (DESIGN 4.2)."""
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from engine.model import Float64, GaussianModel, Int32
 from engine.numerics.flattening import flatten
@@ -27,7 +26,7 @@ def merge_duplicates(model: GaussianModel, distance: float) -> tuple[GaussianMod
     rows = np.arange(n, dtype=np.int32)
     if n < 2:
         return model, rows, np.full(n, -1, np.int32)
-    pair = cKDTree(model.means).query(model.means, k=2, workers=2)[1]
+    pair = scipy.spatial.cKDTree(model.means).query(model.means, k=2, workers=2)[1]
     nearest = np.where(pair[:, 0] == rows, pair[:, 1], pair[:, 0])  # of exact duplicates either may come first
     first = np.flatnonzero((nearest[nearest] == rows) & (rows < nearest))
     second = nearest[first]
@@ -69,7 +68,7 @@ def _merge_pairs(
     quats, logits, sh = model.quats.copy(), model.opacity_logits.copy(), model.sh.copy()
     means[first] = mean
     log_scales[first] = 0.5 * np.log(np.maximum(values, 1e-30))
-    quats[first] = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
+    quats[first] = scipy.spatial.transform.Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
     logits[first] = np.log(joint / (1 - joint))
     sh[first] = sh[first] + share[:, :, None].astype(np.float32) * (sh[second] - sh[first])
     return model.with_(means=means, log_scales=log_scales, quats=quats, opacity_logits=logits, sh=sh)

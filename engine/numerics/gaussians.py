@@ -1,7 +1,7 @@
 """What Gaussians are as distributions: their covariances, their surfaces, their mass."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from engine.model import Float64, GaussianModel
 
@@ -10,7 +10,7 @@ _THOMSEN = 1.6075
 
 def covariances(model: GaussianModel) -> Float64:
     """(N, 3, 3) covariance matrices R S S^T R^T (Eq 2)."""
-    rotation = Rotation.from_quat(model.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_quat(model.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
     half = rotation * np.exp(model.log_scales.astype(np.float64))[:, None, :]
     return np.asarray(half @ half.transpose(0, 2, 1))
 

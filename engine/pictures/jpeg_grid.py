@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import dctn
+import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.jit import parallel_kernel, share_of
@@ -87,7 +87,7 @@ def tiles(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def blocks_of(luma: Float32 | Float64) -> Float64:
     """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
-    return np.asarray(dctn(tiles(luma).astype(np.float64) - 128.0, axes=(2, 3), norm="ortho"))
+    return np.asarray(scipy.fft.dctn(tiles(luma).astype(np.float64) - 128.0, axes=(2, 3), norm="ortho"))
 
 
 def unclipped(picture: Float32) -> Bool:
@@ -123,7 +123,7 @@ def _emptiness(luma: Float32 | Float64) -> float:
     blocks = blocks[np.ptp(blocks, axis=(1, 2)) > 4.0 * EMPTY]
     if not len(blocks):
         return 0.0
-    return float((np.abs(dctn(blocks, axes=(1, 2), norm="ortho")) < EMPTY).mean())
+    return float((np.abs(scipy.fft.dctn(blocks, axes=(1, 2), norm="ortho")) < EMPTY).mean())
 
 
 def find_quality(picture: Float32) -> int | None:
@@ -140,7 +140,7 @@ def find_quality(picture: Float32) -> int | None:
         return None
     chosen = chosen[:: max(1, len(chosen) // BLOCKS)]
     blocks = tiles(255.0 * picture @ LUMA)
-    flat = dctn(blocks[np.divmod(chosen, blocks.shape[1])].astype(np.float64), axes=(1, 2), norm="ortho")
+    flat = scipy.fft.dctn(blocks[np.divmod(chosen, blocks.shape[1])].astype(np.float64), axes=(1, 2), norm="ortho")
     coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1:COARSEST].T)
     tables = np.stack([luma_table(quality).reshape(-1)[1:COARSEST] for quality in QUALITIES])
     fits = np.empty(len(tables))

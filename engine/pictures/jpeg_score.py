@@ -7,9 +7,7 @@ residual would take all of the rounding error, known in advance from c, for nois
 """
 
 import numpy as np
-from scipy.fft import dctn, idctn
-from scipy.ndimage import uniform_filter
-from scipy.special import log_ndtr
+import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.pictures.features import LUMA
@@ -33,7 +31,7 @@ def block_spread(pattern: Float32) -> Float64:
     """
     power = np.square(blocks_of(255.0 * pattern @ LUMA + 128.0))
     local = power.mean(axis=(2, 3))
-    loudness = np.maximum(uniform_filter(local, NEARBY), 0.0) / max(float(local.mean()), 1e-30)
+    loudness = np.maximum(scipy.ndimage.uniform_filter(local, NEARBY), 0.0) / max(float(local.mean()), 1e-30)
     return np.asarray(np.sqrt(power.mean(axis=(0, 1)) * loudness[:, :, None, None]))
 
 
@@ -54,7 +52,7 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     score = np.zeros_like(known)
     score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
     image = np.zeros(mask.shape, dtype=np.float32)
-    tiles(image)[...] = idctn(score, axes=(2, 3), norm="ortho")
+    tiles(image)[...] = scipy.fft.idctn(score, axes=(2, 3), norm="ortho")
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
 
 
@@ -92,8 +90,8 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
     alike, is moved alike, so multiples are counted from there.
     """
     start = np.round(known / steps)
-    decoded = np.clip(idctn(start * steps, axes=(-2, -1), norm="ortho"), -128.0, 127.0)
-    return np.asarray(start + np.round((observed - dctn(decoded, axes=(-2, -1), norm="ortho")) / steps))
+    decoded = np.clip(scipy.fft.idctn(start * steps, axes=(-2, -1), norm="ortho"), -128.0, 127.0)
+    return np.asarray(start + np.round((observed - scipy.fft.dctn(decoded, axes=(-2, -1), norm="ortho")) / steps))
 
 
 def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:
@@ -148,7 +146,8 @@ def _truncated_mean(low: Float64, high: Float64) -> Float64:
     """Mean of a standard normal known to lie in [low, high], stable in the tails."""
     flip = low + high > 0  # by symmetry work in the lower tail
     a, b = np.where(flip, -high, low), np.where(flip, -low, high)
-    log_mass = log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-12)))
+    lower, upper = scipy.special.log_ndtr(a), scipy.special.log_ndtr(b)
+    log_mass = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
     density = np.exp(-0.5 * a**2 - log_mass) - np.exp(-0.5 * b**2 - log_mass)
     mean = density / np.sqrt(2 * np.pi)
     return np.asarray(np.where(flip, -mean, mean))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.tables import look_up
@@ -91,7 +91,9 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
                 low, high = float(shown.min()) - 1e-6, float(shown.max()) + 1e-6
                 grid = np.linspace(low, high, _TABLE)
                 predicted[..., c] = shown
-                slope[..., c] = look_up(shown, low, high, ndtr((1.0 - grid) / noise) - ndtr(-grid / noise))
+                slope[..., c] = look_up(
+                    shown, low, high, scipy.special.ndtr((1.0 - grid) / noise) - scipy.special.ndtr(-grid / noise)
+                )
                 continue
         predicted[..., c] = look_up(linear, low, high, curve(value))
         slope[..., c] = look_up(linear, low, high, keep)
@@ -101,9 +103,9 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
 def _clipped_mean(u: Float64, noise: float) -> tuple[Float64, Float64]:
     """E[clip(u + n, 0, 1)] and its derivative for Gaussian n of standard deviation `noise`."""
     low, high = -u / noise, (1.0 - u) / noise
-    inside = ndtr(high) - ndtr(low)
+    inside = scipy.special.ndtr(high) - scipy.special.ndtr(low)
     density = (np.exp(-0.5 * high**2) - np.exp(-0.5 * low**2)) / np.sqrt(2.0 * np.pi)
-    return u * inside - noise * density + ndtr(-high), inside
+    return u * inside - noise * density + scipy.special.ndtr(-high), inside
 
 
 @dataclass(frozen=True, eq=False)

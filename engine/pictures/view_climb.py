@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from engine.model import Camera, GaussianModel
 from engine.numerics.jit import side_by_side
@@ -81,7 +81,7 @@ def _around(view: ViewPoints, degrees: float, away: Sequence[float]) -> Iterator
     pivot = view.depth * np.linalg.solve(camera.K, np.array([*view.middle, 1.0]))
     for turn in ((angle, 0.0, 0.0), (-angle, 0.0, 0.0), (0.0, angle, 0.0), (0.0, -angle, 0.0)):
         motion = np.eye(4)
-        motion[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        motion[:3, :3] = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
         motion[:3, 3] = pivot - motion[:3, :3] @ pivot
         yield Camera(motion @ camera.viewmat, camera.K, camera.width, camera.height)
     for factor in away:
@@ -101,4 +101,4 @@ def _distinct(found: Sequence[Climbed], count: int) -> list[Climbed]:
 
 def _turned(a: Camera, b: Camera) -> float:
     """The angle between two cameras' directions, roll included, radians."""
-    return float(Rotation.from_matrix(a.viewmat[:3, :3] @ b.viewmat[:3, :3].T).magnitude())
+    return float(scipy.spatial.transform.Rotation.from_matrix(a.viewmat[:3, :3] @ b.viewmat[:3, :3].T).magnitude())

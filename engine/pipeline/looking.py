@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
@@ -127,7 +127,7 @@ def place_by_looking(
 def _turns() -> list[Float64]:
     """Sides of a model that may be up: as it is, upside down, then the four others."""
     axes = [(0.0, 0, 0), (180, 0, 0), (90, 0, 0), (-90, 0, 0), (0, 0, 90), (0, 0, -90)]
-    return [Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in axes]
+    return [scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in axes]
 
 
 def _views(suspect: GaussianModel, turns: list[Float64]) -> Iterator[Camera]:
@@ -179,7 +179,7 @@ def _most_agreeing(seen: list[Sighting]) -> list[Sighting]:
 
 
 def _agrees(fit: Similarity, sighting: Sighting) -> bool:
-    turn = Rotation.from_matrix(sighting.similarity.R @ fit.R.T).as_rotvec()
+    turn = scipy.spatial.transform.Rotation.from_matrix(sighting.similarity.R @ fit.R.T).as_rotvec()
     gap = np.linalg.norm(fit.apply(sighting.own.position) - sighting.found.position)
     return bool(np.linalg.norm(turn) < SAME_TURN and gap < SAME_PLACE * sighting.found_depth)
 

@@ -42,7 +42,7 @@ class ReferenceViews:
         geometry = None
         if grain.there:
             seen = drawn.view.geometry
-            smooth = seen.settings.antialiased or seen.discs is not None
+            smooth = seen.settings.antialiased or len(seen.discs) > 0
             geometry = GrainView(
                 draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
                 grain,

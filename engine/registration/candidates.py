@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_kernel, share_of
@@ -108,12 +108,12 @@ class FeatureIndex:
         self.rows = np.flatnonzero(rarity >= self.threshold)
 
     @cached_property
-    def rare_tree(self) -> cKDTree:
-        return cKDTree(self.all_points[self.rows], balanced_tree=False, compact_nodes=False)
+    def rare_tree(self) -> scipy.spatial.cKDTree:
+        return scipy.spatial.cKDTree(self.all_points[self.rows], balanced_tree=False, compact_nodes=False)
 
     @cached_property
-    def full_tree(self) -> cKDTree:
-        return cKDTree(self.all_points, balanced_tree=False, compact_nodes=False)
+    def full_tree(self) -> scipy.spatial.cKDTree:
+        return scipy.spatial.cKDTree(self.all_points, balanced_tree=False, compact_nodes=False)
 
     def _columns(self, features: Float64) -> Float64:
         if self.colors:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
@@ -80,7 +80,7 @@ def unexplained(
 
 def _common_share(points: Float32, errors: Float64) -> float:
     """Share of squared errors (n, 3) that neighbours have in common."""
-    beside = np.asarray(cKDTree(points).query(points, k=AROUND)[1])
+    beside = np.asarray(scipy.spatial.cKDTree(points).query(points, k=AROUND)[1])
     total = float(np.square(errors).sum())
     return float(np.square(errors[beside].mean(axis=1)).sum()) / max(total, 1e-300)
 
@@ -94,7 +94,7 @@ def register_deformed(
     """
     reference = index.model
     looks = index.looks(min(reference.sh_degree, suspect.sh_degree))
-    places = cKDTree(suspect.means.astype(np.float64), balanced_tree=False, compact_nodes=False)
+    places = scipy.spatial.cKDTree(suspect.means.astype(np.float64), balanced_tree=False, compact_nodes=False)
     patches: list[Patch] = []
     best: Deformed | None = None
     tried = 0
@@ -138,5 +138,5 @@ def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
     """Which of some Gaussians lie where hardly any of these is matched."""
     points = suspect.means[rows].astype(np.float64)
     k = min(AROUND, len(rows))
-    beside = np.asarray(cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)  # (n, k)
+    beside = np.asarray(scipy.spatial.cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)  # (n, k)
     return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)

@@ -8,7 +8,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
@@ -71,7 +71,7 @@ def grow(
     part = suspect.take(rows)
     points = part.means.astype(np.float64)
     nodes = points[np.sort(rng.choice(len(points), min(NODES, len(points)), replace=False))]
-    tree = cKDTree(nodes)
+    tree = scipy.spatial.cKDTree(nodes)
     home = np.asarray(tree.query(points, workers=2)[1])
     beside = np.asarray(tree.query(nodes, k=min(7, len(nodes)))[0]).reshape(len(nodes), -1)  # (A, 7)
     reach = 2.5 * np.median(beside[:, 1:], axis=1) if beside.shape[1] > 1 else np.full(len(nodes), np.inf)
@@ -136,14 +136,14 @@ def _fit_nodes(
 ) -> tuple[Bool, Affine]:
     """Maps of all nodes that have matches within reach, from their nearest ones; others keep what they had."""
     k = min(PAIRS, len(source))
-    distance, index = cKDTree(source).query(nodes, k=k, workers=2)
+    distance, index = scipy.spatial.cKDTree(source).query(nodes, k=k, workers=2)
     distance, index = distance.reshape(-1, k), index.reshape(-1, k)  # (A, k)
     near = distance[:, min(7, k - 1)] < reach
     prior = maps[near]
     fresh = ~known[near]
     if fresh.any() and known.any():
         old = np.flatnonzero(known)
-        prior[fresh] = maps[old[np.asarray(cKDTree(nodes[old]).query(nodes[near][fresh])[1])]]
+        prior[fresh] = maps[old[np.asarray(scipy.spatial.cKDTree(nodes[old]).query(nodes[near][fresh])[1])]]
     chosen = index[near]
     out = maps.copy()
     out[near] = fit_affine(source[chosen], target[chosen], prior)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+import scipy
 
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
@@ -107,7 +107,7 @@ def _nearer_hand(reference: GaussianModel, hands: Hands, asked: Sequence[bool], 
 
 def axis_rotations() -> list[Float64]:
     """The 24 proper rotations that map axes to axes, the identity first: what tools do to 'up'."""
-    turns = [np.round(r) for r in Rotation.create_group("O").as_matrix()]
+    turns = [np.round(r) for r in scipy.spatial.transform.Rotation.create_group("O").as_matrix()]
     return sorted(turns, key=lambda r: (-float(np.trace(r)), r.tolist()))
 
 

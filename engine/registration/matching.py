@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
+import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.jit import parallel_kernel, share_of
@@ -158,7 +158,7 @@ class Matcher:
         vectors = joint_vectors(reference, Similarity.identity(), deviations, self.centre, suspect=False)
         weight = deviations.rotation**-2 if np.isfinite(deviations.rotation) else 0.0
         dims = vectors.shape[1] + (3 if weight > 0 else 0)
-        self.limit2 = float(chdtri(dims, 1e-3))
+        self.limit2 = float(scipy.special.chdtri(dims, 1e-3))
         self.basis: Float32 | None = None
         hard, cap = HARD, 0.6 * self.limit2
         if deviations.noisy:
@@ -187,7 +187,7 @@ class Matcher:
 
     def quality(self, neighbours: Neighbours) -> Float32:
         """(M,) trust 0..1: the chance that the nearest is the right one, fading out towards the limit."""
-        usual = float(chdtri(self.grid.points.shape[1] + (3 if self.grid.quat_weight > 0 else 0), 0.5))
+        usual = float(scipy.special.chdtri(self.grid.points.shape[1] + (3 if self.grid.quat_weight > 0 else 0), 0.5))
         fade = (self.limit2 - neighbours.distance2) / (self.limit2 - usual)
         trust: Float32 = (neighbours.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
         return trust

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, umeyama
@@ -93,7 +93,7 @@ def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Gener
     """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are not asked."""
     spots = wholes.centres[sample_rows(len(wholes.centres), SPOTS, rng)]
     distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centres)))
-    reach, spot = cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
+    reach, spot = scipy.spatial.cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
     near = parts.take(np.flatnonzero(reach < 2.0 * distance.reshape(len(spots), -1)[spot, -1]))
     owner, _ = wholes.find(near, fit)
     inside = np.flatnonzero(owner >= 0)

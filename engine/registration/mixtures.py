@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.gaussians import covariances, surface_mass
@@ -65,7 +65,7 @@ class Wholes:
 
     def __init__(self, suspect: GaussianModel) -> None:
         self.centres = suspect.means.astype(np.float64)  # (m, 3)
-        self.tree = cKDTree(self.centres, balanced_tree=False, compact_nodes=False)
+        self.tree = scipy.spatial.cKDTree(self.centres, balanced_tree=False, compact_nodes=False)
         sigma = _solid(covariances(suspect))
         self.precision = np.asarray(np.linalg.inv(sigma), dtype=np.float64)  # (m, 3, 3)
         self.log_det: Float64 = np.asarray(np.linalg.slogdet(sigma)[1], dtype=np.float64)

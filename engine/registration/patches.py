@@ -12,12 +12,14 @@ as one affine map says, are no accident.
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
@@ -50,18 +52,18 @@ class Looks:
 
     def __init__(self, reference: GaussianModel, degree: int) -> None:
         self.reference, self.degree = reference, degree
-        self._sparse: dict[int, cKDTree] = {}
+        self._sparse: dict[int, scipy.spatial.cKDTree] = {}
 
     @cached_property
-    def tree(self) -> cKDTree:
-        return cKDTree(_looks(self.reference, self.degree), balanced_tree=False, compact_nodes=False)
+    def tree(self) -> scipy.spatial.cKDTree:
+        return scipy.spatial.cKDTree(_looks(self.reference, self.degree), balanced_tree=False, compact_nodes=False)
 
     def radii(self, places: Float64, count: int) -> Float64:
         """(n,) about how far around each of `places` (n, 3) the nearest `count` reference Gaussians reach."""
         step = max(1, count // COUNTED)
         if step not in self._sparse:
             some = self.reference.means[::step].astype(np.float64)
-            self._sparse[step] = cKDTree(some, balanced_tree=False, compact_nodes=False)
+            self._sparse[step] = scipy.spatial.cKDTree(some, balanced_tree=False, compact_nodes=False)
         tree = self._sparse[step]
         return np.asarray(tree.query(places, k=[min(max(1, count // step), tree.n)], workers=2)[0]).reshape(-1)
 
@@ -95,7 +97,7 @@ class Patch:
 def find_patches(
     looks: Looks,
     suspect: GaussianModel,
-    places: cKDTree,
+    places: scipy.spatial.cKDTree,
     centers: npt.NDArray[np.int64],
     floor: Deviations,
     rng: np.random.Generator,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
@@ -75,7 +75,7 @@ def warped(model: GaussianModel, maps: Affine) -> GaussianModel:
 def blend(nodes: npt.NDArray[np.floating], maps: Affine, points: npt.NDArray[np.floating], near: int = 4) -> Affine:
     """Maps (N, 3, 4) at points (N, 3), from those (A, 3, 4) at the `near` nearest of the nodes (A, 3)."""
     near = min(near, len(nodes))
-    distance, index = cKDTree(nodes).query(points, k=near, workers=2)
+    distance, index = scipy.spatial.cKDTree(nodes).query(points, k=near, workers=2)
     distance, index = distance.reshape(-1, near), index.reshape(-1, near)  # (N, near)
     reach = np.maximum(distance[:, -1:], 1e-30)
     weights = np.square(1.0 - np.square(0.999 * distance / reach))

@@ -6,7 +6,7 @@ s, trust t and residual e: the weighted mean where every share is 1.
 """
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import scipy
 
 from engine.model import Float64, Int32, Int64
 
@@ -19,7 +19,7 @@ class CodeShares:
 
     def __init__(self, rows: Int64, codes: Int32, shares: Float64, shape: tuple[int, int]) -> None:
         """Entries (E,) of a sparse matrix of `shape` (n, code vectors); those of one place add up."""
-        self.matrix = csr_matrix((shares, (rows, codes)), shape=shape)
+        self.matrix = scipy.sparse.csr_matrix((shares, (rows, codes)), shape=shape)
         self.squared = self.matrix.multiply(self.matrix).tocsr()
 
     def means(self, values: Float64, trust: Float64) -> Float64:

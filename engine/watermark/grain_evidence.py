@@ -87,8 +87,8 @@ def _differences(
     """Fills out (R, 6): centre in `units` along the reference's axes, and log scales, suspect less reference.
 
     `target` (n,) reference row of each suspect row or -1, `rows` (n,) that of `out` where it goes; `move` (3, 3) scale
-    times rotation and `shift` (3,) take the suspect to the reference, `turn` (5,) is the rotation's quaternion and the logarithm
-    of the scale.
+    times rotation and `shift` (3,) take the suspect to the reference, `turn` (5,) is the rotation's quaternion and the
+    logarithm of the scale.
     """
     whole = (turn[0], turn[1], turn[2], turn[3])
     for i in share_of(len(target), call):

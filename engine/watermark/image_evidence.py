@@ -9,6 +9,7 @@ suspect and the unmarked reference alone, never a chip. The grain's chips are re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from engine.watermark.grain_pictures import GrainView
 from engine.watermark.layout import Layout
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import public_signs
+
+Floats = TypeVar("Floats", Float32, Float64)
 
 CLIP = 8.0
 """Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
@@ -41,11 +44,11 @@ class PictureEvidence:
     """
 
     parts: tuple[tuple[int, int], ...]  # of each layer, how many chips it has, of how many kinds that take turns
-    weights: Float64  # amplitudes: the matched filter's
-    y: Float64
-    response: Float64
-    held_y: Float64
-    held_response: Float64
+    weights: Float32  # amplitudes: the matched filter's
+    y: Float32
+    response: Float32
+    held_y: Float32
+    held_response: Float32
     pulled: tuple[Float32, ...]  # (N, 3) of each picture: see `Evidence`
 
     @property
@@ -89,16 +92,21 @@ class PictureEvidence:
         spread = [_by_scatter(layer, kinds) for layer, (_, kinds) in zip(layers, self.parts, strict=True)]
         return self._together(spread, strength)
 
-    def _layers(self, y: Float64, response: Float64) -> list[Evidence]:
+    def _layers(self, y: Float32, response: Float32) -> list[Evidence]:
         ends = np.cumsum([0, *(chips for chips, _ in self.parts)])
         each = [slice(a, b) for a, b in pairwise(ends)]
-        return [Evidence(y[part], self.weights[part], response[part]) for part in each]
+        return [Evidence(_exact(y[part]), _exact(self.weights[part]), _exact(response[part])) for part in each]
 
     def _together(self, layers: Sequence[Evidence], strength: float) -> Evidence:
         first, *others = layers
         for other in others:
             first = first.then(_balanced(other, layers[0]))
         return replace(first, signal=strength * first.signal, pulled=self.pulled)
+
+
+def _exact(values: Float32) -> Float64:
+    """For sums over millions of chips."""
+    return values.astype(np.float64)
 
 
 def _balanced(grain: Evidence, tint: Evidence) -> Evidence:
@@ -166,19 +174,19 @@ def gather_image_evidence(
     """
     weigh = _reader(layout, view, reference, warped, mask, through)
 
-    def read(known: Float32) -> tuple[Float32, Float64]:
+    def read(known: Float32) -> tuple[Float32, Float32]:
         cotangent = np.ascontiguousarray(weigh(known))
         if geometry is None:
             pulled = view.backward_colors(cotangent)
-            return pulled, _gathered(layout, pulled)
+            return pulled, _gathered(layout, pulled).astype(np.float32)
         pulled, moved = geometry.pull(view, cotangent)
-        return pulled, np.concatenate([_gathered(layout, pulled), moved])
+        return pulled, np.concatenate([_gathered(layout, pulled).astype(np.float32), moved])
 
     pulled, y = read(reference)
     # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim.
     _, less = read(reference + mark_image)
-    parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes
+    parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes.astype(np.float32)
     if geometry is not None:
         weights = np.concatenate([weights, geometry.weights()])
         parts.append((len(weights) - layout.chips, ATTRIBUTES))
@@ -189,7 +197,8 @@ def gather_image_evidence(
         ]
     )
     held, held_less = _saturate(y, weights, limits), _saturate(less, weights, limits)
-    answers = mark_signs * (y - less), held, mark_signs * (held - held_less)
+    signs = mark_signs.astype(np.float32)
+    answers = signs * (y - less), held, signs * (held - held_less)
     return PictureEvidence(tuple(parts), weights, y, *answers, (pulled,))
 
 
@@ -253,7 +262,7 @@ def _public_pattern(layout: Layout, view: View) -> Float32:
     return view.render(np.ascontiguousarray(SH_C0 * shown))[0]
 
 
-def _limits(evidence: Float64, carriers: int) -> Float64:
+def _limits(evidence: Floats, carriers: int) -> Floats:
     """(C,) where evidence saturates: CLIP medians of what the picture shows, for each carrier."""
     limits = np.empty_like(evidence)
     for r in range(carriers):
@@ -263,6 +272,8 @@ def _limits(evidence: Float64, carriers: int) -> Float64:
     return limits
 
 
-def _saturate(y: Float64, weights: Float64, limits: Float64) -> Float64:
+def _saturate(y: Floats, weights: Floats, limits: Floats) -> Floats:
     """y such that w y = limit tanh(w y / limit): an odd function of the suspect's evidence, blind to chips."""
-    return np.where(weights > 0, limits * np.tanh(weights * y / limits) / np.maximum(weights, 1e-300), 0.0)
+    held = np.tanh(weights * y / limits)
+    held *= limits
+    return np.asarray(np.divide(held, weights, out=np.zeros_like(held), where=weights > 0))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import scipy
 
 from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.registration.mixtures import Mixtures
@@ -114,7 +114,7 @@ def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixture
     trusted[mixtures.suspect_rows[parts]] = True
     rows = np.flatnonzero(trusted)
     of = (np.cumsum(trusted) - 1)[mixtures.suspect_rows[parts]]  # row among those read
-    made = csr_matrix((shares, (of, target)), shape=(len(rows), len(reference_dc)))
+    made = scipy.sparse.csr_matrix((shares, (of, target)), shape=(len(rows), len(reference_dc)))
     reference = np.asarray(made @ reference_dc.astype(np.float64))  # what it would be, unmarked
     residual = suspect_dc[rows].astype(np.float64) - reference
     trust = mixtures.quality[rows].astype(np.float64)

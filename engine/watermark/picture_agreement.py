@@ -61,8 +61,8 @@ def find_contradicting(pictures: Sequence[PictureEvidence]) -> tuple[int, ...]:
     left_out: list[int] = []
     if len(pictures) < LEAST_PICTURES:
         return ()
-    shown = [picture.weights * picture.held_y for picture in pictures]
-    expected = [picture.weights * picture.held_response for picture in pictures]
+    shown = [np.multiply(picture.weights, picture.held_y, dtype=np.float64) for picture in pictures]
+    expected = [np.multiply(picture.weights, picture.held_response, dtype=np.float64) for picture in pictures]
     while 2 * len(left_out) < len(pictures):
         staying = [number for number in range(len(pictures)) if number not in left_out]
         shares = {number: _share(number, staying, shown, expected) for number in staying}

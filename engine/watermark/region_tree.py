@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Bool, Float32, Float64, Int32
 from engine.watermark.grain import ATTRIBUTES
@@ -73,7 +73,7 @@ def divide(layout: Layout, means: Float32, most: int) -> Partition:
     of_gaussians = of_codes[labels]
     still = np.flatnonzero(of_gaussians < 0)  # code vectors that carry nothing; their Gaussians' grain does
     if len(still):
-        of_gaussians[still] = leaf[cKDTree(middles).query(means[still].astype(np.float64), workers=2)[1]]
+        of_gaussians[still] = leaf[scipy.spatial.cKDTree(middles).query(means[still].astype(np.float64), workers=2)[1]]
     return Partition(len(leaves), chips, of_codes, of_gaussians)
 
 

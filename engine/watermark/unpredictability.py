@@ -5,7 +5,7 @@ subtracts what he did not expect. So amplitudes follow what the unmarked scene i
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from engine.model import Float64, Int64
 
@@ -42,7 +42,7 @@ def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:
     Of at least two code vectors, else as in `unexplained`.
     """
     count = len(centers)
-    near = cKDTree(centers).query(centers, k=min(NEIGHBOURS + 1, count), workers=2)[1][:, 1:]  # (M, k)
+    near = scipy.spatial.cKDTree(centers).query(centers, k=min(NEIGHBOURS + 1, count), workers=2)[1][:, 1:]  # (M, k)
     offset = centers[near] - centers[:, None]
     offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
     design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)

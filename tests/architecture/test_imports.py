@@ -74,3 +74,17 @@ def test_only_torch_modules_import_torch_when_loaded() -> None:
     others = sorted({module_name(path) for path in product_files()} - TORCH_MODULES - RUN_BY_ALEMBIC)
     assert len(others) > 20
     assert json.loads(run(EVERYTHING, json.dumps(others))) == {}
+
+
+LATER = """
+import importlib, sys
+importlib.import_module(sys.argv[1])
+late = {"numba", "scipy.spatial", "scipy.special", "scipy.sparse", "scipy.ndimage", "scipy.fft", "cv2", "torch"}
+print(sorted(late & set(sys.modules)))
+"""
+
+
+def test_flows_open_without_what_only_some_of_their_work_needs() -> None:
+    """Each costs every command a tenth to a quarter of a second; together they were half of what imports took."""
+    for module in ("engine.pipeline.embedding", "engine.pipeline.verification", "engine.pipeline.tracing"):
+        assert run(LATER, module) == "[]\n", module
