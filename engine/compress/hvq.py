@@ -11,6 +11,7 @@ import numpy as np
 
 from engine.compress.cells import cell_features, split_cells
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
+from engine.numerics.jit import parallel_kernel, share_of
 
 Matrix = Float32 | Float64
 
@@ -84,8 +85,19 @@ def group_means(values: Matrix, labels: Int32, weights: Float64, count: int | No
     count = int(labels.max()) + 1 if count is None else count
     weights = weights + 1e-9 * float(weights.mean()) + 1e-300
     total = np.bincount(labels, weights, count)
-    sums = np.stack([np.bincount(labels, weights * values[:, c], count) for c in range(values.shape[1])], 1)
+    sums = np.zeros((count, values.shape[1]))
+    _add_up(np.ascontiguousarray(values), labels, weights, sums)
     return (sums / np.maximum(total, 1e-300)[:, None]).astype(np.float32)
+
+
+@parallel_kernel
+def _add_up(values, labels, weights, sums, call):  # type: ignore[no-untyped-def]
+    """Weighted sums (M, d) of the rows of each label. Each call has columns of its own: threads do not matter."""
+    columns = share_of(values.shape[1], call)
+    for i in range(len(values)):
+        label, weight = labels[i], weights[i]
+        for c in columns:
+            sums[label, c] += weight * values[i, c]
 
 
 def detail_metric(values: Float32, lambda_freq: float) -> Float32:

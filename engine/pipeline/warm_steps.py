@@ -12,6 +12,9 @@ import numpy as np
 
 from engine import raster
 from engine.compress.cells import split_cells
+from engine.compress.hvq import group_means
+from engine.formats.sog.codebook import learn_codebook
+from engine.formats.sog.palette import learn_palette
 from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
 from engine.numerics.resampling import remap
@@ -30,8 +33,9 @@ from engine.pictures.view_search import search_views
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
 from engine.registration.sketch import SuspectIndex, make_sketch
-from engine.watermark.grain import Grain
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
+from engine.watermark.grain_pictures import GrainView
 
 __all__ = ["STEPS", "Step", "Work", "steps_of"]
 
@@ -59,9 +63,19 @@ def steps_of(work: Work) -> dict[str, Step]:
 
 
 def _embedding() -> None:
-    split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
+    labels = split_cells(np.eye(8, 6, dtype=np.float32), np.ones(8), 4)
+    group_means(np.eye(8, 6, dtype=np.float32), labels, np.ones(8))
+    _roughen(8)
+    learn_palette(np.arange(48.0, dtype=np.float32).reshape(16, 3), 4)
+    learn_codebook(np.arange(600.0), levels=4)
     picture = np.eye(16, dtype=np.float32)
     ssim(picture, picture)
+
+
+def _roughen(n: int) -> None:
+    ones = np.ones((n, 4), dtype=np.float32)
+    model = GaussianModel(ones[:, :3], ones[:, :3], ones, ones[:, 0], ones[:, None, :3])
+    roughen(model, Grain(0.1, 0.1), np.ones((n, ATTRIBUTES), dtype=np.float32))
 
 
 def _registration() -> None:
@@ -102,20 +116,23 @@ def _alignment() -> None:
     search_views(FarViews(model, [camera]).views, PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)
+    _roughen(8)
+    drawn = raster.draw(model, camera)
+    GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
 
 
 _RASTER = raster.WARM_UPS
 
 STEPS: dict[str, Step] = {
     "registration": Step(_registration, 6.5, ("model",)),
-    "geometry": Step(_RASTER["geometry"], 4.0, ("embed", "pictures")),
-    "cells": Step(_embedding, 2.0, ("embed",)),
+    "geometry": Step(_RASTER["geometry"], 3.5, ("embed", "pictures")),
+    "cells": Step(_embedding, 3.5, ("embed",)),
     "colors": Step(_RASTER["colors"], 1.5, ("embed", "pictures")),
-    "pictures": Step(_RASTER["pictures"], 3.5, ("embed", "pictures"), ("geometry", "colors")),
-    "color gradients": Step(_RASTER["color gradients"], 3.5, ("embed", "pictures"), ("geometry",)),
-    "alignment": Step(_alignment, 6.5, ("pictures",), ("pictures", "registration", "cells")),
-    "discs": Step(_RASTER["discs"], 1.5, (), ("pictures", "color gradients")),
+    "pictures": Step(_RASTER["pictures"], 4.0, ("embed", "pictures"), ("geometry", "colors")),
+    "color gradients": Step(_RASTER["color gradients"], 4.0, ("embed", "pictures"), ("geometry",)),
     "all gradients": Step(_RASTER["all gradients"], 4.5, ("pictures",), ("pictures", "color gradients")),
+    "alignment": Step(_alignment, 7.5, ("pictures",), ("pictures", "registration", "cells", "all gradients")),
+    "discs": Step(_RASTER["discs"], 1.5, (), ("pictures", "color gradients")),
 }
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ _KERNEL_VERSION = 1
 _SAMPLE = 1 << 16
 _GROUP_ROUNDS, _CODE_ROUNDS = 8, 4
 _SEED = 0x50A1E77E
-_ROWS = 8192
 
 
 def palette_size(count: int) -> int:
@@ -60,13 +59,8 @@ def learn_palette(vectors: Float32, size: int) -> tuple[Float32, Int64]:
 
 def _distinct(vectors: Float32, limit: int) -> tuple[Float32, Int64] | None:
     """The different rows and which of them each row is, if there are no more than `limit`."""
-    keys = np.zeros(len(vectors), dtype=np.uint64)
-    for start in range(0, len(vectors), _ROWS):  # so many that their columns stay in the cache
-        own = keys[start : start + _ROWS]
-        for column in np.ascontiguousarray(vectors[start : start + _ROWS].view(np.uint32).T):
-            own ^= column  # rolling hash, modulo 2^64
-            own *= np.uint64(0x9E3779B97F4A7C15)
-            own ^= own >> np.uint64(29)
+    keys = np.empty(len(vectors), dtype=np.uint64)
+    _hash_rows(vectors.view(np.uint32), keys)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     if len(first) > limit:
         return None
@@ -74,6 +68,17 @@ def _distinct(vectors: Float32, limit: int) -> tuple[Float32, Int64] | None:
     if not (codes[inverse] == vectors).all():  # two different rows with the same key
         return None
     return codes, inverse.astype(np.int64)
+
+
+@parallel_kernel
+def _hash_rows(bits, keys, call):
+    """A rolling hash of each row, modulo 2^64."""
+    for i in share_of(len(keys), call):
+        key = np.uint64(0)
+        for k in range(bits.shape[1]):
+            key = (key ^ np.uint64(bits[i, k])) * np.uint64(0x9E3779B97F4A7C15)
+            key ^= key >> np.uint64(29)
+        keys[i] = key
 
 
 def _groups(vectors: Float32, count: int) -> Int64:
