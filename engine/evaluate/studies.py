@@ -22,7 +22,7 @@ STUDIES = {
     "null": ("engine.evaluate.null.study", "false claims: a million wrong keys, foreign marks, hostile suspects"),
     "steganalysis": ("engine.evaluate.steganalysis.study", "can it be seen that there is a mark?"),
     "baselines": ("engine.evaluate.baselines.study", "other methods on the same scenes and attacks"),
-    "cost": ("engine.evaluate.cost.study", "time and memory from 10 thousand to 4 million Gaussians"),
+    "cost": ("engine.evaluate.cost.study", "time and memory from 10 thousand to 10 million Gaussians"),
     "perceptual": ("engine.evaluate.perceptual.study", "what eyes may notice: PSNR, SSIM, MS-SSIM, FLIP, LPIPS"),
 }
 """Module and summary of each; the module holds `STUDY`, or after a colon: one of the module's `studies()`."""

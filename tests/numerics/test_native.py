@@ -65,6 +65,35 @@ def test_arguments_of_every_kind_arrive() -> None:
 
 
 @pytest.mark.usefixtures("store")
+def test_arrays_of_every_layout_are_read_as_they_lie() -> None:
+    @kernel
+    def told(x):
+        s = 0.0
+        for i in range(x.shape[0]):
+            for j in range(x.shape[1]):
+                s += x[i, j] * (1 + i + 10 * j)
+        return s
+
+    grid = np.arange(24.0).reshape(4, 6)
+    packed = np.zeros(24, np.dtype([("byte", "u1"), ("x", "f8")]))["x"].reshape(4, 6)  # on odd addresses
+    packed[:] = grid
+    for x in (grid, np.asfortranarray(grid), grid[::2, 1:], grid.T, grid[:0], packed):
+        i, j = np.indices(x.shape)
+        assert told(x) == (x * (1 + i + 10 * j)).sum()
+    assert len({native.kind_of(x) for x in (grid, grid.T, grid[::2, 1:], packed)}) == 4
+
+
+def test_the_processor_is_the_one_that_numba_was_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = native.processor.__wrapped__
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "+sse2")
+    assert find() == ("generic", "+sse2")
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    assert "," in find()[1]
+
+
+@pytest.mark.usefixtures("store")
 def test_what_numba_alone_knows_is_left_to_it() -> None:
     @kernel
     def first(values):

@@ -20,6 +20,7 @@ from engine.evaluate.marked_scene import bench_key, mark_scene
 from engine.evaluate.study import Row
 from engine.formats import read_model
 from engine.model import GaussianModel
+from engine.numerics.allocating import keep_freed_memory
 from engine.numerics.machine import peak_memory_mb
 from engine.pipeline.embedding import embed
 from engine.pipeline.profiles import profile as named_profile
@@ -41,7 +42,8 @@ T = TypeVar("T")
 
 def in_own_process(function: Callable[..., T], *arguments: object) -> T:
     """Result of a module-level function run in a fresh process."""
-    with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
+    context = get_context("spawn")
+    with ProcessPoolExecutor(max_workers=1, mp_context=context, initializer=keep_freed_memory) as pool:
         return pool.submit(function, *arguments).result()
 
 

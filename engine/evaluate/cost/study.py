@@ -15,7 +15,7 @@ from engine.evaluate.study import Bar, Cell, Drawing, Options, Report, Row, Sect
 from engine.evaluate.summing import busy_words, picked, table
 
 MODULE = "engine.evaluate.cost.measuring"
-GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 4_000_000)
+GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)
 VIEWS = (1, 4, 16, 64)
 SIZES = (256, 512, 1024, 2048)
 FORMATS = ("ply", "splat", "spz", "compressed.ply", "sog")

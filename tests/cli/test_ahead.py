@@ -1,0 +1,39 @@
+"""What is begun while modules load is there when asked for, or its error is."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from engine.cli.ahead import Ahead
+from engine.errors import FormatError
+
+
+def test_it_is_begun_at_once_and_given_when_asked_for() -> None:
+    begun = threading.Event()
+
+    def work(x: int, *, more: int) -> int:
+        begun.set()
+        return x + more
+
+    ahead = Ahead(work, 1, more=2)
+    assert begun.wait(10.0)
+    assert ahead.result() == 3
+
+
+def test_its_error_is_raised_where_it_is_asked_for() -> None:
+    def work() -> int:
+        raise FormatError("is no model", file="x")
+
+    ahead = Ahead(work)
+    with pytest.raises(FormatError, match="is no model"):
+        ahead.result()
+
+
+def test_a_command_that_ends_before_does_not_wait_for_it() -> None:
+    held = threading.Event()
+    ahead = Ahead(held.wait)
+    assert ahead._thread.daemon
+    held.set()
+    assert ahead.result()
