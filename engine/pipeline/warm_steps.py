@@ -30,6 +30,7 @@ from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_agreement import agreement_of_views
 from engine.pictures.view_search import search_views
+from engine.records.reference import decode_reference, encode_reference
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
 from engine.registration.sketch import SuspectIndex, make_sketch
@@ -95,6 +96,7 @@ def _registration() -> None:
         found = register(model, suspect)
         gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
     Wholes(moved).find(Parts.of(model), found.similarity)
+    decode_reference(encode_reference(model.with_(sh=np.ones((n, 4, 3)))))
     SuspectIndex(moved).resemblance(make_sketch(model))
 
 

@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
 from engine.model import GaussianModel
+from engine.numerics.jit import parallel_kernel, share_of
 
 Arrays = dict[str, npt.NDArray[Any]]
 _UInt8 = npt.NDArray[np.uint8]
@@ -47,6 +48,7 @@ _MEAN_STEPS_LOG2 = 12
 _MEAN_LIMIT = 1 << 52
 _ESCAPE = 255
 _ROWS = 4096  # rows at a time: SH pass through the cache once
+_BLOCK = 64  # of them, 12 kB, to which columns are written
 _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest", "quats", "rest", "rest_escape")
 
 
@@ -194,10 +196,20 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
     flat = sh.reshape(n, -1)[:, 3:]
     codes = np.arange(256)
     table = ((codes >> 1) ^ -(codes & 1)).astype(np.float32) / np.float32(_REST_STEPS)
-    for start in range(0, n, _ROWS):
-        flat[start : start + _ROWS] = table.take(np.ascontiguousarray(rest[:, start : start + _ROWS].T), mode="clip")
+    _look_up_rows(rest, table, flat)
     exact = escape.astype(np.int64)
     flat[row, column] = ((exact >> 1) ^ -(exact & 1)).astype(np.float32) / np.float32(_REST_STEPS)
+
+
+@parallel_kernel
+def _look_up_rows(codes, table, rows, call):  # type: ignore[no-untyped-def]
+    """Entries of a table by codes (K, N), to rows (N, K), in blocks that stay in the cache."""
+    count = len(rows)
+    for block in share_of((count + _BLOCK - 1) // _BLOCK, call):
+        first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
+        for k in range(len(codes)):
+            for i in range(first, last):
+                rows[i, k] = table[codes[k, i]]
 
 
 def _to_planes(values: npt.NDArray[Any]) -> _UInt8:
