@@ -78,10 +78,10 @@ class Code(NamedTuple):
 def kind_of(value: Any) -> str | None:
     """The type of an argument, as far as code depends on it; None where numba alone knows what to do with it."""
     if isinstance(value, np.ndarray):
-        flags = value.flags
-        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        held = ("" if flags.writeable else "r") + ("" if flags.aligned else "u")
-        return None if value.dtype.hasobject or value.dtype.names else f"{value.dtype.str}{value.ndim}{layout}{held}"
+        form = value.dtype, value.ndim, value.flags.num  # of a handful: to spell it out takes longer than to look it up
+        if form not in _array_kinds:
+            _array_kinds[form] = _array_kind(value)
+        return _array_kinds[form]
     if isinstance(value, tuple):
         inside = [kind_of(each) for each in value]
         return None if None in inside else f"({','.join(map(str, inside))})"
@@ -94,6 +94,16 @@ def kind_of(value: Any) -> str | None:
     if isinstance(value, int):
         return "<i8" if -(2**63) <= value < 2**63 else None
     return None
+
+
+_array_kinds: dict[tuple[np.dtype[Any], int, int], str | None] = {}
+
+
+def _array_kind(array: np.ndarray[Any, Any]) -> str | None:
+    flags = array.flags
+    layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+    held = ("" if flags.writeable else "r") + ("" if flags.aligned else "u")
+    return None if array.dtype.hasobject or array.dtype.names else f"{array.dtype.str}{array.ndim}{layout}{held}"
 
 
 def flatten(values: Sequence[Any], out: list[Any]) -> list[Any]:

@@ -96,7 +96,9 @@ def _registration() -> None:
         found = register(model, suspect)
         gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
     Wholes(moved).find(Parts.of(model), found.similarity)
-    decode_reference(encode_reference(model.with_(sh=np.ones((n, 4, 3)))))
+    arrays = encode_reference(model.with_(sh=np.ones((n, 4, 3))))
+    arrays["rest"].flags.writeable = False  # as a record's are
+    decode_reference(arrays)
     SuspectIndex(moved).resemblance(make_sketch(model))
 
 

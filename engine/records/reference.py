@@ -196,7 +196,8 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
     flat = sh.reshape(n, -1)[:, 3:]
     codes = np.arange(256)
     table = ((codes >> 1) ^ -(codes & 1)).astype(np.float32) / np.float32(_REST_STEPS)
-    _look_up_rows(rest, table, flat)
+    if width:
+        _look_up_rows(rest, table, flat)
     exact = escape.astype(np.int64)
     flat[row, column] = ((exact >> 1) ^ -(exact & 1)).astype(np.float32) / np.float32(_REST_STEPS)
 
