@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import threading
 
 import pytest
 
+from engine.cli import app
 from engine.cli.ahead import Ahead
 from engine.errors import FormatError
 
@@ -37,3 +39,15 @@ def test_a_command_that_ends_before_does_not_wait_for_it() -> None:
     assert ahead._thread.daemon
     held.set()
     assert ahead.result()
+
+
+def test_the_command_keeps_what_it_freed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything large is made."""
+    order: list[str] = []
+    monkeypatch.setattr(app, "keep_freed_memory", lambda: order.append("kept"))
+    monkeypatch.setattr(app, "run", lambda arguments: order.append("run") or 0)
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with pytest.raises(SystemExit):
+        app.main()
+    assert order == ["kept", "run"]
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"

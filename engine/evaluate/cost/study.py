@@ -1,6 +1,6 @@
 """The study `cost`: how time and memory grow, how near the kernels come to the machine, what storage takes.
 
-On two quiet cores the full study takes about 15 minutes a scene of 100,000 Gaussians and needs 16 GB for its largest
+On two cores the full study takes about 15 minutes a scene of 100,000 Gaussians and needs 13 GB for its largest
 size; the quick version less than half a minute.
 """
 
