@@ -21,8 +21,9 @@ _OPTIONS: dict[str, Any] = {
 
 
 def dispatcher(function: Callable[..., Any], flags: frozenset[str], allocates: bool) -> Any:
-    """Numba's own callable, which it keeps in its own cache."""
-    return numba.njit(cache=True, nogil=True, fastmath=set(flags), _nrt=allocates, **_OPTIONS)(function)
+    """Numba's own callable, which it keeps in its own cache if it makes arrays. Others are put into kernels that are
+    kept by their text, and numba's cache does not know when that has changed."""
+    return numba.njit(cache=allocates, nogil=True, fastmath=set(flags), _nrt=allocates, **_OPTIONS)(function)
 
 
 def inlined_function(function: Callable[..., Any], flags: frozenset[str], allocates: bool) -> Any:
@@ -43,9 +44,8 @@ def compile_kernel(function: Callable[..., Any], flags: frozenset[str], argument
     with global_compiler_lock:
         found = made._compiler.compile(tuple(numba.typeof(each) for each in arguments), None)
         kind = found.signature.return_type
-        members = (
-            list(kind.types) if isinstance(kind, types.containers.BaseTuple) else [] if kind == types.none else [kind]
-        )
+        several = isinstance(kind, types.containers.BaseTuple)
+        members = list(kind.types) if several else [] if kind == types.none else [kind]
         if not all(isinstance(each, types.Number | types.Boolean) for each in members):
             return None
         library, name = found.library, found.fndesc.llvm_func_name
@@ -55,14 +55,8 @@ def compile_kernel(function: Callable[..., Any], flags: frozenset[str], argument
         called = {_c_name(each.name) for each in module.functions if each.is_declaration} - {""}
         kinds = [str(each.type) for each in native.arguments][2:]
         machine = library._codegen._tm.emit_object(module)
-    return Code(
-        name,
-        kinds,
-        returns,
-        bool(members) and not isinstance(kind, types.containers.BaseTuple),
-        sorted(called),
-        machine,
-    )
+    single = bool(members) and not several
+    return Code(name, kinds, returns, single, sorted(called), machine)
 
 
 _OF_C = {"cos", "exp", "exp2", "fmod", "log", "log10", "log2", "pow", "sin", "tan"}

@@ -9,8 +9,8 @@ does at every call of an inlined function (measured: half of the time of a loop 
 code stands alone: it is kept and called without numba (`native`), which is imported only to compile.
 
 Those that do make arrays are numba's to keep. Its cache looks at the date of the file that defines a kernel, not at
-what that file imports: so every file of kernels holds a ``_KERNEL_VERSION``; raise it when something they import has
-changed.
+what that file imports: so every file of such kernels holds a ``_KERNEL_VERSION``; raise it when something they import
+has changed.
 """
 
 import threading
@@ -47,7 +47,7 @@ class Kernel(Deferred):
     def __init__(self, function: Callable[..., Any], allocates: bool = False) -> None:
         super().__init__(function, self._make_numbas)
         self._allocates = allocates
-        self._natives: dict[str, native.Native] = {}
+        self._natives: dict[str, native.Native | None] = {}  # None where numba must run it
         self._lock = threading.Lock()
 
     def py_func(self, *arguments: Any) -> Any:
@@ -71,26 +71,24 @@ class Kernel(Deferred):
         kinds = native.kind_of(arguments)
         if kinds is None:
             return None
-        return self._natives.get(kinds) or self._made(kinds, arguments)
+        if kinds not in self._natives:
+            with self._lock:
+                if kinds not in self._natives:
+                    self._natives[kinds] = self._made(kinds, arguments)
+        return self._natives[kinds]
 
     def _made(self, kinds: str, arguments: tuple[Any, ...]) -> native.Native | None:
-        with self._lock:
-            if kinds in self._natives:
-                return self._natives[kinds]
-            label, text = f"{self.__module__}.{self.__name__}", text_of(self.function)
-            code = native.find(label, text, kinds)
-            if code is None:
-                native.announce()
-                from engine.numerics.compiling import compile_kernel
+        label, text = f"{self.__module__}.{self.__name__}", text_of(self.function)
+        code = native.find(label, text, kinds)
+        if code is None:
+            native.announce()
+            from engine.numerics.compiling import compile_kernel
 
-                code = compile_kernel(resolved(self.function), FLOAT_FLAGS, arguments)
-                if code is None:
-                    return None
-                native.keep(label, text, kinds, code)
-            ready = native.load(code)
-            if ready is not None:
-                self._natives[kinds] = ready
-            return ready
+            code = compile_kernel(resolved(self.function), FLOAT_FLAGS, arguments)
+            if code is None:
+                return None
+            native.keep(label, text, kinds, code)
+        return native.load(code)
 
     def _make_numbas(self) -> Any:
         from engine.numerics.compiling import dispatcher

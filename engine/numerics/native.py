@@ -213,10 +213,8 @@ def load(code: Code) -> Native | None:
     class Given(ctypes.Structure):
         _fields_ = [(f"n{i}", _C_TYPES[each]) for i, each in enumerate(code.returns)]
 
-    failure = ctypes.c_void_p
-
     def call(*arguments: Any) -> Any:
-        given, failed = Given(), failure()
+        given, failed = Given(), ctypes.c_void_p()
         status = function(ctypes.byref(given), ctypes.byref(failed), *arguments)
         if status not in _DONE:
             raise RuntimeError(f"kernel {code.name} failed with status {status}")

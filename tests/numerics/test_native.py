@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -237,3 +238,47 @@ def test_the_usual_work_does_without_numba() -> None:
         run = [sys.executable, "-c", WORK, str(model), what]
         done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=model.parents[2])
         assert done.returncode == 0, done.stderr
+
+
+PIECE = """
+from engine.numerics.jit import inlined
+@inlined
+def piece(x):
+    return x + {}
+"""
+KERNELS = """
+from engine.numerics.jit import kernel
+from piece import piece
+@kernel
+def inner(x):
+    return piece(x)
+@kernel
+def outer(x):
+    return 10 * inner(x)
+print(outer(1))
+"""
+
+
+def test_a_kernel_that_calls_a_kernel_sees_what_that_is_made_of(tmp_path: Path) -> None:
+    """A piece in another file changes; the files of both kernels, whose dates numba's cache goes by, do not."""
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(Path.cwd())}
+    said = []
+    for number in (1, 2):
+        (tmp_path / "piece.py").write_text(PIECE.format(number))
+        run = [sys.executable, "-B", str(tmp_path / "kernels.py")]
+        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert said == ["20\n", "30\n"]
+
+
+@pytest.mark.usefixtures("store")
+def test_what_is_not_kept_is_not_compiled_at_every_call(compiled: list[str]) -> None:
+    @kernel
+    def nested(x):
+        return (x, (x, x))
+
+    assert [nested(1), nested(2)] == [(1, (1, 1)), (2, (2, 2))]
+    assert compiled.count("compiled") == len(compiled) <= 2  # by us, and by numba
+    before = len(compiled)
+    assert nested(3) == (3, (3, 3))
+    assert len(compiled) == before
