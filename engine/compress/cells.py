@@ -13,8 +13,6 @@ from engine.numerics.jit import inlined, parallel_kernel, share_of
 COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
 
-_KERNEL_VERSION = 2  # numba's cache looks at this file only
-
 
 @parallel_kernel
 def _split_level(features, weights, order, starts, keys, masses, scratch, cuts, call):  # type: ignore[no-untyped-def]

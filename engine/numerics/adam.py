@@ -14,7 +14,6 @@ from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["AdamMoments", "adam_step"]
 
-_KERNEL_VERSION = 1
 
 _BLOCK = 1 << 14
 _BETA1, _BETA2 = 0.9, 0.999

@@ -17,6 +17,8 @@ from typing import Any
 # It must be set before torch starts its pool.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from engine.numerics.machine import usable_cores
+
 __all__ = ["run_turns", "thread_count", "use_threads"]
 
 _own = threading.local()
@@ -34,8 +36,7 @@ def _allowed() -> int:
         asked = int(os.environ.get("NUMBA_NUM_THREADS", "0"))
     except ValueError:
         asked = 0
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return asked if asked > 0 else cores
+    return asked if asked > 0 else usable_cores()
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from engine.numerics.jit import kernel
 
 __all__ = ["difference_picture", "ms_ssim_distance", "psnr", "ssim", "ssim_maps"]
 
-_KERNEL_VERSION = 1
 
 SSIM_RADIUS = 5
 """Half width of the 11-tap window of Wang et al."""

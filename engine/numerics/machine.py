@@ -27,7 +27,7 @@ def machine_info() -> dict[str, object]:
     return {
         "cpu": _key_values(Path("/proc/cpuinfo")).get("model name") or platform.processor() or platform.machine(),
         "cores": os.cpu_count() or 1,
-        "cores_usable": _usable_cores(),
+        "cores_usable": usable_cores(),
         "memory_gb": _memory_gb(),
         "platform": platform.platform(),
         "python": platform.python_version(),
@@ -59,12 +59,13 @@ def load_per_core() -> float | None:
     A measurement on all cores brings it to 1 by itself; well above, its times are too long.
     """
     try:
-        return os.getloadavg()[0] / _usable_cores()
+        return os.getloadavg()[0] / usable_cores()
     except (AttributeError, OSError):  # Windows has none
         return None
 
 
-def _usable_cores() -> int:
+def usable_cores() -> int:
+    """Those that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

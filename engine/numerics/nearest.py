@@ -15,8 +15,6 @@ import numpy as np
 from engine.model import Float32, Int32
 from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
-_KERNEL_VERSION = 2
-
 AXES = 5
 """Coordinates under the grid."""
 MAX_CELLS = 16

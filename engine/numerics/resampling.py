@@ -17,8 +17,6 @@ from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 __all__ = ["map_points", "remap", "resized", "sample", "smooth", "warp"]
 
-_KERNEL_VERSION = 2
-
 
 @inlined
 def _cubic(t):

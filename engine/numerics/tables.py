@@ -12,8 +12,6 @@ from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["look_up"]
 
-_KERNEL_VERSION = 1
-
 
 @parallel_kernel
 def _look_up(x, low, high, values, out, call):

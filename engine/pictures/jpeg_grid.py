@@ -20,7 +20,6 @@ from engine.pictures.features import LUMA
 
 __all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
 
-_KERNEL_VERSION = 1
 STANDARD_LUMA_TABLE = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61],

@@ -18,7 +18,6 @@ from engine.pictures.landmarks import Landmarks
 
 __all__ = ["match_landmarks", "match_projected"]
 
-_KERNEL_VERSION = 3
 _CHUNK = 256
 """Keypoints matched at a time: 256 rows of 20,000 distances are 20 MB."""
 _UNLIKE = 1 << 30  # a distance, squared, that no two descriptors have

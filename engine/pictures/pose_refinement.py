@@ -28,7 +28,6 @@ from engine.raster import RasterSettings, render_depth
 
 __all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
 
-_KERNEL_VERSION = 3
 BLUR = 0.8
 """Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
 WIDEST_BLUR = 3.0

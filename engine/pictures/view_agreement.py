@@ -15,7 +15,6 @@ from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["agreement_of_views"]
 
-_KERNEL_VERSION = 1
 
 MOST = 64
 """Votes of a view that are looked at, the loudest: a mask of bits holds who was counted."""

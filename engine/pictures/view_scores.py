@@ -14,7 +14,6 @@ from engine.numerics.jit import kernel, parallel_kernel, share_of
 
 __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views", "spread_out"]
 
-_KERNEL_VERSION = 3
 SIDE = 96
 """Longer side of the picture that is searched, and of the views, pixels."""
 BINS = 8

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from engine.numerics.machine import usable_cores
 from engine.numerics.native import on_compiling
 from engine.pipeline.warm_steps import Step, Work, steps_of
 
@@ -68,8 +69,7 @@ def expected_seconds(work: Work) -> float:
 
 
 def _cores() -> int:
-    have = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(have, MOST_PROCESSES)
+    return min(usable_cores(), MOST_PROCESSES)
 
 
 class _Plan:

@@ -32,8 +32,6 @@ from engine.raster.tiles import (
     stage_batch,
 )
 
-_KERNEL_VERSION = 6
-
 _f = np.float32
 _AHEAD = 32  # pairs: about the time that a line takes from memory
 _SIXTEEN = (0,) * 16

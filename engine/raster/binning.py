@@ -18,7 +18,6 @@ from engine.raster.settings import TILE
 
 __all__ = ["list_pairs", "list_starts", "place_pairs"]
 
-_KERNEL_VERSION = 3
 
 _f = np.float32
 _AHEAD = 16  # Gaussians: about the time that a line takes from memory

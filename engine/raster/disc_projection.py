@@ -34,7 +34,6 @@ from engine.raster.settings import MAX_SIGMA_PX, TILE
 
 __all__ = ["LOW_PASS", "project_discs"]
 
-_KERNEL_VERSION = 3
 
 LOW_PASS = 2.0
 """The screen-space kernel is exp(-LOW_PASS |d|^2 / 2), d in pixels: sigma sqrt(2) / 2."""

@@ -27,7 +27,6 @@ from engine.raster.tiles import (
 
 __all__ = ["blend_tiles", "forward_scratch"]
 
-_KERNEL_VERSION = 6
 
 _f = np.float32
 

@@ -38,7 +38,6 @@ from engine.raster.tiles import (
 
 __all__ = ["MOMENTS", "PAIR_NUMBERS", "moments_scratch", "pair_moments"]
 
-_KERNEL_VERSION = 6
 
 MOMENTS = 6
 """s, s dx, s dy, s dx^2, s dx dy, s dy^2."""

@@ -21,7 +21,6 @@ from engine.raster.sh_kernels import differentiate_group
 
 __all__ = ["CHUNK", "GRADIENT_SCRATCH", "chunks_of", "parameter_gradients"]
 
-_KERNEL_VERSION = 4
 
 CHUNK = 4096
 """Gaussians per chunk; never depends on the number of threads."""

@@ -28,7 +28,6 @@ from engine.raster.settings import FRUSTUM_MARGIN, MAX_SIGMA_PX, TILE, RasterSet
 
 __all__ = ["COVER", "LANE_SCRATCH", "RECORD", "pack_lens", "project"]
 
-_KERNEL_VERSION = 4
 
 RECORD = 8
 """Floats per record."""

@@ -17,7 +17,6 @@ from engine.raster.lanes import maximum, root, spread
 
 __all__ = ["SH_SCRATCH", "differentiate_group", "evaluate_sh", "spread_sh"]
 
-_KERNEL_VERSION = 3
 
 SH_SCRATCH = 3 * 16 + 5 * 256
 """Floats of scratch a share needs: directions, basis, transposed basis, three blocks of products."""

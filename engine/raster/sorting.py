@@ -17,7 +17,6 @@ from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["BUCKETS", "sort_by_depth", "workers_for"]
 
-_KERNEL_VERSION = 2
 
 _BITS = 11
 BUCKETS = 1 << _BITS

@@ -17,8 +17,6 @@ from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.similarity import MIRROR
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
 
-_KERNEL_VERSION = 1
-
 TREE_POINTS = 150_000
 """The feature tree holds at most so many reference Gaussians, the rarest ones."""
 SHAPE_FEATURES = 3

@@ -26,7 +26,6 @@ from engine.registration.kernels import best_triples, evidence
 
 __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 
-_KERNEL_VERSION = 1
 
 FEATURES = 20
 """Of each of two scales: mean colour (3), spreads along the principal axes (3), distance of the centroid from the

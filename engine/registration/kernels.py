@@ -10,8 +10,6 @@ from engine.model import Float64, Int32, Int64
 from engine.numerics.crew import thread_count
 from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
-_KERNEL_VERSION = 3
-
 BINS = 48
 """Tolerances tried per hypothesis: powers of sqrt(2) below the reference's extent."""
 

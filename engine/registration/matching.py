@@ -22,8 +22,6 @@ from engine.numerics.nearest import Neighbours, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 
-_KERNEL_VERSION = 2
-
 LOGIT_CLIP = 5.0
 """Beyond this an 8-bit opacity (steps of 1/255) no longer tells logits apart."""
 DC_CLIP = 1.772

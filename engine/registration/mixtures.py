@@ -21,8 +21,6 @@ from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
 
-_KERNEL_VERSION = 1
-
 NEIGHBOURS = 8
 """Among so many nearest suspect Gaussians a reference Gaussian looks for the one that it went into."""
 LIMIT = 30.0

@@ -172,7 +172,7 @@ def decide(
     layers : mapping, optional
         Z of each layer of the mark, where y is the loudest of several: none may be suspicious for `not_marked`.
     change : float, optional
-        Largest `measured_change` of those layers; that of y where there is but one.
+        Largest `Moments.change` of those layers; that of y where there is but one.
     sums : Moments, optional
         Those of y, w and signal, where they are known.
     """

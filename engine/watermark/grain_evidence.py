@@ -20,8 +20,6 @@ from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain
 from engine.watermark.grain_kernels import axes_of, middle_of
 from engine.watermark.model_evidence import Evidence
 
-_KERNEL_VERSION = 1
-
 SURE = 0.8
 """Cosine between an axis and its partner's from which the axes tell which scale is which; below, their order does."""
 SIZES = 16

@@ -49,7 +49,13 @@ class Moments(NamedTuple):
 
     @property
     def change(self) -> float:
-        """See `measured_change`."""
+        """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where none is expected.
+
+        Power takes for granted that what lies over the mark knows nothing of it. Who cleans a stolen model does: he
+        puts an estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the
+        mark leaves sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is
+        no room for it.
+        """
         return math.sqrt(self.noise / self.mark) if self.mark > 0 else math.inf
 
     def worn(self, share: float) -> "Moments":
@@ -68,7 +74,11 @@ class Moments(NamedTuple):
         return Moments(signal, noise, mark, (mixed[0], mixed[1]), unit)
 
     def power(self, threshold: float, proven: bool = True) -> float:
-        """See the function."""
+        """Probability that the mark would have reached Z >= `threshold`, from `statistics.z_threshold`.
+
+        Proven, it is the lower bound of this module's text, which holds for every y; else the normal approximation,
+        close for evidence of many chips of similar weight.
+        """
         root = self.root
         margin = self.signal - threshold * root
         slope = threshold / root if root > 0 else 0.0
@@ -81,7 +91,11 @@ class Moments(NamedTuple):
         return -math.expm1(-x * x / 2) if x > 0 else 0.0
 
     def evidence_needed(self, threshold: float, target: float) -> float:
-        """See the function."""
+        """How many times this evidence would give a proven power of `target`; inf where it shows nothing.
+
+        k independent pieces like this one multiply S by k and Q and |a|^2 by k, so
+        sqrt(k) S = threshold sqrt(Q) + x |a|, x = sqrt(-2 ln(1 - target)).
+        """
         if self.signal <= 0:
             return math.inf
         x = math.sqrt(-2 * math.log1p(-target))  # of |a| without the threshold's term, which fades as 1 / sqrt(k)
@@ -127,38 +141,3 @@ def expected_z(y: Float64, w: Float64, signal: Float64) -> float:
     as y would show it, in the unit of y; negative where neighbouring chips push a chip's y against its own sign.
     """
     return moments(y, w, signal).expected_z
-
-
-def measured_change(y: Float64, w: Float64, signal: Float64) -> float:
-    """Size of what was measured, in sizes of the mark: sqrt(sum (w y)^2 / sum (w s)^2); inf where no mark is expected.
-
-    Power takes for granted that what lies over the mark knows nothing of it. Who cleans a stolen model does: he puts an
-    estimate of the mark against it, and then Z is small, too. But an estimate of correlation r with the mark leaves
-    sqrt(1 / r^2 - 1) of the mark's size behind when it takes all of Z: only near the original there is no room for it.
-    """
-    return moments(y, w, signal).change
-
-
-def power(y: Float64, w: Float64, signal: Float64, threshold: float, proven: bool = True) -> float:
-    """Probability that a mark of amplitude `signal` would have reached Z >= `threshold` in this evidence.
-
-    Parameters
-    ----------
-    y, w, signal
-        As in `expected_z`.
-    threshold : float
-        From `statistics.z_threshold`, > 0.
-    proven : bool
-        True: the lower bound of this module's text, which holds for every y. False: the normal approximation,
-        close for evidence of many chips of similar weight.
-    """
-    return moments(y, w, signal).power(threshold, proven)
-
-
-def evidence_needed(y: Float64, w: Float64, signal: Float64, threshold: float, target: float) -> float:
-    """How many times this evidence would give a proven power of `target`; inf where it shows nothing.
-
-    k independent pieces like this one multiply S by k and Q and |a|^2 by k, so
-    sqrt(k) S = threshold sqrt(Q) + x |a|, x = sqrt(-2 ln(1 - target)).
-    """
-    return moments(y, w, signal).evidence_needed(threshold, target)

@@ -111,24 +111,16 @@ def z_threshold(rate: float, tries: int = 1) -> float:
     return math.sqrt(2 * (math.log(tries) - math.log(rate)))
 
 
-def bit_statistics(
-    y: Float64, w: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, n_bits: int
-) -> tuple[Float64, Float64]:
-    """Sum and norm of each bit's evidence.
+def bit_sums(c: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, n_bits: int) -> tuple[Float64, Float64]:
+    """Sum and norm of each bit's evidence, c (C,) from `weighted_evidence`.
 
     Returns
     -------
     T : (B,) float64
-        T_b = sum over the chips i of bit b of chips[i] * w[i] * y[i], in the scale of `weighted_evidence`.
-        The bit is its sign.
+        T_b = sum over the chips i of bit b of chips[i] * c[i]. The bit is its sign.
     norm : (B,) float64
-        sqrt(sum (w[i] y[i])^2): for a wrong key, P(T_b / norm_b >= z) <= exp(-z^2 / 2).
+        sqrt(sum c[i]^2): for a wrong key, P(T_b / norm_b >= z) <= exp(-z^2 / 2).
     """
-    return bit_sums(weighted_evidence(y, w), bit_of, chips, n_bits)
-
-
-def bit_sums(c: Float64, bit_of: npt.NDArray[np.integer], chips: Signs, n_bits: int) -> tuple[Float64, Float64]:
-    """`bit_statistics` of weighted evidence c (C,)."""
     T = np.bincount(bit_of, weights=c * chips, minlength=n_bits).astype(np.float64)
     norm: Float64 = np.sqrt(np.bincount(bit_of, weights=c * c, minlength=n_bits))
     if len(T) != n_bits:
@@ -151,7 +143,7 @@ def decode_bits(T: Float64, norm: Float64, strength: Float64 | None = None) -> t
     Parameters
     ----------
     T, norm : (B,)
-        From `bit_statistics`.
+        From `bit_sums`.
     strength : (B,) optional
         Expected T_b / norm_b up to a common factor, >= 0. Default: equal bits, as the assignment deals them.
     """

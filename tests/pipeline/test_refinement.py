@@ -15,7 +15,7 @@ from engine.pipeline.profiles import RefineConfig
 from engine.pipeline.refinement import Codes, refine
 from engine.pipeline.strength import add_dc
 from engine.raster import prepare_view, render, sh_colors
-from engine.watermark.statistics import bit_statistics
+from engine.watermark.statistics import bit_sums, weighted_evidence
 from tests.watermark.ball import Ball, marked_ball
 
 SILENT = RefineConfig(steps=8, size=64, lambda_msg=0.0, lambda_rec=0.0, lambda_wavelet=0.0)
@@ -61,7 +61,9 @@ def bit_z(ball: Ball, displacement: np.ndarray) -> np.ndarray:
     y = np.zeros(ball.plan.layout.chips)
     for view in range(3):
         y += ball.plan.layout.gather(ball.original.views[view].backward_colors(change(ball, displacement, view)))
-    T, norm = bit_statistics(y, np.abs(ball.signed), ball.spreading.bit_of, np.sign(ball.signed).astype(np.int8), 16)
+    T, norm = bit_sums(
+        weighted_evidence(y, np.abs(ball.signed)), ball.spreading.bit_of, np.sign(ball.signed).astype(np.int8), 16
+    )
     return T / norm
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from engine.watermark.keys import signs
-from engine.watermark.power import expected_z, power
-from engine.watermark.statistics import bit_statistics, claim_z, decode_bits, z_threshold
+from engine.watermark.power import expected_z, moments
+from engine.watermark.statistics import bit_sums, claim_z, decode_bits, weighted_evidence, z_threshold
 
 SEED = bytes(range(32))
 
@@ -30,7 +30,7 @@ def test_power_against_simulation(noise: str, shift: float) -> None:
     w, signal = rng.uniform(0.2, 2, n), rng.uniform(0.05, 0.4, n) * (8 if noise == "few" else 1)
     threshold = expected_z(y, w, signal) - shift
     measured = float((simulate_z(y, w, signal, 6000) >= threshold).mean())
-    proven, normal = power(y, w, signal, threshold), power(y, w, signal, threshold, proven=False)
+    proven, normal = moments(y, w, signal).power(threshold), moments(y, w, signal).power(threshold, proven=False)
     slack = 4 * math.sqrt(0.25 / 6000)
     assert proven <= measured + slack  # a bound, whatever the noise
     if noise != "few":
@@ -47,7 +47,7 @@ def test_power_is_the_bound_of_its_text() -> None:
     a = [wi * yi * (1 - threshold * wi * si / math.sqrt(Q)) for yi, wi, si in zip(y, w, signal, strict=True)]
     x = (S - threshold * math.sqrt(Q)) / math.sqrt(sum(ai**2 for ai in a))
     assert 0.5 < x < 5
-    assert power(y, w, signal, threshold) == pytest.approx(1 - math.exp(-(x**2) / 2), rel=1e-9)
+    assert moments(y, w, signal).power(threshold) == pytest.approx(1 - math.exp(-(x**2) / 2), rel=1e-9)
     assert expected_z(y, w, signal) == pytest.approx(S / math.sqrt(Q), rel=1e-9)
 
 
@@ -61,7 +61,7 @@ def test_proven_power_is_not_empty() -> None:
     """What "not marked" needs is within reach: three deviations above the threshold the bound says 98.9 %."""
     y, w = np.random.default_rng(8).normal(size=4000), np.ones(4000)
     threshold = z_threshold(1e-9)
-    signal = next(s for s in np.arange(0.01, 1, 0.002) if power(y, w, s, threshold) >= 0.999)
+    signal = next(s for s in np.arange(0.01, 1, 0.002) if moments(y, w, s).power(threshold) >= 0.999)
     assert expected_z(y, w, signal) < threshold + 4.2
     simulated = simulate_z(y, w, np.full(4000, signal), 2000)
     assert (simulated >= threshold).mean() >= 0.999
@@ -74,7 +74,7 @@ def test_a_mark_of_mixed_signs_counts_what_it_nets() -> None:
     signal = 0.2 + 0.3 * rng.normal(size=1500)
     threshold = expected_z(y, w, signal) - 1
     measured = float((simulate_z(y, w, signal, 4000) >= threshold).mean())
-    assert power(y, w, signal, threshold, proven=False) == pytest.approx(measured, abs=0.05)
+    assert moments(y, w, signal).power(threshold, proven=False) == pytest.approx(measured, abs=0.05)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.06, 0.1, 0.15, 0.25])
@@ -88,7 +88,7 @@ def test_reliability_is_calibrated(amplitude: float) -> None:
         chips = (2 * rng.integers(0, 2, chips_n) - 1).astype(np.int8)
         message = (2 * rng.integers(0, 2, bits) - 1).astype(np.int8)
         y = rng.normal(size=chips_n) + amplitude * chips * message[bit_of]
-        decoded, reliability = decode_bits(*bit_statistics(y, np.ones(chips_n), bit_of, chips, bits))
+        decoded, reliability = decode_bits(*bit_sums(weighted_evidence(y, np.ones(chips_n)), bit_of, chips, bits))
         right.append(decoded == message)
         stated.append(reliability)
     right_all, stated_all = np.concatenate(right), np.concatenate(stated)
@@ -116,7 +116,7 @@ def test_reliability_knows_which_bits_the_picture_shows() -> None:
         chips = (2 * rng.integers(0, 2, len(bit_of)) - 1).astype(np.int8)
         y = rng.normal(size=len(bit_of)) + 0.2 * chips
         decoded, reliability = decode_bits(
-            *bit_statistics(y, np.ones_like(y), bit_of, chips, bits), strength=np.sqrt(counts)
+            *bit_sums(weighted_evidence(y, np.ones_like(y)), bit_of, chips, bits), strength=np.sqrt(counts)
         )
         right += decoded == 1
         stated += reliability

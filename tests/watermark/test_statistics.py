@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from engine.watermark.keys import OwnerKey, signs
-from engine.watermark.power import evidence_needed, expected_z, power
+from engine.watermark.power import expected_z, moments
 from engine.watermark.statistics import (
     DISHONEST_CLAIMANT_RATE,
-    bit_statistics,
+    bit_sums,
     claim_z,
     combine,
     decode_bits,
     log10_binomial_tail,
     log10_false_claim_bound,
+    weighted_evidence,
     wrong_key_z,
     z_threshold,
 )
@@ -40,13 +41,13 @@ def test_claim_z_against_the_formula() -> None:
     plain = sum(a * b * c * message[k] for a, b, c, k in zip(y, w, chip, bit_of, strict=True))
     plain /= math.sqrt(sum((a * b) ** 2 for a, b in zip(y, w, strict=True)))
     assert claim_z(y, w, bit_of, chip, message) == pytest.approx(plain, rel=1e-12)
-    T, norm = bit_statistics(y, w, bit_of, chip, len(message))
+    T, norm = bit_sums(weighted_evidence(y, w), bit_of, chip, len(message))
     assert (T @ message) / np.sqrt((norm**2).sum()) == pytest.approx(plain, rel=1e-12)
 
 
 def test_bits_are_read() -> None:
     y, w, bit_of, chip, message = evidence()
-    bits, reliability = decode_bits(*bit_statistics(y, w, bit_of, chip, len(message)))
+    bits, reliability = decode_bits(*bit_sums(weighted_evidence(y, w), bit_of, chip, len(message)))
     assert np.array_equal(bits, message)
     assert reliability.min() > 0.9
     flipped = message.copy()
@@ -66,13 +67,13 @@ def test_no_evidence_is_no_claim() -> None:
     zero = np.zeros(32)
     bit_of, chip, message = np.arange(32) % 16, np.ones(32, np.int8), np.ones(16, np.int8)
     assert claim_z(zero, zero, bit_of, chip, message) == 0
-    bits, reliability = decode_bits(*bit_statistics(zero, zero, bit_of, chip, 16))
+    bits, reliability = decode_bits(*bit_sums(weighted_evidence(zero, zero), bit_of, chip, 16))
     assert (bits == 0).all()
     assert (reliability == 0.5).all()
     assert (wrong_key_z(zero, zero, SEED, 5) == 0).all()
     assert expected_z(zero, zero, zero) == 0
-    assert power(zero, zero, zero, 6.0) == 0
-    assert evidence_needed(zero, zero, zero, 6.0, 0.999) == math.inf
+    assert moments(zero, zero, zero).power(6.0) == 0
+    assert moments(zero, zero, zero).evidence_needed(6.0, 0.999) == math.inf
 
 
 @pytest.mark.parametrize(
@@ -158,25 +159,25 @@ def test_combining_is_a_weighted_mean() -> None:
 def test_power_limits() -> None:
     y, w, *_ = evidence(amplitude=0.0)
     threshold = z_threshold(1e-9)
-    assert power(y, w, 1.0, threshold) > 0.999999
-    assert power(y, w, 0.05, threshold) == 0
-    assert power(np.zeros(100), np.ones(100), 1.0, threshold) == 1.0  # no noise at all: Z = sqrt(100)
-    assert power(np.zeros(10), np.ones(10), 1.0, threshold) == 0.0  # sqrt(10) never reaches 6.4
-    assert power(y, w, -1.0, threshold) == 0
-    assert evidence_needed(y, w, -1.0, threshold, 0.999) == math.inf
+    assert moments(y, w, 1.0).power(threshold) > 0.999999
+    assert moments(y, w, 0.05).power(threshold) == 0
+    assert moments(np.zeros(100), np.ones(100), 1.0).power(threshold) == 1.0  # no noise at all: Z = sqrt(100)
+    assert moments(np.zeros(10), np.ones(10), 1.0).power(threshold) == 0.0  # sqrt(10) never reaches 6.4
+    assert moments(y, w, -1.0).power(threshold) == 0
+    assert moments(y, w, -1.0).evidence_needed(threshold, 0.999) == math.inf
     with pytest.raises(ValueError, match="finite"):
-        power(y, w, np.nan, threshold)
+        moments(y, w, np.nan).power(threshold)
 
 
 def test_needed_evidence_is_enough() -> None:
     """So many copies of the evidence, each with chips of its own, reach the power; a bit fewer do not."""
     y, w, *_ = evidence(chips=512, amplitude=0.0)
     threshold = z_threshold(1e-9)
-    times = evidence_needed(y, w, 0.15, threshold, 0.999)
+    times = moments(y, w, 0.15).evidence_needed(threshold, 0.999)
     assert times > 2
     enough, short = math.ceil(times), math.floor(0.9 * times)
-    assert power(np.tile(y, enough), np.tile(w, enough), 0.15, threshold) >= 0.999
-    assert power(np.tile(y, short), np.tile(w, short), 0.15, threshold) < 0.999
+    assert moments(np.tile(y, enough), np.tile(w, enough), 0.15).power(threshold) >= 0.999
+    assert moments(np.tile(y, short), np.tile(w, short), 0.15).power(threshold) < 0.999
 
 
 def test_a_bit_that_was_not_seen_does_not_speak_for_the_others() -> None:

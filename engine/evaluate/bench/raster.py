@@ -27,8 +27,6 @@ from engine.raster.settings import TILE
 from engine.raster.view import blend_colors
 from engine.raster.workspace import borrow_workspace
 
-_KERNEL_VERSION = 2
-
 
 def bench_camera(model: GaussianModel, width: int, height: int) -> Camera:
     """A view of a scene's dense part: off-centre, slightly from above, 960 pixels of focal length at 1297

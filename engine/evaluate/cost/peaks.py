@@ -18,7 +18,6 @@ from engine.raster.lanes import fma
 
 __all__ = ["peak_bandwidth", "peak_flops"]
 
-_KERNEL_VERSION = 1
 CHAINS = 12
 """Chains a thread keeps in flight: more than latency (4 cycles) times ports (2)."""
 

@@ -10,7 +10,6 @@ from engine.numerics.jit import kernel
 
 __all__ = ["GROWTH", "decompress"]
 
-_KERNEL_VERSION = 1
 
 GROWTH = 88
 """The longest copy is 264 bytes out of 3: no stream can grow by more."""

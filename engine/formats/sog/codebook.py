@@ -10,7 +10,6 @@ import numpy.typing as npt
 from engine.model import Float32, Float64
 from engine.numerics.jit import inlined, kernel
 
-_KERNEL_VERSION = 1
 LEVELS = 256
 _CELLS = 1 << 12
 """Half of the cells that the dynamic programme may cut between."""

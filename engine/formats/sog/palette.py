@@ -17,7 +17,6 @@ from engine.model import Float32, Float64, Int64
 from engine.numerics.crew import thread_count
 from engine.numerics.jit import parallel_kernel, share_of
 
-_KERNEL_VERSION = 1
 _SAMPLE = 1 << 16
 _GROUP_ROUNDS, _CODE_ROUNDS = 8, 4
 _SEED = 0x50A1E77E
