@@ -88,7 +88,7 @@ def _weighted_median(keys, masses, begin, end, half):  # type: ignore[no-untyped
             else:
                 equal += masses[j]
                 j += 1
-        if smaller > begin and below + mass >= half:
+        if below + mass >= half:
             end = smaller
         elif below + mass + equal >= half or greater == end:
             return pivot, below + mass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.numerics.deferred import text_of
 from engine.numerics.jit import kernel
 from engine.raster import lane_order
 from engine.raster.lane_algebra import cross, row_times, times
@@ -30,6 +31,7 @@ from engine.raster.lane_sums import max_rows, sum_rows, transpose
 from engine.raster.lanes import (
     bits_of,
     fma,
+    ir_function,
     magnitude,
     maximum,
     minimum,
@@ -301,3 +303,11 @@ def test_aligned_arrays(shape: tuple[int, ...]) -> None:
     assert array.dtype == np.float32
     assert array.size == 0 or array.ctypes.data % 64 == 0
     array[:] = 1.0
+
+
+def test_an_intrinsic_of_other_types_is_another_text() -> None:
+    def emit(b, x):
+        return x
+
+    texts = {text_of(ir_function(*kinds)(emit)) for kinds in (("int32", "int32"), ("int64", "int64"))}
+    assert len(texts) == 2

@@ -123,3 +123,16 @@ def test_reliability_knows_which_bits_the_picture_shows() -> None:
     assert stated[:8].mean() / runs == pytest.approx(right[:8].mean() / runs, abs=0.02)
     assert stated[8:].mean() / runs == pytest.approx(right[8:].mean() / runs, abs=0.05)
     assert claim_z(y, np.ones_like(y), bit_of, chips, np.ones(bits, np.int8)) > 5
+
+
+def test_sums_of_two_evidences_are_those_of_both_whatever_their_units() -> None:
+    rng = np.random.default_rng(8)
+    y, w, s = rng.normal(size=90), rng.uniform(0.5, 1.0, 90), rng.uniform(0.1, 0.3, 90)
+    for scale in (1.0, 1e-120):  # so small that its squares are measured in units of their own
+        first, second = moments(y[:40], w[:40], s[:40]), moments(scale * y[40:], w[40:] / scale, scale * s[40:])
+        tiny = moments(1e-120 * y[40:], w[40:], 1e-120 * s[40:])
+        assert tiny.unit != 1.0
+        both = moments(y, w, s)
+        assert first.plus(second).power(6.0) == pytest.approx(both.power(6.0), rel=1e-9)
+        assert first.plus(tiny).expected_z == pytest.approx(first.expected_z, rel=1e-9)
+        assert first.plus(tiny).change == pytest.approx(first.change, rel=1e-9)
