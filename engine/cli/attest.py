@@ -44,9 +44,10 @@ def attest(
       mark3dgs attest my.record --query my.tsq
       mark3dgs attest my.record --attestation my.tsr --tsa-certificates tsa.pem
     """
-    from engine.records.attestation import attach, check_attestations, header_digest, read_attestations, stamp_of
+    from engine.records.attestation import attach, header_digest, read_attestations, stamp_of
     from engine.records.file import public_bytes
     from engine.records.timestamps import make_query, stamp
+    from engine.records.witnessing import check_attestations
 
     console = Console(json)
     data = read_bytes(record, "record")

@@ -117,24 +117,26 @@ def verify(
     reading = Ahead(read_suspect, suspects, cameras, spz_frame)
 
     from engine.pipeline.attesting import open_attested
+    from engine.records.attestation import attach
+    from engine.watermark.keys import OwnerKey
+
+    trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
+    owner, data = OwnerKey.read(key), read_bytes(record, "record")
+    opening = Ahead(open_attested, attach(data, *more) if more else data, owner, trust)
+
     from engine.pipeline.searching import verify as search_for
     from engine.pipeline.verification import VerifyConfig
-    from engine.records.attestation import attach
     from engine.sim.variants.clips import is_clip, verify_in_motion
-    from engine.watermark.keys import OwnerKey
     from engine.watermark.numerals import PLAIN
     from engine.watermark.regions import RegionConfig
     from engine.watermark.wording import words_of
 
     asked = RegionConfig(false_discoveries=false_discovery_rate)
     config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
-    trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
-    owner = OwnerKey.read(key)
     with console.progress() as progress:
         started = time.perf_counter()
         progress("open record", 0.0)
-        data = read_bytes(record, "record")
-        opened, unheard = open_attested(attach(data, *more) if more else data, owner, trust)
+        opened, unheard = opening.result()
         open_seconds = time.perf_counter() - started
         compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
         started = time.perf_counter()

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.jit import parallel_kernel, share_of
+from engine.pictures.block_transform import transform
 from engine.pictures.features import LUMA
 
 __all__ = ["JpegGrid", "blocks_of", "find_grid", "find_quality", "luma_table", "tiles", "unclipped"]
@@ -86,7 +86,7 @@ def tiles(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def blocks_of(luma: Float32 | Float64) -> Float64:
     """(by, bx, 8, 8) orthonormal DCT of whole 8x8 blocks of a luma picture in grey levels."""
-    return np.asarray(scipy.fft.dctn(tiles(luma).astype(np.float64) - 128.0, axes=(2, 3), norm="ortho"))
+    return transform(tiles(luma).astype(np.float64) - 128.0)
 
 
 def unclipped(picture: Float32) -> Bool:
@@ -118,11 +118,11 @@ def _emptiness(luma: Float32 | Float64) -> float:
     """Share of the coefficients of some blocks in which a coder may have stored nothing, of blocks that show anything:
     on a wrong grid what is next to a block's edge fills them."""
     blocks = tiles(luma).reshape(-1, 8, 8)
-    blocks = blocks[:: max(1, len(blocks) // SAMPLED)].astype(np.float64)
+    blocks = blocks[:: max(1, len(blocks) // SAMPLED)]
     blocks = blocks[np.ptp(blocks, axis=(1, 2)) > 4.0 * EMPTY]
     if not len(blocks):
         return 0.0
-    return float((np.abs(scipy.fft.dctn(blocks, axes=(1, 2), norm="ortho")) < EMPTY).mean())
+    return float((np.abs(transform(blocks)) < EMPTY).mean())
 
 
 def find_quality(picture: Float32) -> int | None:
@@ -139,7 +139,7 @@ def find_quality(picture: Float32) -> int | None:
         return None
     chosen = chosen[:: max(1, len(chosen) // BLOCKS)]
     blocks = tiles(255.0 * picture @ LUMA)
-    flat = scipy.fft.dctn(blocks[np.divmod(chosen, blocks.shape[1])].astype(np.float64), axes=(1, 2), norm="ortho")
+    flat = transform(blocks[np.divmod(chosen, blocks.shape[1])])
     coefficients = np.ascontiguousarray(flat.reshape(len(chosen), 64)[:, 1:COARSEST].T)
     tables = np.stack([luma_table(quality).reshape(-1)[1:COARSEST] for quality in QUALITIES])
     fits = np.empty(len(tables))

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from engine.model import Bool, Float32, Float64
+from engine.pictures.block_transform import inverse_transform, transform
 from engine.pictures.features import LUMA
 from engine.pictures.jpeg_grid import blocks_of, luma_table, tiles, unclipped
 from engine.pictures.light import fit_colors
@@ -52,7 +53,7 @@ def jpeg_cotangent(reference: Float32, picture: Float32, mask: Bool, spread: Flo
     score = np.zeros_like(known)
     score[whole] = _score(observed[whole], known[whole], steps, np.broadcast_to(total, known.shape)[whole])
     image = np.zeros(mask.shape, dtype=np.float32)
-    tiles(image)[...] = scipy.fft.idctn(score, axes=(2, 3), norm="ortho")
+    tiles(image)[...] = inverse_transform(score)
     return (255.0 * image[:, :, None] * LUMA).astype(np.float32)
 
 
@@ -90,8 +91,8 @@ def _multiples(observed: Float64, known: Float64, steps: Float64) -> Float64:
     alike, is moved alike, so multiples are counted from there.
     """
     start = np.round(known / steps)
-    decoded = np.clip(scipy.fft.idctn(start * steps, axes=(-2, -1), norm="ortho"), -128.0, 127.0)
-    return np.asarray(start + np.round((observed - scipy.fft.dctn(decoded, axes=(-2, -1), norm="ortho")) / steps))
+    decoded = np.clip(inverse_transform(start * steps), -128.0, 127.0)
+    return np.asarray(start + np.round((observed - transform(decoded)) / steps))
 
 
 def match_exposure(reference: Float32, picture: Float32, mask: Bool) -> Float32:

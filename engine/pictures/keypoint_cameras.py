@@ -12,8 +12,9 @@ from engine.numerics.resampling import resized
 from engine.pictures.camera_hypotheses import Hypothesis, at_other_focal, fit_camera, hypothesize
 from engine.pictures.camera_motion import CENTERED, PARAMETERS
 from engine.pictures.features import Keypoints, detect_keypoints
+from engine.pictures.landmark_making import make_landmarks
 from engine.pictures.landmark_matching import match_landmarks, match_projected
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pictures.pixel_shape import SQUARE, PixelShape
 from engine.pictures.windows import CLOSER_SIZE, Window
 

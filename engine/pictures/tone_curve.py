@@ -4,11 +4,11 @@ A picture of the reference shows not x but f(x). The mark shows as f'(x) times i
 picture is clipped, half of it where noise pushes half of the values against the limit.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Bool, Float32, Float64
 from engine.numerics.tables import look_up
@@ -92,7 +92,7 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
                 grid = np.linspace(low, high, _TABLE)
                 predicted[..., c] = shown
                 slope[..., c] = look_up(
-                    shown, low, high, scipy.special.ndtr((1.0 - grid) / noise) - scipy.special.ndtr(-grid / noise)
+                    shown, low, high, _normal_below((1.0 - grid) / noise) - _normal_below(-grid / noise)
                 )
                 continue
         predicted[..., c] = look_up(linear, low, high, curve(value))
@@ -103,9 +103,14 @@ def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> To
 def _clipped_mean(u: Float64, noise: float) -> tuple[Float64, Float64]:
     """E[clip(u + n, 0, 1)] and its derivative for Gaussian n of standard deviation `noise`."""
     low, high = -u / noise, (1.0 - u) / noise
-    inside = scipy.special.ndtr(high) - scipy.special.ndtr(low)
+    inside = _normal_below(high) - _normal_below(low)
     density = (np.exp(-0.5 * high**2) - np.exp(-0.5 * low**2)) / np.sqrt(2.0 * np.pi)
-    return u * inside - noise * density + scipy.special.ndtr(-high), inside
+    return u * inside - noise * density + _normal_below(-high), inside
+
+
+def _normal_below(x: Float64) -> Float64:
+    """Share of the standard normal distribution below each value. SciPy's takes a tenth of a second to import."""
+    return np.array([0.5 * math.erfc(-value / math.sqrt(2.0)) for value in x.tolist()])
 
 
 @dataclass(frozen=True, eq=False)

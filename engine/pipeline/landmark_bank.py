@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from engine.model import Camera, GaussianModel
-from engine.pictures.landmarks import PER_VIEW, Landmarks, make_landmarks
+from engine.pictures.landmark_making import PER_VIEW, make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pipeline.rigs import LANDMARK_SIZE, Extent, make_rig
 
 __all__ = ["bank_views", "make_bank"]

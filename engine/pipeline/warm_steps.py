@@ -25,7 +25,7 @@ from engine.pictures.far_views import FarViews
 from engine.pictures.features import luma
 from engine.pictures.jpeg_grid import find_quality
 from engine.pictures.keypoint_cameras import Look, keypoints_of
-from engine.pictures.landmarks import make_landmarks
+from engine.pictures.landmark_making import make_landmarks
 from engine.pictures.picture_edges import PictureEdges
 from engine.pictures.pose_refinement import refine_level
 from engine.pictures.view_agreement import agreement_of_views

@@ -47,7 +47,7 @@ _QUAT_STEPS = 2047
 _MEAN_STEPS_LOG2 = 12
 _MEAN_LIMIT = 1 << 52
 _ESCAPE = 255
-_ROWS = 4096  # rows at a time: SH pass through the cache once
+_ROWS = 4096  # rows at a time: they pass through the cache once
 _BLOCK = 64  # of them, 12 kB, to which columns are written
 _NAMES = ("dc", "grid", "log_scales", "means", "opacity_logits", "quat_largest", "quats", "rest", "rest_escape")
 
@@ -98,22 +98,19 @@ def decode_reference(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianModel:
     sound = n >= 1 and 0 <= degree <= 3 and -300 <= exponent <= 128 and max(map(abs, base)) <= _MEAN_LIMIT
     if version != _VERSION or not sound:
         raise MalformedRecordError(f"the grid of the reference is out of range: {grid.tolist()}")
-    coefficients = (degree + 1) ** 2
-    means = (_from_planes(arrays, "means", (3, n), 2 * _MEAN_LIMIT) + base) * 2.0**exponent
+    means = _from_planes(arrays, "means", (3, n), 2 * _MEAN_LIMIT, np.array(base), 2.0**exponent)
     if not np.abs(means).max() < np.finfo(np.float32).max:
         raise MalformedRecordError("means of the reference are out of range")
-    scales = _from_planes(arrays, "log_scales", (3, n), 2 * _LOG_SCALE_LIMIT) - _LOG_SCALE_LIMIT
-    logits = _from_planes(arrays, "opacity_logits", (1, n), 2 * _LOGIT_LIMIT) - _LOGIT_LIMIT
-    dc = _from_planes(arrays, "dc", (3, n), 2 * _DC_LIMIT) - _DC_LIMIT
-    quats = _from_planes(arrays, "quats", (3, n), 2 * _QUAT_STEPS) - _QUAT_STEPS
-    sh = np.empty((n, coefficients, 3), dtype=np.float32)
+    sh = np.empty((n, (degree + 1) ** 2, 3), dtype=np.float32)
     _decode_rest(arrays["rest"], arrays["rest_escape"], sh)
-    sh[:, 0] = dc / np.float32(_DC_STEPS)
+    sh[:, 0] = _from_planes(arrays, "dc", (3, n), 2 * _DC_LIMIT, -_DC_LIMIT, 1.0 / _DC_STEPS)
     return GaussianModel(
-        means.astype(np.float32),
-        (scales / np.float32(_LOG_SCALE_STEPS)).astype(np.float32),
-        _decode_quats(arrays["quat_largest"], quats),
-        (logits[:, 0] / np.float32(_LOGIT_STEPS)).astype(np.float32),
+        means,
+        _from_planes(arrays, "log_scales", (3, n), 2 * _LOG_SCALE_LIMIT, -_LOG_SCALE_LIMIT, 1.0 / _LOG_SCALE_STEPS),
+        _decode_quats(
+            arrays["quat_largest"], _from_planes(arrays, "quats", (3, n), 2 * _QUAT_STEPS, -_QUAT_STEPS, 1.0)
+        ),
+        _from_planes(arrays, "opacity_logits", (1, n), 2 * _LOGIT_LIMIT, -_LOGIT_LIMIT, 1.0 / _LOGIT_STEPS)[:, 0],
         sh,
     )
 
@@ -156,14 +153,28 @@ def _encode_quats(quats: npt.NDArray[np.float32]) -> tuple[_UInt8, npt.NDArray[n
     return index.astype(np.uint8), k[np.arange(4) != index[:, None]].reshape(-1, 3)
 
 
-def _decode_quats(index: npt.NDArray[Any], others: _Ints) -> npt.NDArray[np.float32]:
+def _decode_quats(index: npt.NDArray[Any], others: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     n = len(others)
     if index.dtype != np.uint8 or index.shape != (n,) or index.max() > 3:
         raise MalformedRecordError("quaternions of the reference are malformed")
-    quats = np.full((n, 4), _QUAT_STEPS, dtype=np.float32)
-    quats[np.arange(4) != index[:, None]] = others.reshape(-1)
-    quats /= np.sqrt((quats * quats).sum(axis=1, keepdims=True))
+    quats = np.empty((n, 4), dtype=np.float32)
+    _complete(np.ascontiguousarray(index), others, quats)
     return quats
+
+
+@parallel_kernel
+def _complete(index, others, quats, call):  # type: ignore[no-untyped-def]
+    """Unit quaternions (N, 4) of their components (N, 3) but for the largest, which is at `index` (N,)."""
+    for i in share_of(len(index), call):
+        top = index[i]
+        squares = float(_QUAT_STEPS * _QUAT_STEPS)
+        for k in range(3):
+            squares += float(others[i, k]) * others[i, k]
+        # As single precision divides, which the freedoms of kernels would not; in double they leave no trace.
+        norm = float(np.float32(math.sqrt(squares)))
+        for k in range(4):
+            step = float(_QUAT_STEPS) if k == top else float(others[i, k - (k > top)])
+            quats[i, k] = np.float32(step / norm)
 
 
 def _encode_rest(sh: npt.NDArray[np.float32]) -> tuple[_UInt8, npt.NDArray[np.uint16]]:
@@ -190,27 +201,46 @@ def _decode_rest(rest: npt.NDArray[Any], escape: npt.NDArray[Any], sh: npt.NDArr
     n, width = len(sh), 3 * (sh.shape[1] - 1)
     if rest.dtype != np.uint8 or rest.shape != (width, n) or escape.dtype != np.uint16 or escape.ndim != 1:
         raise MalformedRecordError("SH of the reference are malformed")
-    column, row = np.nonzero(rest == _ESCAPE)
-    if len(column) != len(escape) or (escape < _ESCAPE).any():
+    rest, escapes = np.ascontiguousarray(rest), np.empty((width, -(-n // _ROWS)), dtype=np.int64)
+    _count_escapes(rest, escapes)
+    if escapes.sum() != len(escape) or (escape < _ESCAPE).any():
         raise MalformedRecordError("SH exceptions of the reference are malformed")
-    flat = sh.reshape(n, -1)[:, 3:]
-    codes = np.arange(256)
-    table = ((codes >> 1) ^ -(codes & 1)).astype(np.float32) / np.float32(_REST_STEPS)
-    if width:
-        _look_up_rows(rest, table, flat)
-    exact = escape.astype(np.int64)
-    flat[row, column] = ((exact >> 1) ^ -(exact & 1)).astype(np.float32) / np.float32(_REST_STEPS)
+    first = np.cumsum(escapes).reshape(escapes.shape) - escapes
+    _look_up_rows(rest, _unzigzag(np.arange(_ESCAPE)), _unzigzag(escape), first, sh.reshape(n, -1)[:, 3:])
+
+
+def _unzigzag(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    zigzag = values.astype(np.int64)
+    return ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.float32) / np.float32(_REST_STEPS)
 
 
 @parallel_kernel
-def _look_up_rows(codes, table, rows, call):  # type: ignore[no-untyped-def]
-    """Entries of a table by codes (K, N), to rows (N, K), in blocks that stay in the cache."""
+def _count_escapes(codes, counts, call):  # type: ignore[no-untyped-def]
+    """How many codes (K, N) of each column stand for an exception, by blocks of rows: (K, B)."""
+    count = codes.shape[1]
+    for cell in share_of(counts.size, call):
+        k, block = cell // counts.shape[1], cell % counts.shape[1]
+        found = 0
+        for i in range(block * _ROWS, min((block + 1) * _ROWS, count)):
+            found += codes[k, i] == _ESCAPE
+        counts[k, block] = found
+
+
+@parallel_kernel
+def _look_up_rows(codes, table, exact, following, rows, call):  # type: ignore[no-untyped-def]
+    """Entries of a table by codes (K, N), to rows (N, K), in blocks that stay in the cache. `following` (K, B): where
+    the next exception of each column and block of rows is in `exact`."""
     count = len(rows)
-    for block in share_of((count + _BLOCK - 1) // _BLOCK, call):
-        first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
-        for k in range(len(codes)):
-            for i in range(first, last):
-                rows[i, k] = table[codes[k, i]]
+    for block in share_of(following.shape[1], call):
+        for first in range(block * _ROWS, min((block + 1) * _ROWS, count), _BLOCK):
+            for k in range(len(codes)):
+                for i in range(first, min(first + _BLOCK, count)):
+                    code = codes[k, i]
+                    if code == _ESCAPE:
+                        rows[i, k] = exact[following[k, block]]
+                        following[k, block] += 1
+                    else:
+                        rows[i, k] = table[code]
 
 
 def _to_planes(values: npt.NDArray[Any]) -> _UInt8:
@@ -221,15 +251,33 @@ def _to_planes(values: npt.NDArray[Any]) -> _UInt8:
     return np.ascontiguousarray(np.moveaxis(words, 2, 0)[:planes])
 
 
-def _from_planes(arrays: Mapping[str, Any], name: str, shape: tuple[int, int], limit: int) -> _Ints:
-    """(N,D) int64 of `_to_planes`; refuses other shapes, and values above the limit."""
+def _from_planes(
+    arrays: Mapping[str, Any], name: str, shape: tuple[int, int], limit: int, base: _Ints | int, step: float
+) -> npt.NDArray[np.float32]:
+    """(N,D) integers of `_to_planes`, plus base (D,), times step; refuses other shapes, and integers above the
+    limit."""
     planes = arrays[name]
     if planes.dtype != np.uint8 or planes.ndim != 3 or planes.shape[1:] != shape or not 1 <= len(planes) <= 7:
         raise MalformedRecordError(f"{name} of the reference has shape {planes.shape}")
-    size = 4 if len(planes) <= 4 else 8
-    words = np.zeros((*shape, size), dtype=np.uint8)
-    words[..., : len(planes)] = np.moveaxis(planes, 0, 2)
-    values = words.view(f"<u{size}")[..., 0].T.astype(np.int64)
-    if int(values.max()) > limit:
+    columns, n = shape
+    rows, largest = np.empty((n, columns), dtype=np.float32), np.empty(-(-n // _ROWS), dtype=np.int64)
+    _join_planes(np.ascontiguousarray(planes), np.broadcast_to(base, columns).astype(np.int64), step, rows, largest)
+    if int(largest.max()) > limit:
         raise MalformedRecordError(f"{name} of the reference is out of range")
-    return values
+    return rows
+
+
+@parallel_kernel
+def _join_planes(planes, base, step, rows, largest, call):  # type: ignore[no-untyped-def]
+    """`_from_planes`, to `rows`; and the largest integer of each block of rows, to `largest` (B,)."""
+    count, columns = rows.shape
+    for block in share_of(len(largest), call):
+        most = np.int64(0)
+        for i in range(block * _ROWS, min((block + 1) * _ROWS, count)):
+            for d in range(columns):
+                value = np.int64(0)
+                for p in range(len(planes)):
+                    value |= np.int64(planes[p, d, i]) << (8 * p)
+                most = max(most, value)
+                rows[i, d] = np.float32((value + base[d]) * step)
+        largest[block] = most

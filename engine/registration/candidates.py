@@ -10,10 +10,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.kd_tree import KdTree
 from engine.numerics.similarity import MIRROR
 from engine.registration.matching import DC_CLIP, FLATNESS_CLIP, LOGIT_CLIP
 
@@ -106,12 +106,12 @@ class FeatureIndex:
         self.rows = np.flatnonzero(rarity >= self.threshold)
 
     @cached_property
-    def rare_tree(self) -> scipy.spatial.cKDTree:
-        return scipy.spatial.cKDTree(self.all_points[self.rows], balanced_tree=False, compact_nodes=False)
+    def rare_tree(self) -> KdTree:
+        return KdTree(self.all_points[self.rows])
 
     @cached_property
-    def full_tree(self) -> scipy.spatial.cKDTree:
-        return scipy.spatial.cKDTree(self.all_points, balanced_tree=False, compact_nodes=False)
+    def full_tree(self) -> KdTree:
+        return KdTree(self.all_points)
 
     def _columns(self, features: Float64) -> Float64:
         if self.colors:
@@ -148,11 +148,9 @@ class FeatureIndex:
             tree, rows, rare = self.full_tree, np.arange(len(self.all_points)), np.arange(len(pool))
         priority = rng.random(len(rare)) if deep else rarity[rare]
         query = rare[by_region(suspect.means[pool[rare]], priority, queries)]
-        k = min(2, len(rows))
-        distance, near = tree.query(white[query], k=k, workers=2)
-        distance, near = distance.reshape(-1, k), near.reshape(-1, k)  # (q, k)
+        distance, near = tree.nearest(white[query], 2)
         # Lowe's ratio: a partner that is much nearer than the next is probably the right one.
-        ratio = (distance[:, 0] + 0.01) / (distance[:, -1] + 0.01)
+        ratio = (distance[:, 0] + 0.01) / (distance[:, 1] + 0.01)
         order = np.lexsort((distance[:, 0], ratio))
         _, first = np.unique(near[order, 0], return_index=True)  # each reference once: copies must not vote twice
         chosen = order[np.sort(first)][:count]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import scipy
 
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
+from engine.numerics.kd_tree import KdTree
 from engine.numerics.umeyama import Similarity
 from engine.registration.candidates import sample_rows
 from engine.registration.growth import grow
@@ -80,7 +81,8 @@ def unexplained(
 
 def _common_share(points: Float32, errors: Float64) -> float:
     """Share of squared errors (n, 3) that neighbours have in common."""
-    beside = np.asarray(scipy.spatial.cKDTree(points).query(points, k=AROUND)[1])
+    places = points.astype(np.float64)
+    beside = KdTree(places).nearest(places, AROUND)[1]
     total = float(np.square(errors).sum())
     return float(np.square(errors[beside].mean(axis=1)).sum()) / max(total, 1e-300)
 
@@ -138,5 +140,5 @@ def _bare(suspect: GaussianModel, matches: Int32, rows: Int64) -> Bool:
     """Which of some Gaussians lie where hardly any of these is matched."""
     points = suspect.means[rows].astype(np.float64)
     k = min(AROUND, len(rows))
-    beside = np.asarray(scipy.spatial.cKDTree(points).query(points, k=k)[1]).reshape(len(rows), k)  # (n, k)
+    beside = KdTree(points).nearest(points, k)[1]  # (n, k)
     return np.asarray((matches[rows] >= 0)[beside].mean(axis=1) < 0.3)

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Float32, GaussianModel, Int32
+from engine.numerics.chi_square import chi_square_beyond
+from engine.numerics.similarity import quaternion_to_rotation
 from engine.numerics.umeyama import Similarity, robust_umeyama
 from engine.registration.candidates import sample_rows
 from engine.registration.classes import Growth, SizedMatcher, growth_in_order
@@ -165,9 +166,8 @@ def beats_decoys(
     middle = np.median(reference.means[right.index[right.index >= 0]].astype(np.float64), axis=0)
     for _ in range(DECOYS):
         axis = rng.normal(size=3)
-        turn = scipy.spatial.transform.Rotation.from_rotvec(
-            axis / np.linalg.norm(axis) * rng.uniform(0.5, 2.5)
-        ).as_matrix()
+        half = 0.5 * rng.uniform(0.5, 2.5)
+        turn = quaternion_to_rotation([np.cos(half), *(np.sin(half) / np.linalg.norm(axis) * axis)])
         decoy = Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)
         by_chance = float(matcher.match(part, decoy, deviations).probability.sum())
         if explained < factor * by_chance + margin:
@@ -239,6 +239,6 @@ def _order_quality(
         error2[:, :3] = 0.0
     elif growth is not None:
         error2[:, :3] /= np.square(growth.factors(suspect, fit, deviations))
-    usual, limit = float(scipy.special.chdtri(10, 0.5)), 4.0 * float(scipy.special.chdtri(10, 1e-3))
+    usual, limit = chi_square_beyond(10, 0.5), 4.0 * chi_square_beyond(10, 1e-3)
     distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
     return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))

@@ -7,10 +7,10 @@ either is judged by the same judge. Rotations stay proper all the way: it is the
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations, product
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
@@ -107,7 +107,9 @@ def _nearer_hand(reference: GaussianModel, hands: Hands, asked: Sequence[bool], 
 
 def axis_rotations() -> list[Float64]:
     """The 24 proper rotations that map axes to axes, the identity first: what tools do to 'up'."""
-    turns = [np.round(r) for r in scipy.spatial.transform.Rotation.create_group("O").as_matrix()]
+    signs = [np.diag(s) for s in product((1.0, -1.0), repeat=3)]
+    maps = [sign @ np.eye(3)[list(axes)] for axes in permutations(range(3)) for sign in signs]
+    turns = [R for R in maps if np.linalg.det(R) > 0]
     return sorted(turns, key=lambda r: (-float(np.trace(r)), r.tolist()))
 
 

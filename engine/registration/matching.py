@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
+from engine.numerics.chi_square import chi_square_beyond
 from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.nearest import Neighbours, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
@@ -156,7 +156,7 @@ class Matcher:
         vectors = joint_vectors(reference, Similarity.identity(), deviations, self.centre, suspect=False)
         weight = deviations.rotation**-2 if np.isfinite(deviations.rotation) else 0.0
         dims = vectors.shape[1] + (3 if weight > 0 else 0)
-        self.limit2 = float(scipy.special.chdtri(dims, 1e-3))
+        self.limit2 = chi_square_beyond(dims, 1e-3)
         self.basis: Float32 | None = None
         hard, cap = HARD, 0.6 * self.limit2
         if deviations.noisy:
@@ -185,7 +185,7 @@ class Matcher:
 
     def quality(self, neighbours: Neighbours) -> Float32:
         """(M,) trust 0..1: the chance that the nearest is the right one, fading out towards the limit."""
-        usual = float(scipy.special.chdtri(self.grid.points.shape[1] + (3 if self.grid.quat_weight > 0 else 0), 0.5))
+        usual = chi_square_beyond(self.grid.points.shape[1] + (3 if self.grid.quat_weight > 0 else 0), 0.5)
         fade = (self.limit2 - neighbours.distance2) / (self.limit2 - usual)
         trust: Float32 = (neighbours.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
         return trust

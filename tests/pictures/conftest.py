@@ -6,7 +6,8 @@ import pytest
 
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmark_making import make_landmarks
+from engine.pictures.landmarks import Landmarks
 from tests.pictures.plant_views import around
 from tests.scenes import PLANT
 

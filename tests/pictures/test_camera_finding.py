@@ -16,7 +16,8 @@ from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_motion import normalized, project
 from engine.pictures.camera_trial import Picture
 from engine.pictures.far_views import FarViews
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmark_making import make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pictures.pose_refinement import Refined, refine_level
 from engine.raster import RasterSettings, render, render_depth
 from tests.pictures.plant_views import UP, around, jpeg, reprojection

@@ -21,7 +21,7 @@ from engine.pictures.keypoint_cameras import (
     look_closer,
     look_near,
 )
-from engine.pictures.landmarks import make_landmarks
+from engine.pictures.landmark_making import make_landmarks
 from engine.pictures.windows import Window
 from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth

@@ -10,7 +10,8 @@ from engine.pictures.camera_finding import find_camera
 from engine.pictures.camera_hypotheses import Hypothesis
 from engine.pictures.camera_motion import moved, project
 from engine.pictures.features import Keypoints
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmark_making import make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pictures.voted_views import vote_for_views
 from engine.pipeline.rigs import make_rig
 from engine.raster import render

@@ -11,7 +11,7 @@ from engine.errors import CapacityError, InputError
 from engine.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
-from engine.pictures import landmarks
+from engine.pictures import landmark_making
 from engine.pictures.landmarks import Landmarks
 from engine.pipeline import landmark_bank
 from engine.pipeline.embedding import Embedding, embed
@@ -115,7 +115,7 @@ def test_landmarks_that_were_made_otherwise_are_not_taken(
     """By the same version, which may not be released yet; records from before it was counted do not say how."""
     new = quick(small_plant, landmark_views=2).record
     with monkeypatch.context() as before:
-        before.setattr(landmarks, "DETECTED", 20)
+        before.setattr(landmark_making, "DETECTED", 20)
         old = quick(small_plant, landmark_views=2).record
     banks = [landmarks_in(record.plan_arrays) for record in (old, new)]
     assert [len(bank) <= 40 for bank in banks if bank is not None] == [True, False]

@@ -10,7 +10,7 @@ import pytest
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import Camera, Float32
 from engine.pictures.camera_finding import FoundCamera, find_camera
-from engine.pictures.landmarks import make_landmarks
+from engine.pictures.landmark_making import make_landmarks
 from engine.pipeline import reading
 from engine.pipeline.progress import Clock
 from engine.raster import render

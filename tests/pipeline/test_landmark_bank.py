@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from engine.model import GaussianModel
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmark_making import make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pipeline import landmark_bank
 from engine.pipeline.landmark_bank import bank_views, make_bank
 from engine.pipeline.rigs import make_rig, measure_extent

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity
-from engine.pictures.landmarks import Landmarks, make_landmarks
+from engine.pictures.landmark_making import make_landmarks
+from engine.pictures.landmarks import Landmarks
 from engine.pipeline import looking
 from engine.pipeline.looking import Sighting, place_by_looking
 from engine.pipeline.rigs import make_rig

@@ -11,7 +11,7 @@ from engine.evaluate.bench.attacks import to_8_bit
 from engine.evaluate.marked_scene import MarkedScene
 from engine.model import GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
-from engine.pictures.landmarks import make_landmarks
+from engine.pictures.landmark_making import make_landmarks
 from engine.pipeline.rigs import make_rig, measure_extent
 from engine.pipeline.sealing import OpenedRecord
 from engine.pipeline.verification import VerifyConfig, verify_images, verify_model

@@ -16,21 +16,12 @@ from joserfc import jws
 from joserfc.jwk import OKPKey
 
 from engine.errors import MalformedRecordError
-from engine.records.attestation import (
-    LOG,
-    MOST,
-    Attestation,
-    Trust,
-    attach,
-    check_attestations,
-    header_digest,
-    read_attestations,
-    stamp_of,
-)
+from engine.records.attestation import LOG, MOST, Attestation, Trust, attach, header_digest, read_attestations, stamp_of
 from engine.records.file import APPENDED, public_bytes
 from engine.records.merkle import leaf_hash, node_hash
 from engine.records.record import Record, read_header
 from engine.records.signatures import REGISTRATION
+from engine.records.witnessing import check_attestations
 from tests.data.records.make_golden import KEY, PATHS, golden_record
 from tests.records.test_timestamps import Authority
 

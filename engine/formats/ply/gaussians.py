@@ -1,6 +1,8 @@
 """Gaussian models as INRIA's PLY: every variant met in the wild is read; written with three scales, or two for
 2DGS."""
 
+# mypy: allow-untyped-defs
+
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,6 +16,7 @@ from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codeb
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
@@ -35,7 +38,7 @@ def read_ply(
     vertex, repairs = _check_vertex(header, file)
     records = read_tables(data, header, ["vertex"], file=file)["vertex"]
     arrays = _empty_arrays(len(records), REST_COUNTS[_count_rest(vertex, file)])
-    _spread(records, _columns(arrays, frozenset(vertex.names)))
+    _spread(records, arrays, frozenset(vertex.names))
     if "scale_2" not in vertex.names:
         log_scales = arrays["log_scales"]
         log_scales[:, 2] = np.maximum(log_scales[:, :2].min(axis=1) + np.log(DISC_THICKNESS), LOG_SCALE_RANGE[0])
@@ -143,23 +146,67 @@ def _empty_arrays(count: int, coefficients: int) -> dict[str, Float32]:
     return {name: np.empty(shape, dtype=np.float32) for name, shape in shapes.items()}
 
 
+def _properties(coefficients: int) -> dict[str, list[str]]:
+    """Of each array, the property that each number of a row comes from; f_rest is channel-major in the file, nowhere
+    else."""
+    rest = coefficients - 1
+    return {
+        "means": ["x", "y", "z"],
+        "log_scales": [f"scale_{i}" for i in range(3)],
+        "quats": [f"rot_{i}" for i in range(4)],
+        "opacity_logits": ["opacity"],
+        "sh": [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + k}" for k in range(rest) for c in range(3)],
+    }
+
+
 def _columns(arrays: dict[str, Float32], present: frozenset[str]) -> dict[str, Float32]:
-    """(N,) view on the arrays for every property; f_rest is channel-major in the file, nowhere else."""
-    means, log_scales, quats, sh = (arrays[key] for key in ("means", "log_scales", "quats", "sh"))
-    views = {name: means[:, i] for i, name in enumerate("xyz")}
-    views |= {f"scale_{i}": log_scales[:, i] for i in range(3)}
-    views |= {f"rot_{i}": quats[:, i] for i in range(4)}
-    views |= {f"f_dc_{c}": sh[:, 0, c] for c in range(3)}
-    rest = sh.shape[1] - 1
-    views |= {f"f_rest_{c * rest + k}": sh[:, 1 + k, c] for c in range(3) for k in range(rest)}
-    views["opacity"] = arrays["opacity_logits"]
-    return {name: view for name, view in views.items() if name in present}
+    """(N,) view on the arrays for every property."""
+    return {
+        name: arrays[array].reshape(len(arrays[array]), -1)[:, i]
+        for array, names in _properties(arrays["sh"].shape[1]).items()
+        for i, name in enumerate(names)
+        if name in present
+    }
 
 
-def _spread(records: npt.NDArray[Any], columns: dict[str, Float32]) -> None:
-    """Copy the fields of the records into the columns, whatever their type and byte order."""
+def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: frozenset[str]) -> None:
+    """Copy the fields of the records into the arrays, whatever their type and byte order."""
+    columns = _columns(arrays, present)
+    places = {name: field[1] for name, field in (records.dtype.fields or {}).items() if field[0] == np.dtype("<f4")}
+    if places.keys() >= columns.keys():
+        data = np.frombuffer(records.data, dtype=np.uint8).reshape(len(records), records.itemsize)
+        properties = _properties(arrays["sh"].shape[1])
+        sources = tuple(np.array([places.get(name, -1) for name in names]) for names in properties.values())
+        words = tuple(arrays[array].reshape(len(records), -1).view(np.uint32) for array in properties)
+        _spread_words(data, sources, words)
+        return
     with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
         for start in range(0, len(records), _ROWS_AT_ONCE):
             block = records[start : start + _ROWS_AT_ONCE]
             for name, column in columns.items():
                 column[start : start + _ROWS_AT_ONCE] = block[name]
+
+
+@parallel_kernel
+def _spread_words(rows, sources, words, call):
+    """Copy little-endian words of rows of bytes (N, stride) from where `sources`, a tuple of (K,) each, say, to
+    `words`, a tuple of (N, K) each; what comes from -1 is left alone."""
+    for i in share_of(len(rows), call):
+        _copy(rows[i], sources[0], words[0][i])
+        _copy(rows[i], sources[1], words[1][i])
+        _copy(rows[i], sources[2], words[2][i])
+        _copy(rows[i], sources[3], words[3][i])
+        _copy(rows[i], sources[4], words[4][i])
+
+
+@inlined
+def _copy(row, sources, words):
+    for k in range(len(sources)):
+        at = sources[k]
+        if at >= 0:
+            words[k] = (
+                np.uint32(row[at])
+                | np.uint32(row[at + 1]) << np.uint32(8)
+                | np.uint32(row[at + 2]) << np.uint32(16)
+                | np.uint32(row[at + 3]) << np.uint32(24)
+            )

@@ -19,7 +19,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel, Int64
-from engine.pictures.landmarks import make_landmarks
+from engine.pictures.landmark_making import make_landmarks
 from engine.pipeline.derivation import derivation_of_model
 from engine.pipeline.embedding import Embedding, embed
 from engine.pipeline.judging import VerifyConfig

@@ -1,0 +1,34 @@
+"""Quantiles of the chi-square distribution, without SciPy's third of a second to import."""
+
+import math
+from functools import cache
+
+__all__ = ["chi_square_beyond"]
+
+
+@cache
+def chi_square_beyond(freedom: int, share: float) -> float:
+    """The value that this share (0 to 1, both excluded) of a chi-square distribution of `freedom` >= 1 degrees lies
+    beyond."""
+    low, high = 0.0, 1.0
+    while _beyond(freedom, high) > share:
+        low, high = high, 2.0 * high
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break
+        if _beyond(freedom, middle) > share:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _beyond(freedom: int, x: float) -> float:
+    """The share of the distribution beyond x (Abramowitz and Stegun 26.4.4, 26.4.5)."""
+    half = 0.5 * x
+    total = math.erfc(math.sqrt(half)) if freedom % 2 else 0.0
+    for i in range(freedom // 2):
+        power = i + 0.5 * (freedom % 2)
+        total += math.exp(power * math.log(half) - half - math.lgamma(power + 1.0)) if half > 0 else float(power == 0)
+    return total
