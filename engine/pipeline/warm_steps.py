@@ -13,6 +13,7 @@ import numpy as np
 from engine import raster
 from engine.compress.cells import split_cells
 from engine.compress.hvq import group_means
+from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.formats.sog.codebook import learn_codebook
 from engine.formats.sog.palette import learn_palette
 from engine.model import GaussianModel, look_at
@@ -34,6 +35,7 @@ from engine.records.reference import decode_reference, encode_reference
 from engine.registration.mixtures import Parts, Wholes
 from engine.registration.registering import register
 from engine.registration.sketch import SuspectIndex, make_sketch
+from engine.watermark.code_shares import combined
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
 from engine.watermark.grain_pictures import GrainView
@@ -96,10 +98,18 @@ def _registration() -> None:
         found = register(model, suspect)
         gather_grain_evidence(Grain(0.1, 0.1), model, suspect, found.similarity, found.matches, found.match_quality)
     Wholes(moved).find(Parts.of(model), found.similarity)
-    arrays = encode_reference(model.with_(sh=np.ones((n, 4, 3))))
-    arrays["rest"].flags.writeable = False  # as a record's are
-    decode_reference(arrays)
     SuspectIndex(moved).resemblance(make_sketch(model))
+    combined(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1), np.ones((1, 3)), 1)
+
+
+def _files() -> None:
+    ones = np.ones((8, 4), dtype=np.float32)
+    model = GaussianModel(ones[:, :3], ones[:, :3], ones, ones[:, 0], np.ones((8, 4, 3), np.float32))
+    arrays = encode_reference(model)
+    for array in arrays.values():
+        array.flags.writeable = False  # as a record's are
+    decode_reference(arrays)
+    read_ply(b"".join(write_ply(model)), file="")
 
 
 def _alignment() -> None:
@@ -128,6 +138,7 @@ def _alignment() -> None:
 _RASTER = raster.WARM_UPS
 
 STEPS: dict[str, Step] = {
+    "files": Step(_files, 2.5, ("embed", "model", "pictures")),
     "registration": Step(_registration, 6.5, ("model",)),
     "geometry": Step(_RASTER["geometry"], 3.5, ("embed", "pictures")),
     "cells": Step(_embedding, 3.5, ("embed",)),

@@ -5,10 +5,14 @@ by their shares of its mass. Least squares gives y = sum of t s e / sum of t s^2
 s, trust t and residual e: the weighted mean where every share is 1.
 """
 
+# mypy: allow-untyped-defs
+
 import numpy as np
-import scipy
 
 from engine.model import Float64, Int32, Int64
+from engine.numerics.jit import kernel
+
+__all__ = ["CodeShares", "combined"]
 
 _BLEND = 4.0
 """A few members say little about their own spread: the whole scene's is blended in, worth so many members."""
@@ -19,13 +23,27 @@ class CodeShares:
 
     def __init__(self, rows: Int64, codes: Int32, shares: Float64, shape: tuple[int, int]) -> None:
         """Entries (E,) of a sparse matrix of `shape` (n, code vectors); those of one place add up."""
-        self.matrix = scipy.sparse.csr_matrix((shares, (rows, codes)), shape=shape)
-        self.squared = self.matrix.multiply(self.matrix).tocsr()
+        self.count, self.codes = shape
+        if len(rows) and np.bincount(rows).max() > 1:
+            place, entry = np.unique(rows.astype(np.int64) * self.codes + codes, return_inverse=True)
+            rows, codes = (place // self.codes).astype(np.int64), (place % self.codes).astype(np.int32)
+            shares = np.bincount(entry, shares).astype(np.float64)
+        self.entries = rows.astype(np.int64), codes.astype(np.int64), shares.astype(np.float64)
+
+    def _sums(self, values: Float64, power: int = 1) -> Float64:
+        """(codes, K) sums over suspect Gaussians of their shares to a power times values (n, K)."""
+        rows, codes, shares = self.entries
+        return combined(codes, rows, shares**power, values, self.codes)
+
+    def _shown(self, means: Float64) -> Float64:
+        """(n, K) sums over code vectors of shares times means (codes, K)."""
+        rows, codes, shares = self.entries
+        return combined(rows, codes, shares, means, self.count)
 
     def means(self, values: Float64, trust: Float64) -> Float64:
         """(codes, 3) displacement of each code vector from residuals (n, 3), those of other code vectors left aside."""
-        total = self.squared.T @ trust
-        return np.asarray((self.matrix.T @ (trust[:, None] * values)) / np.maximum(total, 1e-12)[:, None])
+        total = self._sums(trust[:, None], 2)
+        return np.asarray(self._sums(trust[:, None] * values) / np.maximum(total, 1e-12))
 
     def explained(self, means: Float64, values: Float64, trust: Float64) -> Float64:
         """(n, 3) part of the residuals that displacements (codes, 3) stand for.
@@ -33,7 +51,7 @@ class CodeShares:
         Where Gaussians speak for several code vectors each of these was given all of the residual: one factor, by least
         squares, sees to it that together they explain no more than there is. It is 1 where every share is.
         """
-        shown = self.matrix @ means
+        shown = self._shown(means)
         weighted = trust[:, None] * shown
         energy = float((weighted * shown).sum())
         factor = float((weighted * values).sum()) / energy if energy > 0 else 0.0
@@ -44,12 +62,25 @@ class CodeShares:
 
         Infinity for code vectors for which nobody speaks.
         """
-        total = self.squared.T @ trust
-        squared = self.squared.T @ trust**2
-        members = total**2 / np.maximum(self.squared.power(2).T @ trust**2, 1e-300)  # as many as weigh alike
+        total, squared = self._sums(np.stack([trust, trust**2], axis=1), 2).T
+        members = total**2 / np.maximum(self._sums(trust[:, None] ** 2, 4)[:, 0], 1e-300)  # as many as weigh alike
         overall = (trust[:, None] * left**2).sum(axis=0) / max(float(trust.sum()), 1e-12)  # (R,)
-        own = (self.squared.T @ (trust[:, None] * left**2)) / np.maximum(total, 1e-12)[:, None]
+        own = self._sums(trust[:, None] * left**2, 2) / np.maximum(total, 1e-12)[:, None]
         spread = (members[:, None] * own + _BLEND * overall) / (members[:, None] + _BLEND)
         seen = total > 1e-9
         effective = np.where(seen, squared / np.maximum(total, 1e-12) ** 2, 0.0)
         return np.where(seen[:, None], spread * effective[:, None], np.inf)
+
+
+def combined(into: Int64, origin: Int64, shares: Float64, values: Float64, count: int) -> Float64:
+    """(count, K) sums of shares (E,) of rows `origin` (E,) of values (M, K), to rows `into` (E,)."""
+    sums = np.zeros((count, values.shape[1]))
+    _combine(into, origin, shares, np.ascontiguousarray(values), sums)
+    return sums
+
+
+@kernel
+def _combine(into, origin, shares, values, sums):
+    for e in range(len(into)):
+        for k in range(values.shape[1]):
+            sums[into[e], k] += shares[e] * values[origin[e], k]

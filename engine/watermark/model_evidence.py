@@ -3,11 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from engine.model import Bool, Float32, Float64, Int32, Int64
 from engine.registration.mixtures import Mixtures
-from engine.watermark.code_shares import CodeShares
+from engine.watermark.code_shares import CodeShares, combined
 from engine.watermark.layout import MARK_SCALE, Layout
 
 AFFINE_SAMPLE = 30_000
@@ -114,8 +113,8 @@ def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixture
     trusted[mixtures.suspect_rows[parts]] = True
     rows = np.flatnonzero(trusted)
     of = (np.cumsum(trusted) - 1)[mixtures.suspect_rows[parts]]  # row among those read
-    made = scipy.sparse.csr_matrix((shares, (of, target)), shape=(len(rows), len(reference_dc)))
-    reference = np.asarray(made @ reference_dc.astype(np.float64))  # what it would be, unmarked
+    mixed = of.astype(np.int64), target.astype(np.int64), shares.astype(np.float64)
+    reference = combined(*mixed, reference_dc.astype(np.float64), len(rows))  # what it would be, unmarked
     residual = suspect_dc[rows].astype(np.float64) - reference
     trust = mixtures.quality[rows].astype(np.float64)
     residual[:, :3] = remove_affine_color(reference[:, :3], residual[:, :3], trust)
@@ -147,7 +146,7 @@ def gather_residual(layout: Layout, found: Residual) -> Evidence:
 
 def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> tuple[list[Float64], Float64]:
     """Displacements (codes, D) of each stage's code vectors, and what they leave of the residuals (n, D)."""
-    means = [np.zeros((stage.matrix.shape[1], residual.shape[1])) for stage in stages]
+    means = [np.zeros((stage.codes, residual.shape[1])) for stage in stages]
     explained = [np.zeros_like(residual) for _ in stages]
     left = residual
     for _ in range(PASSES if len(stages) > 1 else 1):  # Eq 11: each stage sees what the others leave over

@@ -96,6 +96,15 @@ def test_quaternions_and_matrices_agree():
     np.testing.assert_allclose(quaternion_to_rotation(quaternion_product(p, q)), A @ B, atol=1e-12)
 
 
+def test_quaternions_of_matrices_are_scipys():
+    """Of any turn, and of half turns, which have no real part."""
+    turns = [Rotation.random(300, random_state=6), Rotation.create_group("O"), Rotation.from_rotvec(np.pi * np.eye(3))]
+    for R in turns:
+        wanted = np.roll(R.as_quat(canonical=True), 1, axis=1)
+        np.testing.assert_allclose(rotation_to_quaternion(R.as_matrix()), wanted, atol=1e-12)
+    assert rotation_to_quaternion(turns[1].as_matrix().reshape(4, 6, 3, 3)).shape == (4, 6, 4)
+
+
 def test_identity_changes_no_bit():
     model = random_model(3)
     same = transform_model(model, 1.0, np.eye(3), np.zeros(3))

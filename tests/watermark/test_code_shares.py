@@ -26,7 +26,9 @@ def test_of_single_shares_it_is_the_weighted_mean() -> None:
 
 def test_parts_of_one_code_vector_add_up() -> None:
     each = CodeShares(np.array([0, 0, 1]), np.array([2, 2, 0], np.int32), np.array([0.25, 0.75, 1.0]), (2, 3))
-    np.testing.assert_allclose(each.matrix.toarray(), [[0, 0, 1.0], [1.0, 0, 0]])
+    rows, codes, shares = each.entries
+    assert (rows.tolist(), codes.tolist()) == ([0, 1], [2, 0])
+    np.testing.assert_allclose(shares, [1.0, 1.0])
 
 
 def test_residuals_go_back_by_their_shares() -> None:
