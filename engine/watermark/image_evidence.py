@@ -15,12 +15,14 @@ from typing import TypeVar
 import numpy as np
 
 from engine.model import SH_C0, Bool, Float32, Float64
+from engine.numerics.crew import run_turns, thread_count
 from engine.pictures.jpeg_grid import find_grid
 from engine.pictures.jpeg_score import block_spread, jpeg_cotangent, match_exposure
 from engine.pictures.light import fit_colors
 from engine.pictures.residual import image_cotangent
 from engine.pictures.tone_curve import Toned
 from engine.raster import View
+from engine.watermark.alike_kernels import scale_alike, sum_alike
 from engine.watermark.grain import ATTRIBUTES
 from engine.watermark.grain_pictures import GrainView
 from engine.watermark.layout import Layout
@@ -35,7 +37,9 @@ CLIP = 8.0
 """Evidence of one chip saturates at this many medians of its carrier's: a few code vectors that fill the picture
 (fog, a wall) would otherwise outweigh thousands."""
 ALIKE = 16
-"""Classes of equally many chips of like response, whose scatter is measured together."""
+"""Classes of about equally many chips of like response, whose scatter is measured together."""
+_SAMPLE = 1 << 16
+"""Chips of one kind that tell where the classes end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,17 +143,14 @@ def _scale_by_scatter(layer: Evidence, kinds: int) -> None:
     """Scale chips of like response by response over scatter: the matched filter, as measured."""
     for kind in range(kinds):
         y, weights, signal = layer.y[kind::kinds], layer.weights[kind::kinds], layer.signal[kind::kinds]
-        answer = weights * signal
-        seen = np.flatnonzero(answer)
-        answer = answer[seen]
-        loud = np.abs(answer)
-        alike = np.searchsorted(np.quantile(loud, np.arange(1, ALIKE) / ALIKE), loud) if len(seen) else loud.astype(int)
-        expected = np.bincount(alike, answer, ALIKE)
-        scatter = np.bincount(alike, np.square(weights[seen] * y[seen]), ALIKE)
-        scale = np.zeros(len(y))
-        scale[seen] = (np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))[alike]
-        y *= scale
-        signal *= scale
+        step = max(1, len(y) // _SAMPLE)
+        loud = np.abs(weights[::step] * signal[::step])
+        loud = loud[loud > 0]
+        edges = np.quantile(loud, np.arange(1, ALIKE) / ALIKE) if len(loud) else np.zeros(ALIKE - 1)
+        sums = np.zeros((-(-len(y) // _ROWS), 2, ALIKE))
+        sum_alike(y, weights, signal, edges, sums, _ROWS)
+        expected, scatter = sums.sum(axis=0)
+        scale_alike(y, weights, signal, edges, np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))
 
 
 def gather_image_evidence(
@@ -188,18 +189,24 @@ def gather_image_evidence(
     """
     weigh = _reader(layout, view, reference, warped, mask, through)
 
-    def read(known: Float32) -> tuple[Float32, Float32]:
-        cotangent = np.ascontiguousarray(weigh(known))
+    cotangents = [reference, reference]
+
+    def weigh_one(turn: int) -> None:
+        cotangents[turn] = np.ascontiguousarray(weigh(reference if turn == 0 else reference + mark_image))
+
+    run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
+
+    def read(cotangent: Float32) -> tuple[Float32, Float32]:
         if geometry is None:
             pulled = view.backward_colors(cotangent)
             return pulled, _gathered(layout, pulled).astype(np.float32)
         pulled, moved = geometry.pull(view, cotangent)
         return pulled, np.concatenate([_gathered(layout, pulled).astype(np.float32), moved])
 
-    pulled, y = read(reference)
+    pulled, y = read(cotangents[0])
     # How y answers to a mark, through the weights this very picture got; signed, so that what neighbouring code
     # vectors talk into each other cancels in the matched sum as it does in the claim.
-    _, less = read(reference + mark_image)
+    _, less = read(cotangents[1])
     parts, weights = [(layout.chips, len(layout.directions[0]))], layout.amplitudes.astype(np.float32)
     if geometry is not None:
         weights = np.concatenate([weights, geometry.weights()])

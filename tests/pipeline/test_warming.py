@@ -170,6 +170,7 @@ for work in ("embed", "model", "pictures"):
             SuspectIndex(suspect).resemblance(make_sketch(made.model))
     else:
         verify_images([picture], opened)
+        assert verify_images([picture], opened, cameras=opened.cameras[:1]).claim.z > 1.0
     print(work, sorted(name for name, _ in compiled() - before))
 """
 
