@@ -77,6 +77,17 @@ def test_errors_stay_below_half_a_step() -> None:
     assert np.abs(np.linalg.norm(back.quats, axis=1) - 1).max() < 1e-6
 
 
+def test_turns_are_divided_as_single_precision_does() -> None:
+    """On every machine the same bits, whatever freedom kernels have."""
+    arrays = encode_reference(scene(5000))
+    largest, planes = arrays["quat_largest"], arrays["quats"].astype(np.int64)
+    others = (planes[0] + 256 * planes[1]).T - 2047
+    whole = np.full((5000, 4), 2047, dtype=np.float32)
+    whole[np.arange(4) != largest[:, None]] = others.reshape(-1)
+    wanted = whole / np.sqrt(np.square(whole).sum(axis=1, keepdims=True))
+    np.testing.assert_array_equal(decode_reference(arrays).quats, wanted)
+
+
 def test_a_stray_gaussian_does_not_coarsen_the_others() -> None:
     model = scene(500)
     means = model.means.copy()

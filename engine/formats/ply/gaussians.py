@@ -176,7 +176,8 @@ def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: froz
     if places.keys() >= columns.keys():
         data = np.frombuffer(records.data, dtype=np.uint8).reshape(len(records), records.itemsize)
         properties = _properties(arrays["sh"].shape[1])
-        sources = tuple(np.array([places.get(name, -1) for name in names]) for names in properties.values())
+        # What a file lacks, the third scale of discs, is set afterwards.
+        sources = tuple(np.array([places.get(name, 0) for name in names]) for names in properties.values())
         words = tuple(arrays[array].reshape(len(records), -1).view(np.uint32) for array in properties)
         _spread_words(data, sources, words)
         return
@@ -190,7 +191,7 @@ def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: froz
 @parallel_kernel
 def _spread_words(rows, sources, words, call):
     """Copy little-endian words of rows of bytes (N, stride) from where `sources`, a tuple of (K,) each, say, to
-    `words`, a tuple of (N, K) each; what comes from -1 is left alone."""
+    `words`, a tuple of (N, K) each."""
     for i in share_of(len(rows), call):
         _copy(rows[i], sources[0], words[0][i])
         _copy(rows[i], sources[1], words[1][i])
@@ -203,10 +204,9 @@ def _spread_words(rows, sources, words, call):
 def _copy(row, sources, words):
     for k in range(len(sources)):
         at = sources[k]
-        if at >= 0:
-            words[k] = (
-                np.uint32(row[at])
-                | np.uint32(row[at + 1]) << np.uint32(8)
-                | np.uint32(row[at + 2]) << np.uint32(16)
-                | np.uint32(row[at + 3]) << np.uint32(24)
-            )
+        words[k] = (
+            np.uint32(row[at])
+            | np.uint32(row[at + 1]) << np.uint32(8)
+            | np.uint32(row[at + 2]) << np.uint32(16)
+            | np.uint32(row[at + 3]) << np.uint32(24)
+        )
