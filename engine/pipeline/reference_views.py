@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.model import SH_C0, Bool, Camera, Float32
+from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.pipeline.sealing import OpenedRecord
@@ -40,10 +40,8 @@ class ReferenceViews:
         model, grain = self.opened.reference, self.opened.grain
         drawn = draw(model, camera, settings=settings)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
-        # What is held at black stays there. To copy all harmonics and evaluate them again, for no other difference,
-        # took a tenth of a picture's time.
-        colors = np.maximum(drawn.colors + self._shift(camera), 0.0)
-        colors[drawn.colors <= 0] = 0.0
+        # But for what is held at black, as with displaced harmonics; to copy all of them took a tenth of a picture's time.
+        colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
         geometry = None
         if grain.there:
@@ -54,16 +52,6 @@ class ReferenceViews:
                 grain,
             )
         return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
-
-    def _shift(self, camera: Camera) -> Float32:
-        """(N, 3) what the mark adds to the Gaussians' colours as they are seen from a camera."""
-        tint = self._tint.reshape(len(self._tint), -1, 3)
-        if tint.shape[1] == 1:  # seen from anywhere
-            return np.float32(SH_C0) * tint[:, 0]
-        directions = self.opened.reference.means - camera.position.astype(np.float32)
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        basis = sh_basis(directions, math.isqrt(tint.shape[1]) - 1)
-        return np.asarray(np.einsum("nk,nkc->nc", basis, tint), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +73,15 @@ class ReferenceView:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
         return gather_image_evidence(*seen, self.mark, self.of.signs, through, self.geometry)
+
+
+def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
+    """(N, 3) what displacements of the DC coefficients (N, 3), or of all (N, 3K), add to colours that are seen from a
+    camera."""
+    if tint.shape[1] == 3:  # from anywhere
+        return np.float32(SH_C0) * tint
+    directions = model.means - camera.position.astype(np.float32)
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    coefficients = tint.reshape(len(tint), -1, 3)
+    basis = sh_basis(directions, math.isqrt(coefficients.shape[1]) - 1)
+    return np.asarray(np.einsum("nk,nkc->nc", basis, coefficients), dtype=np.float32)

@@ -145,6 +145,14 @@ def test_windows_line_ends_in_the_header() -> None:
     assert_same(read_model(data).model, read_model(ply_of(names, rows)).model)
 
 
+@pytest.mark.parametrize("byte_order", ["little", "big"])
+def test_a_file_of_no_gaussians_is_refused(byte_order: str) -> None:
+    whole = encode_model(random_model(0, 1), "ply").split(b"end_header\n")[0] + b"end_header\n"
+    empty = whole.replace(b"vertex 1\n", b"vertex 0\n").replace(b"little", byte_order.encode())
+    with pytest.raises(FormatError, match="no Gaussians"):
+        read_model(empty)
+
+
 def test_a_point_cloud_is_told_as_such() -> None:
     names = ["x", "y", "z", "red", "green", "blue"]
     with pytest.raises(UnsupportedFormatError, match="colored point cloud, not a Gaussian model"):

@@ -153,5 +153,8 @@ def test_chips_of_like_response_count_for_what_their_scatter_leaves() -> None:
     for part in np.array_split(np.arange(len(rank)), ALIKE):
         inside = factor[np.isin(rank, part[5:-5])]
         np.testing.assert_allclose(inside, inside[0], rtol=1e-9)
+    silent = np.where(np.arange(chips) % 7 == 0, 0.0, response)  # what is not seen says nothing, whatever is measured
+    heard = made(np.concatenate([y, y[:2]]), np.concatenate([silent, silent[:2]]), (chips, 2)).by_scatter()
+    assert not heard.evidence[:chips:7].any()
     turned = made(np.concatenate([-y, y[:2]]), np.concatenate([response, response[:2]]), (chips, 2)).by_scatter()
     np.testing.assert_allclose(turned.evidence[:chips], -weighed, rtol=1e-9)  # an odd function: blind to signs

@@ -162,7 +162,7 @@ def _properties(coefficients: int) -> dict[str, list[str]]:
 def _columns(arrays: dict[str, Float32], present: frozenset[str]) -> dict[str, Float32]:
     """(N,) view on the arrays for every property."""
     return {
-        name: arrays[array].reshape(len(arrays[array]), -1)[:, i]
+        name: arrays[array].reshape(len(arrays[array]), len(names))[:, i]
         for array, names in _properties(arrays["sh"].shape[1]).items()
         for i, name in enumerate(names)
         if name in present
@@ -178,7 +178,9 @@ def _spread(records: npt.NDArray[Any], arrays: dict[str, Float32], present: froz
         properties = _properties(arrays["sh"].shape[1])
         # What a file lacks, the third scale of discs, is set afterwards.
         sources = tuple(np.array([places.get(name, 0) for name in names]) for names in properties.values())
-        words = tuple(arrays[array].reshape(len(records), -1).view(np.uint32) for array in properties)
+        words = tuple(
+            arrays[array].reshape(len(records), len(names)).view(np.uint32) for array, names in properties.items()
+        )
         _spread_words(data, sources, words)
         return
     with np.errstate(over="ignore", invalid="ignore"):  # what is no float32 becomes inf or NaN, found as such
