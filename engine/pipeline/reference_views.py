@@ -40,7 +40,7 @@ class ReferenceViews:
         model, grain = self.opened.reference, self.opened.grain
         drawn = draw(model, camera, settings=settings)
         view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
-        # But for what is held at black, as with displaced harmonics; to copy all of them took a tenth of a picture's time.
+        # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
         colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
         plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
         geometry = None

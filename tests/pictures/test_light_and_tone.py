@@ -10,6 +10,7 @@ import pytest
 from engine.pictures.alignment import align_image
 from engine.pictures.light import fit_colors, fit_light, predict_brightness
 from engine.pictures.residual import image_cotangent
+from engine.pictures.tone_curve import _clipped_mean
 from engine.sim.attacks import image_attack
 from tests.pictures.image_cases import marked, picture, z_score
 
@@ -102,3 +103,14 @@ def test_the_mark_is_read_through_it(name: str, strength: float, least: float) -
     assert z > least, z
     chips = np.random.default_rng(5).choice([-1.0, 1.0], (5_000, len(y)))
     assert (chips @ y / np.linalg.norm(y)).max() < 6
+
+
+def test_what_noise_and_clipping_leave_of_a_level_is_its_mean() -> None:
+    """E[clip(u + n, 0, 1)] and its derivative, against a million draws."""
+    levels, noise = np.linspace(-0.1, 1.1, 13), 0.05
+    value, keep = _clipped_mean(levels, noise)
+    draws = noise * np.random.default_rng(0).standard_normal(1_000_000)
+    for level, mean, slope in zip(levels, value, keep, strict=True):
+        shown = level + draws
+        assert mean == pytest.approx(np.clip(shown, 0.0, 1.0).mean(), abs=3e-4)
+        assert slope == pytest.approx(((shown > 0.0) & (shown < 1.0)).mean(), abs=3e-3)

@@ -41,6 +41,14 @@ def test_residuals_go_back_by_their_shares() -> None:
         np.testing.assert_allclose(means[code], (trust * s) @ values / (trust @ s**2))
 
 
+def test_what_is_explained_goes_by_shares() -> None:
+    matrix = np.array([[0.5, 0.5, 0.0], [0.2, 0.3, 0.5], [0.0, 1.0, 0.0]])
+    means, trust = np.array([[1.0, 0, 2], [3.0, 1, 0], [-1.0, 4, 0]]), np.array([1.0, 0.5, 0.25])
+    shown = matrix @ means
+    np.testing.assert_allclose(shares(matrix).explained(means, 2.0 * shown, trust), shown)
+    np.testing.assert_allclose(shares(matrix).explained(means, 0.25 * shown, trust), 0.25 * shown)
+
+
 def test_displacements_come_back_signed_from_mixtures() -> None:
     """Three parts of random code vectors each: nine signs in ten are right though each speaks for three."""
     rng = np.random.default_rng(1)
