@@ -16,7 +16,7 @@ from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codeb
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.numerics.jit import kernel, parallel_kernel, share_of
 
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
@@ -202,7 +202,7 @@ def _spread_words(rows, sources, words, call):
         _copy(rows[i], sources[4], words[4][i])
 
 
-@inlined
+@kernel
 def _copy(row, sources, words):
     for k in range(len(sources)):
         at = sources[k]
