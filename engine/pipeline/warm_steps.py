@@ -113,14 +113,19 @@ def _files() -> None:
     read_ply(b"".join(write_ply(model)), file="")
 
 
-def _alignment() -> None:
+def _warps() -> None:
     rng = np.random.default_rng(0)
     picture = np.kron(rng.random((12, 12, 3)), np.ones((8, 8, 1))).astype(np.float32)
     align_image(picture, picture[3:, 5:])
     remap(picture, np.zeros((8, 8, 2)))
     look_up(luma(picture), 0.0, 1.0, np.zeros(2))
     find_quality((np.round(200.0 * picture + 20.0) / 255.0).astype(np.float32))
-    n = 300
+    chips = np.ones(6, np.float32)
+    PictureEvidence(((6, 3),), chips, chips, chips, chips, chips, ()).by_scatter()
+
+
+def _alignment() -> None:
+    rng, n = np.random.default_rng(0), 300
     centers, levels = (rng.uniform(-1.0, 1.0, shape).astype(np.float32) for shape in ((n, 3), (n, 1, 3)))
     quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (n, 1))
     model = GaussianModel(centers, np.full((n, 3), -2.0, np.float32), quats, np.full(n, 3.0, np.float32), levels)
@@ -134,8 +139,6 @@ def _alignment() -> None:
     _roughen(8)
     drawn = raster.draw(model, camera)
     GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
-    chips = np.ones(6, np.float32)
-    PictureEvidence(((6, 3),), chips, chips, chips, chips, chips, ()).by_scatter()
 
 
 _RASTER = raster.WARM_UPS
@@ -149,7 +152,8 @@ STEPS: dict[str, Step] = {
     "pictures": Step(_RASTER["pictures"], 4.0, ("embed", "pictures"), ("geometry", "colors")),
     "color gradients": Step(_RASTER["color gradients"], 4.0, ("embed", "pictures"), ("geometry",)),
     "all gradients": Step(_RASTER["all gradients"], 4.5, ("pictures",), ("pictures", "color gradients")),
-    "alignment": Step(_alignment, 7.5, ("pictures",), ("pictures", "registration", "cells", "all gradients")),
+    "warps": Step(_warps, 5.0, ("pictures",)),
+    "alignment": Step(_alignment, 5.0, ("pictures",), ("pictures", "registration", "cells", "all gradients")),
     "discs": Step(_RASTER["discs"], 1.5, (), ("pictures", "color gradients")),
 }
 
