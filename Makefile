@@ -2,7 +2,7 @@
 # make test -> what must hold before a change lands; make full -> that, and every study, bench and viewer: before a release;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
-# make results -> the README's figure, measured anew on the shipped scene (about 10 minutes on two quiet cores);
+# make results -> the README's figure, measured anew on the shipped scene (about half an hour on two cores);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
 PYTHON ?= python3
 VENV := .venv
