@@ -21,7 +21,7 @@ def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") 
         return time.perf_counter() - began
     from engine.pipeline.warming import expected_seconds, warm_up
 
-    said = f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s"
+    said = f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s on free, quick cores"
     warm_up(work, lambda fraction: progress("compile", fraction), compiling=lambda: console.note(said))
     stamp(work)
     return time.perf_counter() - began

@@ -13,10 +13,7 @@ def chi_square_beyond(freedom: int, share: float) -> float:
     low, high = 0.0, 1.0
     while _beyond(freedom, high) > share:
         low, high = high, 2.0 * high
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
+    while low < (middle := 0.5 * (low + high)) < high:
         if _beyond(freedom, middle) > share:
             low = middle
         else:
@@ -25,10 +22,10 @@ def chi_square_beyond(freedom: int, share: float) -> float:
 
 
 def _beyond(freedom: int, x: float) -> float:
-    """The share of the distribution beyond x (Abramowitz and Stegun 26.4.4, 26.4.5)."""
+    """The share of the distribution beyond x > 0 (Abramowitz and Stegun 26.4.4, 26.4.5)."""
     half = 0.5 * x
     total = math.erfc(math.sqrt(half)) if freedom % 2 else 0.0
     for i in range(freedom // 2):
         power = i + 0.5 * (freedom % 2)
-        total += math.exp(power * math.log(half) - half - math.lgamma(power + 1.0)) if half > 0 else float(power == 0)
+        total += math.exp(power * math.log(half) - half - math.lgamma(power + 1.0))
     return total

@@ -1,4 +1,5 @@
-"""Functions given by a table, looked up for whole images: `numpy.interp` searches the table anew for every pixel."""
+"""Functions given by a table, looked up for whole images: `numpy.interp` searches the table anew for every pixel.
+And a search of rising values, for kernels."""
 
 # mypy: allow-untyped-defs
 
@@ -8,9 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float32, Float64
-from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.jit import inlined, parallel_kernel, share_of
 
-__all__ = ["look_up"]
+__all__ = ["first_at_least", "look_up"]
+
+
+@inlined
+def first_at_least(ascending, value):
+    """`np.searchsorted` of one number, for which numba compiles ten functions."""
+    low, high = 0, len(ascending)
+    while low < high:
+        middle = (low + high) >> 1
+        if ascending[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @parallel_kernel

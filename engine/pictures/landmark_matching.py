@@ -11,7 +11,8 @@ camera is roughly known, by where the landmarks project.
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, Int64
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.tables import first_at_least
 from engine.pictures.camera_motion import project
 from engine.pictures.features import Keypoints
 from engine.pictures.landmarks import Landmarks
@@ -59,19 +60,6 @@ def _rank(products, squares, points, starts, radius, best, first, rival, in_view
                     if away > radius * radius:
                         second = d
         best[k], first[k], rival[k] = nearest, distance, second
-
-
-@inlined
-def first_at_least(ascending, value):
-    """`np.searchsorted` of one number, for which numba compiles ten functions."""
-    low, high = 0, len(ascending)
-    while low < high:
-        middle = (low + high) >> 1
-        if ascending[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @parallel_kernel

@@ -2,22 +2,10 @@
 
 # mypy: allow-untyped-defs
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.numerics.jit import parallel_kernel, share_of
+from engine.numerics.tables import first_at_least
 
 __all__ = ["scale_alike", "sum_alike"]
-
-
-@inlined
-def _class_of(edges, value):
-    """How many of rising edges are less than a value."""
-    low, high = 0, len(edges)
-    while low < high:
-        middle = (low + high) >> 1
-        if edges[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @parallel_kernel
@@ -28,7 +16,7 @@ def sum_alike(y, weights, signal, edges, sums, rows, call):
         for i in range(block * rows, min((block + 1) * rows, len(y))):
             answer = weights[i] * signal[i]
             if answer != 0.0:
-                alike = _class_of(edges, abs(answer))
+                alike = first_at_least(edges, abs(answer))
                 sums[block, 0, alike] += answer
                 sums[block, 1, alike] += (weights[i] * y[i]) ** 2
 
@@ -38,6 +26,6 @@ def scale_alike(y, weights, signal, edges, scales, call):
     """Multiply y and s of each chip by what its class is scaled by; those whose w s is 0 become 0."""
     for i in share_of(len(y), call):
         answer = weights[i] * signal[i]
-        scale = scales[_class_of(edges, abs(answer))] if answer != 0.0 else 0.0
+        scale = scales[first_at_least(edges, abs(answer))] if answer != 0.0 else 0.0
         y[i] *= scale
         signal[i] *= scale

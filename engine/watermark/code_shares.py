@@ -9,7 +9,7 @@ s, trust t and residual e: the weighted mean where every share is 1.
 
 import numpy as np
 
-from engine.model import Float64, Int32, Int64
+from engine.model import Float32, Float64, Int32, Int64
 from engine.numerics.jit import kernel
 
 __all__ = ["CodeShares", "combined"]
@@ -24,11 +24,12 @@ class CodeShares:
     def __init__(self, rows: Int64, codes: Int32, shares: Float64, shape: tuple[int, int]) -> None:
         """Entries (E,) of a sparse matrix of `shape` (n, code vectors); those of one place add up."""
         self.count, self.codes = shape
+        columns: Int64 = codes.astype(np.int64)
         if len(rows) and np.bincount(rows).max() > 1:
-            place, entry = np.unique(rows.astype(np.int64) * self.codes + codes, return_inverse=True)
-            rows, codes = (place // self.codes).astype(np.int64), (place % self.codes).astype(np.int32)
+            place, entry = np.unique(rows * self.codes + columns, return_inverse=True)
+            rows, columns = place // self.codes, place % self.codes
             shares = np.bincount(entry, shares).astype(np.float64)
-        self.entries = rows.astype(np.int64), codes.astype(np.int64), shares.astype(np.float64)
+        self.entries = rows, columns, shares
 
     def _sums(self, values: Float64, power: int = 1) -> Float64:
         """(codes, K) sums over suspect Gaussians of their shares to a power times values (n, K)."""
@@ -72,10 +73,10 @@ class CodeShares:
         return np.where(seen[:, None], spread * effective[:, None], np.inf)
 
 
-def combined(into: Int64, origin: Int64, shares: Float64, values: Float64, count: int) -> Float64:
+def combined(into: Int64, origin: Int64 | Int32, shares: Float64, values: Float64 | Float32, count: int) -> Float64:
     """(count, K) sums of shares (E,) of rows `origin` (E,) of values (M, K), to rows `into` (E,)."""
     sums = np.zeros((count, values.shape[1]))
-    _combine(into, origin, shares, np.ascontiguousarray(values), sums)
+    _combine(into, origin.astype(np.int64, copy=False), shares, np.ascontiguousarray(values, np.float64), sums)
     return sums
 
 

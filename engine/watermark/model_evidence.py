@@ -113,8 +113,7 @@ def compare_colors(reference_dc: Float32, suspect_dc: Float32, mixtures: Mixture
     trusted[mixtures.suspect_rows[parts]] = True
     rows = np.flatnonzero(trusted)
     of = (np.cumsum(trusted) - 1)[mixtures.suspect_rows[parts]]  # row among those read
-    mixed = of.astype(np.int64), target.astype(np.int64), shares.astype(np.float64)
-    reference = combined(*mixed, reference_dc.astype(np.float64), len(rows))  # what it would be, unmarked
+    reference = combined(of, target, shares, reference_dc, len(rows))  # what it would be, unmarked
     residual = suspect_dc[rows].astype(np.float64) - reference
     trust = mixtures.quality[rows].astype(np.float64)
     residual[:, :3] = remove_affine_color(reference[:, :3], residual[:, :3], trust)
