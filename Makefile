@@ -34,7 +34,7 @@ check: $(STAMP)
 
 # Compiled once, before a first embedding would wait for it, or several processes would each compile the same.
 kernels: $(STAMP)
-	$(BIN)/python -m engine.cli.kernels
+	$(BIN)/python -m engine.cli.kernel_progress
 
 test: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels

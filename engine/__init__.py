@@ -9,14 +9,14 @@ import typing as _typing
 
 if _typing.TYPE_CHECKING:
     from engine.errors import Mark3DGSError
+    from engine.flows.embed.embedding import embed, embed_copies
+    from engine.flows.embed.profiles import profile
+    from engine.flows.records.opened_record import open_record
+    from engine.flows.trace.tracing import trace_images, trace_model
+    from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+    from engine.flows.views.camera_rig import make_rig
     from engine.formats import read_cameras, read_model, write_cameras, write_model
     from engine.model import Camera, GaussianModel
-    from engine.pipeline.embedding import embed, embed_copies
-    from engine.pipeline.profiles import profile
-    from engine.pipeline.rigs import make_rig
-    from engine.pipeline.sealing import open_record
-    from engine.pipeline.tracing import trace_images, trace_model
-    from engine.pipeline.verification import VerifyConfig, verify_images, verify_model
     from engine.raster import render
     from engine.records.record import Record
     from engine.watermark.keys import OwnerKey
@@ -48,12 +48,12 @@ _HOMES = {
     "engine.errors": ("Mark3DGSError",),
     "engine.formats": ("read_cameras", "read_model", "write_cameras", "write_model"),
     "engine.model": ("Camera", "GaussianModel"),
-    "engine.pipeline.embedding": ("embed", "embed_copies"),
-    "engine.pipeline.profiles": ("profile",),
-    "engine.pipeline.rigs": ("make_rig",),
-    "engine.pipeline.sealing": ("open_record",),
-    "engine.pipeline.tracing": ("trace_images", "trace_model"),
-    "engine.pipeline.verification": ("VerifyConfig", "verify_images", "verify_model"),
+    "engine.flows.embed.embedding": ("embed", "embed_copies"),
+    "engine.flows.embed.profiles": ("profile",),
+    "engine.flows.views.camera_rig": ("make_rig",),
+    "engine.flows.records.opened_record": ("open_record",),
+    "engine.flows.trace.tracing": ("trace_images", "trace_model"),
+    "engine.flows.verify.verification": ("VerifyConfig", "verify_images", "verify_model"),
     "engine.raster": ("render",),
     "engine.records.record": ("Record",),
     "engine.watermark.keys": ("OwnerKey",),

@@ -9,7 +9,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # Before BLAS and OpenMP are loaded, which look only once.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-    from engine.numerics.crew import use_threads
+    from engine.kernels.thread_crew import use_threads
 
     _alone = use_threads(1)
     _alone.__enter__()
@@ -23,4 +23,4 @@ hypothesis.settings.load_profile("shared machine")
 @pytest.fixture
 def small_renders(monkeypatch: pytest.MonkeyPatch) -> None:
     """Renders of suspects a quarter as large, for tests that ask what is said of them and not how much they say."""
-    monkeypatch.setattr("engine.pipeline.reading.RENDER_SIZE", 256)
+    monkeypatch.setattr("engine.flows.verify.suspect_evidence.RENDER_SIZE", 256)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from engine.numerics.crew import use_threads
+from engine.kernels.thread_crew import use_threads
 
 T = TypeVar("T")
 

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from engine.catalogue.entry import Entry
 from engine.catalogue.neighbours import Growing, Neighbours
 from engine.model import Float32, Float64, Int64
-from engine.pictures.features import detect_keypoints, luma
-from engine.pictures.view_agreement import agreement_of_views
+from engine.pictures.camera.view_agreement import agreement_of_views
+from engine.pictures.landmarks.keypoints import detect_keypoints, luma
 from engine.registration.sketch import LOOK_ERRORS, Sketch, SuspectIndex
 
 __all__ = ["Catalogue"]

@@ -12,8 +12,8 @@ import scipy
 
 from engine.errors import FormatError
 from engine.model import Camera, Float32, Int64
-from engine.pictures.camera_motion import project
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.camera.camera_motion import project
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.registration.sketch import Sketch
 
 __all__ = ["Entry", "SeenPoints", "see_points"]

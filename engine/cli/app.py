@@ -2,31 +2,28 @@
 
 import os
 import sys
+from functools import cache
 from typing import Annotated
 
 import typer
 
 from engine.cli import (
-    attack,
     attest,
-    bench,
     config,
     convert,
     credentials,
-    demo,
     dispute,
     embed,
-    evaluate,
     failures,
     inspect,
     keygen,
     render,
-    sim,
     trace,
     verify,
 )
 from engine.cli.console import Console
-from engine.numerics.allocating import keep_freed_memory
+from engine.cli.extra_commands import add_extra_commands
+from engine.kernels.allocation import keep_freed_memory
 
 app = typer.Typer(
     name="mark3dgs",
@@ -76,13 +73,11 @@ app.command("trace")(trace.trace)
 app.command("attest")(attest.attest)
 app.command("dispute")(dispute.dispute)
 app.command("render")(render.render)
-app.command("attack")(attack.attack)
-app.command("sim")(sim.sim)
-app.command("evaluate")(evaluate.evaluate)
-app.command("bench", help=bench.HELP)(bench.bench)
 app.add_typer(config.app, name="config")
 app.add_typer(credentials.app, name="credentials")
-app.command("demo")(demo.demo)
+
+CORE = frozenset({str(command.name) for command in app.registered_commands} | {"config", "credentials"})
+"""Commands that need no extra."""
 
 
 def run(arguments: list[str]) -> int:
@@ -92,6 +87,8 @@ def run(arguments: list[str]) -> int:
     """
     console = Console(machine="--json" in arguments)
     try:
+        if not CORE.intersection(arguments[:1]):
+            _add_extra_commands()
         code = app(arguments, prog_name="mark3dgs", standalone_mode=False)
         if code == failures.INTERRUPTED:  # typer has turned Ctrl-C into an exit code already
             raise KeyboardInterrupt
@@ -112,8 +109,18 @@ def run(arguments: list[str]) -> int:
         return code
 
 
+@cache
+def _add_extra_commands() -> None:
+    """Looked for where no command of the core is called: it takes a hundredth of a second or two."""
+    add_extra_commands(app)
+
+
 def main() -> None:
     """Entry point of the command."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded; see engine.numerics.blas
     keep_freed_memory()
     sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -11,7 +11,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 from engine.cli.options import Json
-from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
+from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 
 

@@ -36,7 +36,7 @@ def show(
       mark3dgs config show --profile fast --set quantize.cells=1024
     """
     console = Console(json)
-    from engine.pipeline.profiles import PROFILES, Auto, compose
+    from engine.flows.embed.profiles import PROFILES, Auto, compose
 
     names = [profile] if profile is not None else list(PROFILES)
     composed = {name: compose(name, knobs=knobs or ()) for name in names}

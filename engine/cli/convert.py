@@ -61,8 +61,8 @@ def convert(
         refuse_same(model, out)
         check_target(out)
 
-    from engine.sim.variants.codebook import CodebookModel
-    from engine.sim.variants.scenes import notes_of, read_scene, write_scene, written_as
+    from engine.scenes.codebook_model import CodebookModel
+    from engine.scenes.scene_files import notes_of, read_scene, write_scene, written_as
 
     with console.progress() as progress:
         progress("read", 0.0)
@@ -103,12 +103,12 @@ def convert(
 
 
 def _write_streamed(model: GaussianModel, folder: Path, levels: int, progress: Progress) -> tuple[list[int], int]:
+    from engine.compress.levels_of_detail import merge_pairs
     from engine.formats.sog.chunks import write_streamed
-    from engine.sim.attacks import model_attack
 
     made = [model]
     while len(made) < levels:
         progress("merge", len(made) / levels)
-        made.append(model_attack("merge").apply(made[-1], KEPT, rng=0, reading="as_code"))
+        made.append(merge_pairs(made[-1], KEPT, surface=True))
     with whole_folder(folder) as part:
         return [len(level) for level in made], write_streamed(made, part)

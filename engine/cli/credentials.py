@@ -54,7 +54,7 @@ def sign(
     from engine.credentials.manifest import EMBEDS, SIDECAR
     from engine.credentials.signer import read_signer
     from engine.credentials.signing import sign_beside, sign_into
-    from engine.formats.reading import read_model
+    from engine.formats.model_reading import read_model
     from engine.records.file import read_header
 
     refuse_same(model, out)

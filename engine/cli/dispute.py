@@ -13,14 +13,14 @@ from engine.cli.claim_text import WIDTH
 from engine.cli.console import Console
 from engine.cli.failures import INCONCLUSIVE, OK
 from engine.cli.files import check_target, read_bytes, whole_file
-from engine.cli.kernels import prepare_kernels
+from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json
-from engine.cli.trusting import Jwks, TsaCertificates, read_trust
+from engine.cli.trust_options import Jwks, TsaCertificates, read_trust
 from engine.errors import InputError
 
 if TYPE_CHECKING:
-    from engine.pipeline.dispute_text import DisputeWords
+    from engine.flows.dispute.dispute_text import DisputeWords
 
 
 def dispute(
@@ -53,9 +53,9 @@ def dispute(
     if report is not None:
         check_target(report)
 
-    from engine.pipeline.attesting import open_attested
-    from engine.pipeline.dispute import Party, settle
-    from engine.pipeline.dispute_text import dispute_page, dispute_words
+    from engine.flows.dispute.dispute import Party, settle
+    from engine.flows.dispute.dispute_text import dispute_page, dispute_words
+    from engine.flows.records.attested_record import open_attested
     from engine.watermark.keys import OwnerKey
     from engine.watermark.numerals import PLAIN
 

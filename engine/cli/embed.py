@@ -10,12 +10,12 @@ from typing import Annotated, Any
 
 import typer
 
-from engine.cli.ahead import Ahead
 from engine.cli.console import Console
 from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
-from engine.cli.kernels import prepare_kernels
+from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import check_output, format_for, say_repairs, whole_output
 from engine.cli.options import Json, Key, Knobs, SpzFrame
+from engine.cli.read_ahead import Ahead
 from engine.errors import InputError
 
 COPY = "{copy}"
@@ -116,17 +116,17 @@ def embed(
             raise InputError("the marked model and the record need different names")
     if message is not None and bits is not None:
         raise InputError("give --message or --bits, not both: a message has a length of its own")
-    from engine.sim.variants.scenes import read_scene
+    from engine.scenes.scene_files import read_scene
 
     reading = Ahead(read_scene, model, spz_frame=spz_frame)
 
+    from engine.flows.embed.embedding import embed_copies
+    from engine.flows.embed.profiles import compose, delivered_as
     from engine.formats import read_cameras
     from engine.model import GaussianModel
-    from engine.pipeline.embedding import embed_copies
-    from engine.pipeline.profiles import compose, delivered_as
     from engine.records.record import Record
-    from engine.sim.variants.marking import embed_variant
-    from engine.sim.variants.scenes import notes_of, write_scene, written_as
+    from engine.scenes.scene_files import notes_of, write_scene, written_as
+    from engine.scenes.scene_marking import embed_variant
     from engine.watermark.keys import OwnerKey
     from engine.watermark.messages import check_bits, message_signs
 

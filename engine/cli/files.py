@@ -116,7 +116,7 @@ def read_bytes(path: Path, what: str) -> bytes:
 
 def pictures_within(suspects: Sequence[Path]) -> list[Path]:
     """The suspects; in the place of a folder of pictures alone, such as a video's frames, these in order of name."""
-    from engine.formats.pictures import is_picture
+    from engine.formats.image_files import is_picture
 
     found: list[Path] = []
     for path in suspects:
@@ -127,7 +127,7 @@ def pictures_within(suspects: Sequence[Path]) -> list[Path]:
 
 def are_pictures(suspects: Sequence[Path], cameras: Path | None) -> bool:
     """Whether suspects are pictures; InputError where they are neither that nor one model without cameras."""
-    from engine.formats.pictures import is_picture
+    from engine.formats.image_files import is_picture
 
     pictures = [is_picture(path) for path in suspects]
     if any(pictures) and not all(pictures):

@@ -12,11 +12,11 @@ import typer
 from engine.cli.console import Console
 from engine.cli.embed import size
 from engine.cli.options import Json, SpzFrame
-from engine.cli.trusting import read_certificates
+from engine.cli.trust_options import read_certificates
 
 if TYPE_CHECKING:
     from engine.credentials.reading import Credentials
-    from engine.sim.variants.scenes import Loaded
+    from engine.scenes.scene_files import Loaded
 
 DRAWN = {
     "default": "as Gaussians",
@@ -56,7 +56,7 @@ def inspect(
     began = time.perf_counter()
     anchors = "" if trust is None else _pem(trust)
     from engine.credentials.reading import read_credentials
-    from engine.sim.variants.scenes import read_scene
+    from engine.scenes.scene_files import read_scene
 
     with console.progress() as progress:
         progress("read", 0.0)
@@ -92,8 +92,8 @@ def describe_model(loaded: Loaded) -> dict[str, Any]:
     """Facts about a loaded model, as plain values."""
     import numpy as np
 
+    from engine.flows.views.camera_rig import measure_extent
     from engine.formats.modes import mode_of
-    from engine.pipeline.rigs import measure_extent
 
     model = loaded.model
     extent = measure_extent(model)

@@ -12,8 +12,8 @@ from engine.cli.files import check_folder, check_target, whole_file, whole_folde
 from engine.errors import InputError
 
 if TYPE_CHECKING:
+    from engine.flows.verify.search import Suspect
     from engine.formats import Repair
-    from engine.pipeline.searching import Suspect
 
 DEMO_SCENE = "plant.splat"
 
@@ -24,7 +24,7 @@ FOLDERS = ("codebook", "frames")
 def format_for(path: Path, source: Path | None = None) -> str:
     """Format that the ending of an output file names; where the source is a folder of frames or codebooks, that."""
     if source is not None and source.is_dir():
-        from engine.sim.variants.scenes import folder_kind
+        from engine.scenes.scene_files import folder_kind
 
         if (kind := folder_kind(source)) is not None:
             return kind
@@ -63,21 +63,21 @@ def read_suspect(
     paths: list[Path], cameras: Path | None, spz_frame: str = "auto"
 ) -> tuple[Suspect, tuple[Repair, ...]]:
     """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
-    from engine.formats.pictures import is_picture
+    from engine.formats.image_files import is_picture
 
     if is_picture(paths[0]):
         from engine.formats import read_cameras
-        from engine.formats.pictures import read_picture
+        from engine.formats.image_files import read_picture
 
         known = read_cameras(cameras) if cameras is not None else None
         pictures = [read_picture(path) for path in paths]
-        from engine.pipeline.searching import Suspect
+        from engine.flows.verify.search import Suspect
 
         return Suspect(None, pictures, known), ()
-    from engine.sim.variants.scenes import read_scene
+    from engine.scenes.scene_files import read_scene
 
     loaded = read_scene(paths[0], spz_frame=spz_frame)
-    from engine.pipeline.searching import Suspect  # after the file: to import it takes as long as to read it
+    from engine.flows.verify.search import Suspect  # after the file: to import it takes as long as to read it
 
     return Suspect(loaded.model), loaded.repairs
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from engine.cli.files import whole_folder
 
 if TYPE_CHECKING:
-    from engine.pipeline.locating_mark import RegionReport
-    from engine.pipeline.sealing import OpenedRecord
-    from engine.pipeline.searching import Suspect, Verification
+    from engine.flows.records.opened_record import OpenedRecord
+    from engine.flows.regions.region_search import RegionReport
+    from engine.flows.verify.search import Suspect, Verification
 
 
 def write_regions(
@@ -25,8 +25,8 @@ def write_regions(
     """
     import numpy as np
 
-    from engine.pipeline.locating_mark import describe
-    from engine.pipeline.region_pictures import draw_report
+    from engine.flows.regions.region_maps import draw_report
+    from engine.flows.regions.region_search import describe
     from engine.watermark.regions import State
 
     with whole_folder(folder) as part:

@@ -10,7 +10,7 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.files import check_picture_ending, check_target, refuse_same, whole_file, write_picture
-from engine.cli.kernels import prepare_kernels
+from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
@@ -71,8 +71,8 @@ def render(
     if save_camera is not None:
         check_target(save_camera)
 
+    from engine.flows.views.early_stop import early_stop, render_early
     from engine.formats import read_model, write_cameras
-    from engine.pipeline.early_stop import early_stop, render_early
     from engine.raster import render as draw
 
     with console.progress() as progress:
@@ -108,7 +108,7 @@ def render(
 
 def choose_camera(model: GaussianModel, camera_file: Path | None, view: int, size: tuple[int, int] | None) -> Camera:
     """The asked camera: of a file, or of the rig around the model."""
-    from engine.pipeline.rigs import make_rig
+    from engine.flows.views.camera_rig import make_rig
 
     if camera_file is None:
         width, height = size or DEFAULT_SIZE

@@ -12,13 +12,13 @@ import typer
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
 from engine.cli.files import are_pictures, pictures_within, read_bytes
-from engine.cli.kernels import prepare_kernels
+from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key
 from engine.errors import InputError
 
 if TYPE_CHECKING:
-    from engine.pipeline.sealing import OpenedRecord
+    from engine.flows.records.opened_record import OpenedRecord
 
 SHOWN = 10
 """Copies listed beside those named."""
@@ -61,9 +61,9 @@ def trace(
     pictures = are_pictures(suspects, cameras)
     files = _files(records)
 
-    from engine.pipeline.sealing import open_record
-    from engine.pipeline.tracing import trace as search_for_copies
-    from engine.pipeline.verification import VerifyConfig
+    from engine.flows.records.opened_record import open_record
+    from engine.flows.trace.tracing import trace as search_for_copies
+    from engine.flows.verify.verification import VerifyConfig
     from engine.watermark.keys import OwnerKey
 
     config, owner = VerifyConfig(false_claim_rate=false_claim_rate), OwnerKey.read(key)

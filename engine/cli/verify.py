@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.ahead import Ahead
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.files import are_pictures, check_folder, pictures_within, read_bytes
-from engine.cli.kernels import prepare_kernels
+from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import read_suspect, say_repairs
 from engine.cli.options import Json, Key, SpzFrame
+from engine.cli.read_ahead import Ahead
 from engine.cli.regions import region_lines, write_regions
-from engine.cli.trusting import Jwks, TsaCertificates, read_attestation, read_trust
+from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
 
 MOVING = "moving"
-"""Name of a record's commitment to a clip, see `engine.sim.variants.moving`."""
+"""Name of a record's commitment to a clip, see `engine.scenes.clip_marking`."""
 WITHOUT_ORIGINAL = "the record is of a scene that moves: give --original to look for single moments of it"
 
 if TYPE_CHECKING:
-    from engine.pipeline.sealing import OpenedRecord
-    from engine.pipeline.verification import Verification
+    from engine.flows.records.opened_record import OpenedRecord
+    from engine.flows.verify.verification import Verification
 
 
 def verify(
@@ -116,7 +116,7 @@ def verify(
             raise InputError("--regions needs a scene that stands still: leave --original out")
     reading = Ahead(read_suspect, suspects, cameras, spz_frame)
 
-    from engine.pipeline.attesting import open_attested
+    from engine.flows.records.attested_record import open_attested
     from engine.records.attestation import attach
     from engine.watermark.keys import OwnerKey
 
@@ -124,9 +124,9 @@ def verify(
     owner, data = OwnerKey.read(key), read_bytes(record, "record")
     opening = Ahead(open_attested, attach(data, *more) if more else data, owner, trust)
 
-    from engine.pipeline.searching import verify as search_for
-    from engine.pipeline.verification import VerifyConfig
-    from engine.sim.variants.clips import is_clip, verify_in_motion
+    from engine.flows.verify.search import verify as search_for
+    from engine.flows.verify.verification import VerifyConfig
+    from engine.scenes.clip_suspects import is_clip, verify_in_motion
     from engine.watermark.numerals import PLAIN
     from engine.watermark.regions import RegionConfig
     from engine.watermark.wording import words_of
@@ -152,7 +152,7 @@ def verify(
         if regions is not None:
             started = time.perf_counter()
             progress("locate", 0.0)
-            from engine.pipeline.locating_mark import locate_mark
+            from engine.flows.regions.region_search import locate_mark
 
             located = locate_mark(suspect, opened, found, asked)
             write_regions(regions, located, suspect, opened, found)

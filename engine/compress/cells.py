@@ -7,8 +7,8 @@ shows about as much, so every chip and every bit gets about the same evidence. N
 
 import numpy as np
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""

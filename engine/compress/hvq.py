@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.compress.cells import cell_features, split_cells
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
-from engine.numerics.jit import parallel_kernel, share_of
 
 Matrix = Float32 | Float64
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.compress.cells import split_cells
+from engine.compress.duplicate_merging import merge_duplicates
 from engine.compress.impact import ranks
-from engine.compress.merging import merge_duplicates
 from engine.errors import InputError
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32
 

@@ -1,15 +1,16 @@
 """Files in and out: Gaussian models in seven formats, cameras in four, point clouds in three.
 
 A folder a format; what they share lies beside them: `guards` before anything is read, `repairs` after it is decoded.
-Nothing here draws or judges; everybody above may come in, most by the names below. Start at `reading.read_model`, then
-`repairs.clean`, which every reader ends in. A new format is a module and its line in `kinds`.
+Nothing here draws or judges; everybody above may come in, most by the names below. Start at
+`model_reading.read_model`, then `repairs.clean`, which every reader ends in. A new format is a module and its line in
+`kinds`.
 """
 
 from engine.formats.cameras.files import read_cameras, write_cameras
+from engine.formats.file_writing import encode_model, write_model
 from engine.formats.kinds import FORMATS
-from engine.formats.reading import LoadedModel, read_model
+from engine.formats.model_reading import LoadedModel, read_model
 from engine.formats.repairs import Repair
-from engine.formats.writing import encode_model, write_model
 
 __all__ = [
     "FORMATS",

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.errors import InputError
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32
-from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["AdamMoments", "adam_step"]
 

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
+from engine.kernels.jit import kernel
 from engine.model import Float32
-from engine.numerics.jit import kernel
 
 __all__ = ["difference_picture", "ms_ssim_distance", "psnr", "ssim", "ssim_maps"]
 

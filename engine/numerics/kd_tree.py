@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float64, Int64
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["KdTree"]
 

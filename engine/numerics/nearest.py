@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.model import Float32, Int32
-from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 AXES = 5
 """Coordinates under the grid."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.model import Bool, Float32, Float64
-from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
 
 __all__ = ["map_points", "remap", "resized", "sample", "smooth", "warp"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Float32, Float64
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["first_at_least", "look_up"]
 

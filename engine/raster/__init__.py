@@ -7,10 +7,10 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 `engine.raster.autograd.rasterize` is the same as a torch operation (torch is imported only there).
 """
 
-from engine.raster.compiling import WARM_UPS, warm_up
 from engine.raster.geometry import count_overlaps
 from engine.raster.gradients import Gradients, Rendering, backward, draw
-from engine.raster.pictures import render, render_depth
+from engine.raster.kernel_set import WARM_UPS, warm_up
+from engine.raster.rendering import render, render_depth
 from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.spherical_harmonics import sh_basis, sh_colors, sh_colors_backward
 from engine.raster.view import View, prepare_view

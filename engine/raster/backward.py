@@ -12,7 +12,7 @@ whatever the number of threads. The gather is a sixth of the pass (real scene, 5
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_memory import entry, fetch_add, load, prefetch, store
 from engine.raster.lane_sums import max_rows, sum_rows
 from engine.raster.lanes import fma, maximum, spread

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 from engine.raster.lane_memory import lowest_bit, prefetch
 from engine.raster.projection import COVER, RECORD
 from engine.raster.settings import TILE

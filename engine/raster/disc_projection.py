@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.projection import RECORD
 from engine.raster.settings import MAX_SIGMA_PX, TILE
 

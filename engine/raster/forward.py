@@ -3,7 +3,7 @@
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store
 from engine.raster.lane_order import zip3
 from engine.raster.lanes import fma, magnitude, minimum, minus_magnitude, select, spread

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
+from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32, Int64
-from engine.numerics.crew import thread_count
 from engine.raster.binning import list_pairs, list_starts, place_pairs
 from engine.raster.disc_projection import project_discs
 from engine.raster.lane_memory import aligned

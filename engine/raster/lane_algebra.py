@@ -1,7 +1,7 @@
 """Three-vectors and 3 x 3 matrices (nine entries, row by row) of lanes or of float32 scalars."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from engine.numerics.jit import inlined
+from engine.kernels.jit import inlined
 
 __all__ = ["add", "cross", "dot", "row_times", "scale_columns", "times"]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from engine.numerics.jit import FLOAT_FLAGS
-from engine.numerics.native import processor
+from engine.kernels.jit import FLOAT_FLAGS
+from engine.kernels.machine_code import processor
 
 LANES = 16
 

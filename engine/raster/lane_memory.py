@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 
-from engine.numerics.deferred import Deferred
+from engine.kernels.deferred import Deferred
 from engine.raster.lane_ir import FLOAT, FLOATS, INT32, INTS, LANES, broadcast, call_llvm, floats
 from engine.raster.lane_order import joined, permute
 from engine.raster.lanes import TYPES, ir_function, lanes

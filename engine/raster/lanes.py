@@ -14,7 +14,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from engine.numerics.deferred import Deferred
+from engine.kernels.deferred import Deferred
 from engine.raster.lane_ir import FLOATS, INT32, INTS, LANES, broadcast, call_llvm, ints
 
 # Types of kernels by their names, as `lane_types` knows them: "float32", "int32", "int64", "intp", "void", these two,

@@ -11,7 +11,7 @@ final pixel still lies behind), dL/dalpha = T (cotangent . color) - D / (1 - alp
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.backward import clear_rows
 from engine.raster.lane_memory import entry, fetch_add, load, load_quarters, number, store, store_quarters
 from engine.raster.lane_sums import sum_rows

@@ -8,7 +8,7 @@ has the same bits on any number of threads.
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_algebra import add, dot, row_times, scale_columns, times
 from engine.raster.lane_math import exp2
 from engine.raster.lane_memory import load, prefetch, store

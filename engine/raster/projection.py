@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Camera, Float32
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.raster.lane_algebra import cross, dot, row_times, scale_columns
 from engine.raster.lane_math import exp2, log2
 from engine.raster.lane_memory import load, lowest_bit, store

@@ -7,8 +7,8 @@ lie next to each other, meet its basis values in one multiplication per channel.
 # mypy: allow-untyped-defs, allow-untyped-calls
 import numpy as np
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import SH_C0
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.spherical_harmonics import SH_C1, SH_C2, SH_C3
 from engine.raster.lane_memory import load, load_some, store, store_some
 from engine.raster.lane_order import unzip3, zip3

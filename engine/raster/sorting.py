@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.thread_crew import thread_count
 from engine.model import Int32, Int64
-from engine.numerics.crew import thread_count
-from engine.numerics.jit import parallel_kernel, share_of
 
 __all__ = ["BUCKETS", "sort_by_depth", "workers_for"]
 

@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
+from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Int32
-from engine.numerics.crew import thread_count
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster.lane_memory import aligned
 from engine.raster.sh_kernels import SH_SCRATCH, evaluate_sh, spread_sh

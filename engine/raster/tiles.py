@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from engine.numerics.jit import inlined
+from engine.kernels.jit import inlined
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.lane_math import exp2
 from engine.raster.lane_memory import (

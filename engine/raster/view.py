@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
+from engine.kernels.thread_crew import thread_count
 from engine.model import Bool, Camera, Float32, GaussianModel, Int32
-from engine.numerics.crew import thread_count
 from engine.raster.backward import (
     WEIGHT_SUMS,
     backward_scratch,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.numerics.crew import thread_count
+from engine.kernels.thread_crew import thread_count
 from engine.raster.lane_memory import aligned
 from engine.raster.tiles import ITEMS
 

@@ -29,8 +29,8 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError, MalformedRecordError
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import GaussianModel
-from engine.numerics.jit import parallel_kernel, share_of
 
 Arrays = dict[str, npt.NDArray[Any]]
 _UInt8 = npt.NDArray[np.uint8]

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import SH_C0, Float32, Float64, GaussianModel, Int64
-from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.similarity import MIRROR
 from engine.registration.hypotheses import chance_table
-from engine.registration.kernels import best_triples, evidence
+from engine.registration.match_kernels import best_triples, evidence
 
 __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 

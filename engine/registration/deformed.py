@@ -13,9 +13,9 @@ import scipy
 from engine.model import Bool, Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.kd_tree import KdTree
 from engine.numerics.umeyama import Similarity
-from engine.registration.candidates import sample_rows
 from engine.registration.growth import grow
-from engine.registration.index import ReferenceIndex
+from engine.registration.looks_index import ReferenceIndex
+from engine.registration.match_candidates import sample_rows
 from engine.registration.matching import Deviations
 from engine.registration.patches import Patch, find_patches
 

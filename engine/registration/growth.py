@@ -12,7 +12,7 @@ import scipy
 
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
-from engine.registration.candidates import sample_rows
+from engine.registration.match_candidates import sample_rows
 from engine.registration.matching import Deviations, Matcher, estimate_deviations, paired
 from engine.registration.warp import Affine, blend, fit_affine, unturned, warped
 

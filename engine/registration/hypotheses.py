@@ -13,8 +13,8 @@ import numpy as np
 
 from engine.model import Float64, Int64
 from engine.numerics.umeyama import Similarity, robust_umeyama
-from engine.registration.candidates import Candidates
-from engine.registration.kernels import BINS, best_triples, degrees_of_agreement, evidence
+from engine.registration.match_candidates import Candidates
+from engine.registration.match_kernels import BINS, best_triples, degrees_of_agreement, evidence
 
 
 @dataclass(frozen=True)

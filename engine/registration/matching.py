@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.chi_square import chi_square_beyond
-from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.nearest import Neighbours, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity

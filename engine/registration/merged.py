@@ -13,8 +13,8 @@ import scipy
 
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.umeyama import Similarity, umeyama
-from engine.registration.candidates import sample_rows
-from engine.registration.index import ReferenceIndex
+from engine.registration.looks_index import ReferenceIndex
+from engine.registration.match_candidates import sample_rows
 from engine.registration.mixtures import Mixtures, Parts, Wholes, agreement, mix
 
 GLANCE, SAMPLE = 1_000, 5_000

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.gaussians import covariances, surface_mass
-from engine.numerics.jit import parallel_kernel, share_of
 from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
 

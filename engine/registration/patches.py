@@ -23,7 +23,7 @@ import scipy
 
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.umeyama import Similarity
-from engine.registration.judge import beats_decoys
+from engine.registration.agreement import beats_decoys
 from engine.registration.matching import DC_CLIP, LOGIT_CLIP, Deviations, Matcher, estimate_deviations, paired
 from engine.registration.warp import Affine, fit_affine, unturned, warped
 

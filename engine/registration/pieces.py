@@ -1,7 +1,7 @@
 """A suspect that holds the reference several times, or in pieces each moved on its own: registered one after another.
 
 What a registration left over is registered again, until nothing more is found or there are `MOST_PIECES`. As in
-`registering` no secret enters: how a suspect is taken apart is settled before a chip is drawn.
+`registration_search` no secret enters: how a suspect is taken apart is settled before a chip is drawn.
 """
 
 from dataclasses import replace
@@ -10,8 +10,8 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.model import Bool, GaussianModel
-from engine.registration.index import ReferenceIndex
-from engine.registration.registering import LEAST_REST, Registration, RegistrationConfig, register
+from engine.registration.looks_index import ReferenceIndex
+from engine.registration.registration_search import LEAST_REST, Registration, RegistrationConfig, register
 
 RIGID = RegistrationConfig(merged=False, deformed=False)
 """Each piece moved by a similarity: a field of maps would take several pieces for one bent thing."""

@@ -26,16 +26,16 @@ from engine.errors import FormatError
 from engine.model import Float32, Float64, GaussianModel, Int64
 from engine.numerics.nearest import WhitenedGrid
 from engine.numerics.similarity import MIRROR
-from engine.registration.candidates import by_region, invariant_features, log_sizes
 from engine.registration.coarse import FEATURES, Coarse, Crowd, agreement, describe
-from engine.registration.kernels import degrees_of_agreement
-from engine.registration.locating import LOOSE, turns
+from engine.registration.match_candidates import by_region, invariant_features, log_sizes
+from engine.registration.match_kernels import degrees_of_agreement
+from engine.registration.similarity_search import LOOSE, turns
 
 __all__ = ["ALIKE", "LOOK_ERRORS", "Sketch", "SuspectIndex", "make_sketch"]
 
 ALIKE = 6
 """Agreeing partners from which a suspect may derive from a model. On seven real scenes under the attacks of
-`engine.sim` foreign pairs reach at most 4; derivatives, down to a tenth of the model or noise of a fifth of every
+`engine.lab.sim` foreign pairs reach at most 4; derivatives, down to a tenth of the model or noise of a fifth of every
 attribute's spread, at least 15."""
 
 POINTS = 2048

@@ -2,7 +2,7 @@
 
 # mypy: allow-untyped-defs
 
-from engine.numerics.jit import parallel_kernel, share_of
+from engine.kernels.jit import parallel_kernel, share_of
 from engine.numerics.tables import first_at_least
 
 __all__ = ["scale_alike", "sum_alike"]

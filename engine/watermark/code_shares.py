@@ -9,8 +9,8 @@ s, trust t and residual e: the weighted mean where every share is 1.
 
 import numpy as np
 
+from engine.kernels.jit import kernel
 from engine.model import Float32, Float64, Int32, Int64
-from engine.numerics.jit import kernel
 
 __all__ = ["CodeShares", "combined"]
 

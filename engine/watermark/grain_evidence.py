@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from engine.kernels.jit import inlined, parallel_kernel, share_of
+from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Float64, GaussianModel, Int32
-from engine.numerics.crew import thread_count
-from engine.numerics.jit import inlined, parallel_kernel, share_of
 from engine.numerics.similarity import rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 from engine.watermark.grain import ATTRIBUTES, FLAT, THINNEST, Grain

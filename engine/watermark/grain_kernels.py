@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from engine.numerics.jit import inlined, parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 
 __all__ = ["axes_of", "displace", "middle_of", "pull_along"]
 

@@ -14,13 +14,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from engine.kernels.thread_crew import run_turns, thread_count
 from engine.model import SH_C0, Bool, Float32, Float64
-from engine.numerics.crew import run_turns, thread_count
-from engine.pictures.jpeg_grid import find_grid
-from engine.pictures.jpeg_score import block_spread, jpeg_cotangent, match_exposure
-from engine.pictures.light import fit_colors
-from engine.pictures.residual import image_cotangent
-from engine.pictures.tone_curve import Toned
+from engine.pictures.alignment.residual import image_cotangent
+from engine.pictures.alignment.tone_curve import Toned
+from engine.pictures.alignment.uneven_light import fit_colors
+from engine.pictures.jpeg.block_grid import find_grid
+from engine.pictures.jpeg.quantizer_score import block_spread, jpeg_cotangent, match_exposure
 from engine.raster import View
 from engine.watermark.alike_kernels import scale_alike, sum_alike
 from engine.watermark.grain import ATTRIBUTES

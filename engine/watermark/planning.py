@@ -47,7 +47,7 @@ class PlanConfig:
     # A DC value that a larger share of the Gaussians have is not moved (see `masses`); 1 moves all
     mass_share: float = 0.02
     # The second layer: how far a centre moves, in its Gaussian's own size, and a log scale; 0 leaves it out. Less where
-    # that would show (see `settling`)
+    # that would show (see `layer_strengths`)
     grain_center: float = 0.05
     grain_scale: float = 0.02
     # Code vectors that a copy's key makes of the public cells, two or more of these each; a power of two
@@ -81,7 +81,7 @@ def make_plan(
 ) -> Plan:
     """Carriers and relative amplitudes of every chip, from the unmarked model alone.
 
-    Scaled to a median amplitude of MARK_SCALE; `settling` finds the strength.
+    Scaled to a median amplitude of MARK_SCALE; `layer_strengths` finds the strength.
 
     Parameters
     ----------

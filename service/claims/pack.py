@@ -14,7 +14,7 @@ from typing import Any
 from jinja2 import Environment
 from PIL import Image, ImageDraw, ImageFont
 
-from engine.pipeline.pages import templates
+from engine.flows.html_pages import templates
 from engine.watermark.numerals import PLAIN, when
 from service.claims.document import document_words
 from service.claims.report import captions_of, timeline

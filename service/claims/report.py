@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import Template
 
-from engine.pipeline.pages import templates
+from engine.flows.html_pages import templates
 from engine.records.timestamps import TimestampFault, stamped_at
 from engine.watermark.checks import named
 from engine.watermark.numerals import TYPOGRAPHIC, when

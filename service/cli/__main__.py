@@ -1,6 +1,6 @@
 """`python -m service.cli` is `mark3dgs`."""
 
-from service.cli.app import main
+from engine.cli.app import main
 
 if __name__ == "__main__":
     main()

@@ -10,7 +10,7 @@ import typer
 from engine.cli.console import Console
 from engine.cli.failures import OK
 from engine.cli.options import Json
-from engine.cli.trusting import TsaCertificates, read_certificates, read_jwks
+from engine.cli.trust_options import TsaCertificates, read_certificates, read_jwks
 
 NOT_VALID = 3
 _SIGNS = {"pass": "ok  ", "fail": "FAIL", "not_checked": "-   "}

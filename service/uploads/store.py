@@ -8,7 +8,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from engine.formats.pictures import is_picture
+from engine.formats.image_files import is_picture
 from service.clock import now
 from service.core import Service
 from service.db import own

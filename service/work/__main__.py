@@ -2,7 +2,7 @@
 
 import os
 
-from engine.numerics.allocating import keep_freed_memory
+from engine.kernels.allocation import keep_freed_memory
 from service.work.process import serve
 from service.work.tasks import TASKS, preload
 

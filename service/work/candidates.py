@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import MalformedRecordError
-from engine.pipeline.attesting import attested_by
-from engine.pipeline.candidates import search
-from engine.pipeline.sealing import OpenedRecord, open_record
-from engine.pipeline.searching import Suspect
-from engine.pipeline.verification import VerifyConfig
+from engine.flows.records.attested_record import attested_by
+from engine.flows.records.opened_record import OpenedRecord, open_record
+from engine.flows.trace.candidates import search
+from engine.flows.verify.search import Suspect
+from engine.flows.verify.verification import VerifyConfig
 from engine.records.attestation import Witness
 from engine.watermark.keys import OwnerKey
 from service.clock import LOG
@@ -29,7 +29,7 @@ class Candidate:
     logged: Mapping[str, str]  # what the service's log says of its registration; empty where it was not asked
 
     def open(self) -> OpenedRecord:
-        """See `engine.pipeline.searching.Candidate`. The log of the service that asks attests the registration."""
+        """See `engine.flows.verify.search.Candidate`. The log of the service that asks attests the registration."""
         try:
             data = self.record.read_bytes()
         except OSError:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from engine.pipeline.dispute import Party, settle
+from engine.flows.dispute.dispute import Party, settle
 from service.work.candidates import load_candidates
 from service.work.inputs import load_model
 from service.work.process import Progress

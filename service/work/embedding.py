@@ -8,13 +8,13 @@ from typing import Any
 
 from engine.catalogue.entry import Entry
 from engine.errors import Mark3DGSError
+from engine.flows.embed.embedding import embed
+from engine.flows.embed.profiles import compose, delivered_as
 from engine.model import GaussianModel
-from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import compose, delivered_as
 from engine.records.record import Record
 from engine.registration.sketch import make_sketch
-from engine.sim.variants.marking import embed_variant
-from engine.sim.variants.scenes import encode_scene, notes_of, output_of, written_as
+from engine.scenes.scene_files import encode_scene, notes_of, output_of, written_as
+from engine.scenes.scene_marking import embed_variant
 from engine.watermark.keys import OwnerKey
 from engine.watermark.messages import check_bits, message_signs
 from service.work.inputs import load_cameras, load_model

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from engine.sim.variants.scenes import encode_scene, notes_of, written_as
+from engine.scenes.scene_files import encode_scene, notes_of, written_as
 from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.process import Progress
 

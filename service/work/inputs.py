@@ -10,9 +10,9 @@ from PIL import Image
 
 from engine.errors import CameraError, FormatError, InputError
 from engine.formats import read_cameras
-from engine.formats.pictures import MAX_PICTURE_PIXELS, is_picture, read_picture
+from engine.formats.image_files import MAX_PICTURE_PIXELS, is_picture, read_picture
 from engine.model import Camera, Float32
-from engine.sim.variants.scenes import Loaded, read_scene
+from engine.scenes.scene_files import Loaded, read_scene
 from service.problems import Problem
 
 MOST_PICTURES = 64

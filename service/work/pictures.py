@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from engine.flows.embed.copy_mark import mark_again
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.regions.region_maps import add_legend, draw_states
+from engine.flows.regions.region_search import RegionReport
+from engine.flows.verify.search import Suspect
+from engine.flows.verify.verification import Verification
+from engine.flows.views.display_view import choose_view, lay_over, to_picture
+from engine.flows.views.render_cost import is_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pipeline.drawable import is_drawable
-from engine.pipeline.locating_mark import RegionReport
-from engine.pipeline.marking import mark_again
-from engine.pipeline.region_pictures import add_legend, draw_states
-from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.searching import Suspect
-from engine.pipeline.showing import choose_view, lay_over, to_picture
-from engine.pipeline.verification import Verification
 from engine.raster import View, prepare_view, render, sh_colors
 
 PREVIEW_SIZE = (396, 330)

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from engine.pipeline.candidates import Outcome, Search, search
-from engine.pipeline.locating_mark import locate_mark
-from engine.pipeline.searching import Suspect
-from engine.pipeline.verification import VerifyConfig
+from engine.flows.regions.region_search import locate_mark
+from engine.flows.trace.candidates import Outcome, Search, search
+from engine.flows.verify.search import Suspect
+from engine.flows.verify.verification import VerifyConfig
 from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex
 from service.problems import Problem

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from engine.sim.scenario import KINDS
-from engine.sim.scenario.bringing import Photos, Scans
-from engine.sim.scenario.marking import Part
+from engine.lab.sim.scenario import KINDS
+from engine.lab.sim.scenario.bringing import Photos, Scans
+from engine.lab.sim.scenario.marking import Part
 from tests.architecture.tree import ROOT, module_name, parse, product_files
 
-DOORS = ("engine.cli.", "engine.sim.scenario.", "service.")
-"""Who opens a door to the simulator; what only measures (`engine.evaluate`) is none."""
+DOORS = ("engine.cli.", "engine.lab.cli.", "engine.lab.sim.scenario.", "service.")
+"""Who opens a door to the simulator; what only measures (`engine.lab.evaluate`) is none."""
 
-MEASURING = {"engine.sim.variants.measuring", "engine.sim.variants.table4"}
+MEASURING = {"engine.lab.sim.variants.measuring", "engine.lab.sim.variants.table4"}
 """Table 4; its door is `mark3dgs evaluate`."""
 
 TABLE = "## Parts and their doors"
@@ -44,9 +44,10 @@ def test_the_table_names_every_step_and_nothing_else() -> None:
 
 
 def test_no_cell_is_empty_and_commands_and_tests_exist() -> None:
-    import service.cli.app  # noqa: F401  # enters the service's commands as well
     from engine.cli.app import app
+    from engine.cli.extra_commands import add_extra_commands
 
+    add_extra_commands(app)
     commands = {command.name for command in app.registered_commands}
     for row in rows():
         assert len(row) == 3, row
@@ -114,5 +115,5 @@ def test_a_door_leads_to_every_module_of_the_simulator() -> None:
         new = (imported(files[todo.pop()], gathered) & set(files)) - set(gathered) - reached
         reached |= new
         todo += new
-    parts = {name for name in files if name.startswith("engine.sim.")} - set(gathered)
+    parts = {name for name in files if name.startswith("engine.lab.sim.")} - set(gathered)
     assert sorted(parts - reached - MEASURING) == []

@@ -11,8 +11,8 @@ import pytest
 
 from tests.architecture.tree import ROOT, product_files, tracked_files
 
-LONGEST = 300
-"""Lines; one reason to change per file."""
+LONGEST = 600
+"""Lines: a file is one thought."""
 
 # A path that exists on one machine only. Kernel interfaces such as /proc are the same everywhere.
 MACHINE_PATH = re.compile(r"(?<![\w./~$}-])/(?:work|tmp|home|root|Users|mnt|farm|srv|opt/(?:pypi|wheels))(?=/|\b)")

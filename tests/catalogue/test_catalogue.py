@@ -11,14 +11,14 @@ from engine.catalogue import neighbours
 from engine.catalogue.catalogue import Catalogue
 from engine.catalogue.entry import Entry
 from engine.catalogue.screening import SHOWN, screen_model, screen_pictures
-from engine.evaluate import strangers
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
+from engine.lab.evaluate import strangers
+from engine.lab.sim.attacks import model_attack
 from engine.model import Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
-from engine.pipeline.rigs import make_rig
 from engine.raster import render_depth
 from engine.registration.sketch import LOOK_ERRORS, SuspectIndex
-from engine.sim.attacks import model_attack
 from tests.pictures.rolling import rolled
 from tests.scenes import PLANT
 

@@ -6,10 +6,10 @@ import pytest
 from engine.catalogue import entry as entries
 from engine.catalogue.entry import Entry, see_points
 from engine.errors import FormatError
+from engine.flows.views.camera_rig import make_rig
 from engine.numerics.similarity import transform_model
-from engine.pictures.camera_motion import project
-from engine.pictures.landmarks import Landmarks
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera.camera_motion import project
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.registration.sketch import make_sketch
 from tests.registration.registration_cases import scene as clusters
 

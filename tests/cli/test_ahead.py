@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from engine.cli import app
-from engine.cli.ahead import Ahead
+from engine.cli.read_ahead import Ahead
 from engine.errors import FormatError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.formats.writing import loss_note
+from engine.formats.file_writing import loss_note
 from engine.model import GaussianModel
 from engine.numerics.flattening import flatten
 

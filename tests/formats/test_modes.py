@@ -12,9 +12,9 @@ import pytest
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
+from engine.formats.file_writing import loss_note
 from engine.formats.modes import mode_of_comments
 from engine.formats.spz.stream import read_spz, write_spz
-from engine.formats.writing import loss_note
 from engine.numerics.flattening import flatten
 from tests.formats.models import assert_same, names_of, ply_of, random_model, rows_for
 

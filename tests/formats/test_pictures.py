@@ -7,8 +7,8 @@ import pytest
 from PIL import Image, features
 
 from engine.errors import FormatError
-from engine.formats import pictures
-from engine.formats.pictures import is_picture, read_picture
+from engine.formats import image_files as pictures
+from engine.formats.image_files import is_picture, read_picture
 
 
 def test_a_model_is_no_picture(tmp_path: Path) -> None:

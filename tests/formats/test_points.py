@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from engine.errors import FormatError, InputError, UnsupportedFormatError
-from engine.formats.points import lzf as fast_lzf
-from engine.formats.points.cloud import PointCloud
-from engine.formats.points.lzf import GROWTH, decompress
-from engine.formats.points.reading import read_point_cloud
+from engine.lab.points import lzf as fast_lzf
+from engine.lab.points.cloud import PointCloud
+from engine.lab.points.lzf import GROWTH, decompress
+from engine.lab.points.reading import read_point_cloud
 from tests.formats.point_files import COLORED, COLORS, INTENSITY, POINTS, TIMED, TIMES, las, pcd, ply
 from tests.reference import lzf
 

@@ -21,8 +21,8 @@ from engine.formats import read_model
 from engine.formats.sog.bundle import read_sog
 from engine.formats.sog.chunks import write_streamed
 from engine.formats.sog.levels import parse_lod_meta
+from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
-from engine.sim.attacks import model_attack
 from tests.formats.models import assert_same, random_model
 from tests.formats.spz_scenes import assert_valid
 

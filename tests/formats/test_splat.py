@@ -11,11 +11,11 @@ import pytest
 
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats import encode_model, read_model
-from engine.formats.pictures import is_picture
+from engine.formats.image_files import is_picture
 from engine.formats.repairs import INFINITE_OPACITY_LOGIT
 from engine.formats.splat import RECORD, looks_like_splat, read_splat
 from engine.model import SH_C0
-from engine.sim.variants.scenes import read_scene
+from engine.scenes.scene_files import read_scene
 from tests.formats.gaussforge_child import gaussforge
 from tests.formats.models import DATA, random_model
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.errors import FormatError, InputError
-from engine.formats.cameras.trajectory import Trajectory, parse_trajectory, read_trajectory, write_trajectory
+from engine.lab.points.trajectory import Trajectory, parse_trajectory, read_trajectory, write_trajectory
 
 rng = np.random.default_rng(3)
 ROTATIONS = Rotation.random(5, rng=rng)

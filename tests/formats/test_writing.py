@@ -11,7 +11,7 @@ import pytest
 
 from engine.errors import InputError, UnsupportedFormatError
 from engine.formats import FORMATS, encode_model, read_model, write_model
-from engine.formats.writing import write_whole
+from engine.formats.file_writing import write_whole
 from tests.formats.models import random_model
 
 

@@ -12,7 +12,7 @@ import pytest
 FAULTS = """
 import resource, sys
 import numpy as np
-from engine.numerics.allocating import keep_freed_memory
+from engine.kernels.allocation import keep_freed_memory
 if sys.argv[1] == "kept":
     keep_freed_memory()
 np.ones(8 << 20)

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from engine.numerics.crew import run_turns, thread_count, use_threads
+from engine.kernels.thread_crew import run_turns, thread_count, use_threads
 
 
 @pytest.mark.parametrize(("turns", "threads"), [(0, None), (1, None), (2, None), (7, None), (7, 1), (7, 2), (1, 3)])

@@ -11,8 +11,8 @@ import numba
 import numpy as np
 import pytest
 
-from engine.numerics.crew import use_threads
-from engine.numerics.jit import FLOAT_FLAGS, inlined, kernel, parallel_kernel, share_of
+from engine.kernels.jit import FLOAT_FLAGS, inlined, kernel, parallel_kernel, share_of
+from engine.kernels.thread_crew import use_threads
 
 
 def test_flags_keep_nan_infinity_and_order() -> None:
@@ -78,7 +78,7 @@ def test_kernels_make_no_arrays_unless_they_say_so() -> None:
 
 def test_idle_workers_sleep() -> None:
     environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
-    program = "import engine.numerics.jit, os; print(os.environ['OMP_WAIT_POLICY'])"
+    program = "import engine.kernels.jit, os; print(os.environ['OMP_WAIT_POLICY'])"
     run = [sys.executable, "-c", program]
     assert subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout == "passive\n"
     environment["OMP_WAIT_POLICY"] = "active"  # the user's own choice stands

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from engine.cli.console import Console
-from engine.cli.kernels import prepare_kernels
-from engine.numerics import kernel_stamp, native
-from engine.numerics.kernel_stamp import is_stamped, stamp
+from engine.cli.kernel_progress import prepare_kernels
+from engine.kernels import machine_code as native
+from engine.kernels import stamp as kernel_stamp
+from engine.kernels.stamp import is_stamped, stamp
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def test_where_nothing_can_be_written_nothing_is_said(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("sources")
 def test_the_command_line_makes_ready_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
-    monkeypatch.setattr("engine.pipeline.warming.warm_up", lambda work, *_, **__: made.append(work))
+    monkeypatch.setattr("engine.flows.warmup.kernel_warmup.warm_up", lambda work, *_, **__: made.append(work))
     for _ in range(2):
         prepare_kernels(Console(True), lambda stage, fraction: None, "model")
     assert made == ["model"]

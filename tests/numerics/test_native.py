@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.numerics import native
-from engine.numerics.deferred import text_of
-from engine.numerics.jit import inlined, kernel, parallel_kernel, share_of
+from engine.kernels import machine_code as native
+from engine.kernels.deferred import text_of
+from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
 
 SCALE = 2.0
 
@@ -211,11 +211,11 @@ def test_the_store_is_where_numba_was_told_or_beside_the_code(monkeypatch: pytes
 WORK = """
 import sys
 from engine.formats import read_model
-from engine.pipeline.embedding import embed
-from engine.pipeline.profiles import profile
-from engine.pipeline.sealing import open_record
-from engine.pipeline.verification import verify_images, verify_model
-from engine.pipeline.warming import warm_up
+from engine.flows.embed.embedding import embed
+from engine.flows.embed.profiles import profile
+from engine.flows.records.opened_record import open_record
+from engine.flows.verify.verification import verify_images, verify_model
+from engine.flows.warmup.kernel_warmup import warm_up
 from engine.raster import render
 from engine.watermark.keys import OwnerKey
 if sys.argv[2] == "warm":
@@ -241,13 +241,13 @@ def test_the_usual_work_does_without_numba() -> None:
 
 
 PIECE = """
-from engine.numerics.jit import inlined
+from engine.kernels.jit import inlined
 @inlined
 def piece(x):
     return x + {}
 """
 KERNELS = """
-from engine.numerics.jit import kernel
+from engine.kernels.jit import kernel
 from piece import piece
 @kernel
 def inner(x):

@@ -6,8 +6,8 @@ import pytest
 
 from engine.formats import read_model
 from engine.model import GaussianModel
-from engine.pictures.landmark_making import make_landmarks
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from tests.pictures.plant_views import around
 from tests.scenes import PLANT
 

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from engine.sim.attacks import image_attack
+from engine.lab.sim.attacks import image_attack
 
 BLOCK = 5
 SIDE = 300

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from engine.model import Camera, GaussianModel, look_at
-from engine.pictures.camera_motion import project
-from engine.pictures.landmark_making import lift
+from engine.pictures.camera.camera_motion import project
+from engine.pictures.landmarks.rendered_landmarks import lift
 from engine.raster import render_depth
 
 UP = np.array([0.0, -1.0, 0.0])

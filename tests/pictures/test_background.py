@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.pictures.background import fill_background, find_background
+from engine.pictures.alignment.background import fill_background, find_background
 
 
 def disc(height: int, width: int, radius: float) -> np.ndarray:

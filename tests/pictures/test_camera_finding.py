@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
+from engine.kernels.thread_crew import use_threads
 from engine.model import Camera, GaussianModel, look_at
-from engine.numerics.crew import use_threads
 from engine.numerics.similarity import mirror_model
-from engine.pictures import camera_finding, keypoint_cameras, pose_refinement
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.camera_motion import normalized, project
-from engine.pictures.camera_trial import Picture
-from engine.pictures.far_views import FarViews
-from engine.pictures.landmark_making import make_landmarks
-from engine.pictures.landmarks import Landmarks
-from engine.pictures.pose_refinement import Refined, refine_level
+from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera import keypoint_cameras, pose_refinement
+from engine.pictures.camera.camera_motion import normalized, project
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.far_views import FarViews
+from engine.pictures.camera.pose_refinement import Refined, refine_level
+from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import RasterSettings, render, render_depth
 from tests.pictures.plant_views import UP, around, jpeg, reprojection
 from tests.pictures.rolling import rolled

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, look_at
-from engine.pictures.camera_hypotheses import fit_camera, hypothesize
-from engine.pictures.camera_motion import PARAMETERS, moved, normalized, point_columns, project
-from engine.pictures.pose_refinement import Acceleration
+from engine.pictures.camera.camera_motion import PARAMETERS, moved, normalized, point_columns, project
+from engine.pictures.camera.pose_ransac import fit_camera, hypothesize
+from engine.pictures.camera.pose_refinement import Acceleration
 
 UP = np.array([0.0, -1.0, 0.0])
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import GaussianModel
-from engine.pictures.camera_trial import Picture
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera.camera_trial import Picture
 from engine.raster import render
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from engine.model import Camera, look_at
 from engine.numerics.resampling import map_points
-from engine.pictures.alignment import align_upright, near_motions
-from engine.pictures.camera_motion import carried, project
+from engine.pictures.alignment.planar import align_upright, near_motions
+from engine.pictures.camera.camera_motion import carried, project
 from tests.pictures.image_cases import picture
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures import camera_candidates, camera_finding
-from engine.pictures.camera_candidates import Candidate
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.found_camera import FoundCamera
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.camera import camera_proposals as camera_candidates
+from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera.camera_proposals import Candidate
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.found_camera import FoundCamera
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection
 

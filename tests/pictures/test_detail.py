@@ -9,12 +9,12 @@ import pytest
 
 from engine.model import GaussianModel, look_at
 from engine.numerics.resampling import resized, smooth
-from engine.pictures import pose_refinement
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.detail import compare_detail, uncovered
-from engine.pictures.far_views import FarViews
-from engine.pictures.features import luma
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.alignment.detail import compare_detail, uncovered
+from engine.pictures.camera import pose_refinement
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.far_views import FarViews
+from engine.pictures.landmarks.keypoints import luma
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render, render_depth
 from tests.pictures.plant_views import UP, around
 

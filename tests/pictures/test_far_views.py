@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.image_metrics import psnr
-from engine.pictures.camera_motion import project
-from engine.pictures.far_views import ENOUGH, PARTS, FarViews, _aimed, _places, merged_in_voxels
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera.camera_motion import project
+from engine.pictures.camera.far_views import ENOUGH, PARTS, FarViews, _aimed, _places, merged_in_voxels
 from engine.raster import render
 from tests.threads import with_one_and_two_threads
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.pictures.features import detect_keypoints, luma, match_within, noise_level
+from engine.pictures.landmarks.keypoints import detect_keypoints, luma, match_within, noise_level
 from tests.pictures.image_cases import picture
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from engine.model import Float32, GaussianModel
-from engine.pictures.camera_finding import FoundCamera, find_camera, follow_camera
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection
 

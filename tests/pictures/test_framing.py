@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures.camera_finding import FoundCamera
-from engine.pictures.features import luma
-from engine.pictures.framing import find_frame
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera.camera_search import FoundCamera
+from engine.pictures.camera.viewer_frame import find_frame
+from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from skimage import data
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
-from engine.pictures.camera_motion import moved, project
-from engine.pictures.features import luma
-from engine.pictures.keypoint_cameras import (
+from engine.pictures.camera.camera_motion import moved, project
+from engine.pictures.camera.keypoint_cameras import (
     ENOUGH,
     LEAST_INLIERS,
     LEAST_RESEMBLANCE,
@@ -21,9 +21,9 @@ from engine.pictures.keypoint_cameras import (
     look_closer,
     look_near,
 )
-from engine.pictures.landmark_making import make_landmarks
-from engine.pictures.windows import Window
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera.visible_window import Window
+from engine.pictures.landmarks.keypoints import luma
+from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render_depth
 
 OFF = np.array([0.01, -0.02, 0.03, 0.02, 0.0, 0.03, 0.03, 0.0, 0.0])

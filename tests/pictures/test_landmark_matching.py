@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from engine.model import look_at
-from engine.pictures.features import Keypoints
-from engine.pictures.landmark_matching import _nearest_look, _rank, match_landmarks, match_projected
-from engine.pictures.landmarks import Landmarks
+from engine.pictures.landmarks.keypoints import Keypoints
+from engine.pictures.landmarks.landmark_matching import _nearest_look, _rank, match_landmarks, match_projected
+from engine.pictures.landmarks.landmark_set import Landmarks
 from tests.reference import landmark_matching as slow
 
 

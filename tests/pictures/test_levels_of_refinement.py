@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures import camera_finding, camera_trial, pose_refinement
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.camera_motion import moved
-from engine.pictures.features import luma
-from engine.pictures.landmarks import Landmarks
-from engine.pictures.pose_refinement import Refined, refine_level
+from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera import camera_trial, pose_refinement
+from engine.pictures.camera.camera_motion import moved
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.pose_refinement import Refined, refine_level
+from engine.pictures.landmarks.keypoints import luma
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around, jpeg, reprojection
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from engine.model import GaussianModel
-from engine.pictures import camera_finding
-from engine.pictures.camera_candidates import Candidate
-from engine.pictures.camera_finding import follow_camera
-from engine.pictures.camera_trial import Picture
-from engine.pictures.found_camera import OWN
-from engine.pictures.pose_refinement import Refined
+from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera.camera_proposals import Candidate
+from engine.pictures.camera.camera_search import follow_camera
+from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.found_camera import OWN
+from engine.pictures.camera.pose_refinement import Refined
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around
 

@@ -7,11 +7,10 @@ import pytest
 
 from engine.errors import InputError
 from engine.numerics.wavelet import dwt2, idwt2
-from engine.pictures import residual
-from engine.pictures.alignment import align_image
-from engine.pictures.features import LUMA
-from engine.pictures.residual import image_cotangent
-from engine.pictures.tone_curve import Toned, fit_tone, robust_regression
+from engine.pictures.alignment.planar import align_image, residual
+from engine.pictures.alignment.residual import image_cotangent
+from engine.pictures.alignment.tone_curve import Toned, fit_tone, robust_regression
+from engine.pictures.landmarks.keypoints import LUMA
 from tests.pictures.image_cases import attack, marked, picture, z_score
 
 # About 70 % of what was measured, so that a lost step of the method shows; the bound at z = 10 is 1e-22.

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures import camera_finding
-from engine.pictures.camera_candidates import Candidate, Candidates
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.camera_hypotheses import Hypothesis, fit_camera
-from engine.pictures.camera_motion import UNEVEN, project
-from engine.pictures.features import luma
-from engine.pictures.landmarks import Landmarks
-from engine.pictures.pixel_shape import SQUARE, PixelShape
-from engine.pictures.uneven_pixels import refine_shape
+from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera.camera_motion import UNEVEN, project
+from engine.pictures.camera.camera_proposals import Candidate, Candidates
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
+from engine.pictures.camera.pose_ransac import Hypothesis, fit_camera
+from engine.pictures.camera.uneven_pixels import refine_shape
+from engine.pictures.landmarks.keypoints import luma
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
 from tests.pictures.plant_views import around, jpeg, reprojection
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.pictures import camera_candidates
-from engine.pictures.camera_candidates import LOUD, Candidates
-from engine.pictures.camera_trial import Picture
-from engine.pictures.far_views import FarViews
-from engine.pictures.landmarks import Landmarks
-from engine.pictures.picture_edges import COLORED, PictureEdges
-from engine.pictures.view_climb import KEPT, ROUNDS, Climbed, _distinct, climb
-from engine.pictures.view_points import ViewPoints, describe_view
-from engine.pictures.view_scores import SIDE
-from engine.pictures.voted_views import VotedView
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera import camera_proposals as camera_candidates
+from engine.pictures.camera.camera_proposals import LOUD, Candidates
+from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.far_views import FarViews
+from engine.pictures.camera.picture_edges import COLORED, PictureEdges
+from engine.pictures.camera.view_climb import KEPT, ROUNDS, Climbed, _distinct, climb
+from engine.pictures.camera.view_points import ViewPoints, describe_view
+from engine.pictures.camera.view_scores import SIDE
+from engine.pictures.camera.voted_views import VotedView
+from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 

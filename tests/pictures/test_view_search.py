@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import GaussianModel
-from engine.pictures import picture_edges, view_search
-from engine.pictures.camera_motion import project
-from engine.pictures.far_views import FarViews
-from engine.pictures.picture_edges import PictureEdges
-from engine.pictures.view_points import POINTS
-from engine.pictures.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views, spread_out
-from engine.pictures.view_search import RADII, search_views
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera import picture_edges, view_search
+from engine.pictures.camera.camera_motion import project
+from engine.pictures.camera.far_views import FarViews
+from engine.pictures.camera.picture_edges import PictureEdges
+from engine.pictures.camera.view_points import POINTS
+from engine.pictures.camera.view_scores import BINS, PAD, ROLLS, SIDE, look_again, score_views, spread_out
+from engine.pictures.camera.view_search import RADII, search_views
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 from tests.reference.view_scores import score, strongest_apart

@@ -3,17 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.model import Camera, Float64
-from engine.pictures import keypoint_cameras
-from engine.pictures.camera_finding import find_camera
-from engine.pictures.camera_hypotheses import Hypothesis
-from engine.pictures.camera_motion import moved, project
-from engine.pictures.features import Keypoints
-from engine.pictures.landmark_making import make_landmarks
-from engine.pictures.landmarks import Landmarks
-from engine.pictures.voted_views import vote_for_views
-from engine.pipeline.rigs import make_rig
+from engine.pictures.camera import keypoint_cameras
+from engine.pictures.camera.camera_motion import moved, project
+from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.pose_ransac import Hypothesis
+from engine.pictures.camera.voted_views import vote_for_views
+from engine.pictures.landmarks.keypoints import Keypoints
+from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.pictures.landmarks.rendered_landmarks import make_landmarks
 from engine.raster import render
 from tests.pictures.rolling import rolled
 from tests.registration.registration_cases import scene as clusters

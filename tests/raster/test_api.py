@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import engine.raster
-from engine.evaluate.bench.raster import bench_camera, bench_raster, naive_forward
+from engine.lab.evaluate.bench.raster import bench_camera, bench_raster, naive_forward
 from engine.raster import prepare_view, release_memory, sh_colors, warm_up, workspace
 from engine.raster.workspace import borrow_workspace
 from tests.raster.scenes import TOLERANCE, random_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.evaluate.bench.raster import bench_raster, naive_forward
+from engine.lab.evaluate.bench.raster import bench_raster, naive_forward
 from engine.model import Camera, GaussianModel, look_at
 from engine.raster import RasterSettings, backward, draw, prepare_view, render, sh_colors
 from engine.raster.disc_projection import project_discs

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.numerics.deferred import text_of
-from engine.numerics.jit import kernel
+from engine.kernels.deferred import text_of
+from engine.kernels.jit import kernel
 from engine.raster import lane_order
 from engine.raster.lane_algebra import cross, row_times, times
 from engine.raster.lane_math import exp2, log2

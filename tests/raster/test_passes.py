@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.numerics.crew import use_threads
+from engine.kernels.thread_crew import use_threads
 from engine.raster import RasterSettings, prepare_view, sorting
 from engine.raster.binning import list_starts
 from engine.raster.projection import RECORD

@@ -1,4 +1,4 @@
-"""Slow twins of engine.registration.kernels, from the definitions."""
+"""Slow twins of engine.registration.match_kernels, from the definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow twin of `engine.sim.variants.codebook_files`: loads as the public code does, trusting the files.
+"""Slow twin of `engine.scenes.codebook_files`: loads as the public code does, trusting the files.
 
 Only for files that a test has written itself: it unpickles.
 """

@@ -1,4 +1,4 @@
-"""Slow, obviously right twin of engine.sim.physics.deforming: Eq 12 one Gaussian at a time, by definition."""
+"""Slow, obviously right twin of engine.lab.sim.physics.deforming: Eq 12 one Gaussian at a time, by definition."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HDBSCAN by the book on all pairs: the specification of `engine.sim.adversaries.density`."""
+"""HDBSCAN by the book on all pairs: the specification of `engine.lab.sim.adversaries.density`."""
 
 from __future__ import annotations
 

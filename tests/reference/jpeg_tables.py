@@ -1,9 +1,9 @@
-"""Slow twin of `engine.pictures.jpeg_grid._fit_tables`."""
+"""Slow twin of `engine.pictures.jpeg.block_grid._fit_tables`."""
 
 import numpy as np
 
 from engine.model import Float64
-from engine.pictures.jpeg_grid import LEAST_STEP
+from engine.pictures.jpeg.block_grid import LEAST_STEP
 
 
 def fit_tables(coefficients: Float64, tables: Float64) -> list[float]:

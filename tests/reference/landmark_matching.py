@@ -1,4 +1,4 @@
-"""Slow twins of the kernels of engine/pictures/landmark_matching.py."""
+"""Slow twins of the kernels of engine/pictures/landmarks/landmark_matching.py."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Slow twin of engine.sim.model_merging and engine.numerics.merging: what one pair costs, which are taken, what a
-group becomes."""
+"""Slow twin of engine.compress.levels_of_detail and engine.numerics.moment_matching: what one pair costs, which are
+taken, what a group becomes."""
 
 from __future__ import annotations
 

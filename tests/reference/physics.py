@@ -1,4 +1,4 @@
-"""Slow, obviously right twins of engine.sim.physics' kernels: one constraint at a time, by the formulas."""
+"""Slow, obviously right twins of engine.lab.sim.physics' kernels: one constraint at a time, by the formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow twin of `engine.sim.variants.spacetime`: one Gaussian at one moment, formula by formula."""
+"""Slow twin of `engine.scenes.spacetime`: one Gaussian at one moment, formula by formula."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from engine.model import Float64
-from engine.sim.variants.spacetime import SpacetimeModel
+from engine.scenes.spacetime import SpacetimeModel
 
 
 def gaussian_at(model: SpacetimeModel, i: int, time: float) -> tuple[float, Float64, Float64]:

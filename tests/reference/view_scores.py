@@ -1,4 +1,4 @@
-"""Slow twin of `engine.pictures.view_scores`."""
+"""Slow twin of `engine.pictures.camera.view_scores`."""
 
 import numpy as np
 

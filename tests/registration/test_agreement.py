@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from engine.registration.kernels import BINS, degrees_of_agreement, evidence
+from engine.registration.match_kernels import BINS, degrees_of_agreement, evidence
 from tests.reference import agreement
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
-from engine.registration.classes import by_size
-from engine.registration.index import ReferenceIndex
+from engine.registration.looks_index import ReferenceIndex
+from engine.registration.match_classes import by_size
 from engine.registration.matching import estimate_deviations
-from engine.registration.registering import RegistrationConfig, register
+from engine.registration.registration_search import RegistrationConfig, register
 from tests.registration.registration_cases import marked, merged, moved, noised, scene, shuffled
 
 RIGID = RegistrationConfig(deformed=False)

@@ -7,11 +7,12 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
-from engine.registration import judge, registering
-from engine.registration.classes import CLASSES, OWN_SIZE, growth_in_order
-from engine.registration.index import ReferenceIndex
-from engine.registration.judge import STRAYS, same_order
-from engine.registration.registering import register
+from engine.registration import agreement as judge
+from engine.registration import registration_search as registering
+from engine.registration.agreement import STRAYS, same_order
+from engine.registration.looks_index import ReferenceIndex
+from engine.registration.match_classes import CLASSES, OWN_SIZE, growth_in_order
+from engine.registration.registration_search import register
 from tests.registration.registration_cases import marked
 from tests.registration.test_classes import shaken, wide
 

@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.formats import read_model
+from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
-from engine.registration.index import ReferenceIndex
+from engine.registration.looks_index import ReferenceIndex
 from engine.registration.merged import _by_axes, _evidence, register_merged
 from engine.registration.mixtures import Parts, Wholes
-from engine.registration.registering import Registration, RegistrationConfig, register
-from engine.sim.attacks import model_attack
+from engine.registration.registration_search import Registration, RegistrationConfig, register
 from tests.registration.registration_cases import MOVES
 
 SCENE = Path(__file__).parents[1] / "data" / "plant.splat"

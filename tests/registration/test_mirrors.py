@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from engine.model import GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
-from engine.registration.registering import Registration, RegistrationConfig, register
+from engine.registration.registration_search import Registration, RegistrationConfig, register
 from tests.registration.deformation_cases import bend
 from tests.registration.registration_cases import marked, merged, moved, near, noised, rounded, scene, shuffled
 

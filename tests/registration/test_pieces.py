@@ -10,7 +10,7 @@ from engine.errors import InputError
 from engine.model import ATTRIBUTES, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.registration.pieces import register_pieces
-from engine.registration.registering import Registration, register
+from engine.registration.registration_search import Registration, register
 from tests.watermark.ball import ball_model
 
 REFERENCE = ball_model(1000)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from engine.numerics.similarity import quaternion_product
-from engine.registration import locating, registering
-from engine.registration.registering import ReferenceIndex, Registration, register
+from engine.registration import registration_search as registering
+from engine.registration import similarity_search as locating
+from engine.registration.registration_search import ReferenceIndex, Registration, register
 from tests.registration.registration_cases import (
     MOVES,
     marked,

@@ -10,8 +10,8 @@ import pytest
 
 from engine.formats import read_model
 from engine.model import ATTRIBUTES, GaussianModel
-from engine.registration.judge import clipped_at
-from engine.registration.registering import RegistrationConfig, register
+from engine.registration.agreement import clipped_at
+from engine.registration.registration_search import RegistrationConfig, register
 from tests.registration.outside_tools import along_a_curve, moved_elsewhere, resaved
 from tests.registration.registration_cases import TRAIN, marked, near, noised, scene, shuffled, train
 

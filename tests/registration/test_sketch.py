@@ -7,11 +7,11 @@ import pytest
 
 from engine.errors import FormatError
 from engine.formats import read_model
+from engine.lab.sim.attacks import model_attack
+from engine.lab.sim.model_travels import foreign_scene
 from engine.model import GaussianModel
 from engine.numerics.similarity import mirror_model
 from engine.registration.sketch import ALIKE, CROWD, PLACES, POINTS, Sketch, SuspectIndex, make_sketch
-from engine.sim.attacks import model_attack
-from engine.sim.model_travels import foreign_scene
 from tests.registration.outside_tools import merged_to
 from tests.registration.registration_cases import marked, moved, near
 from tests.registration.registration_cases import scene as clusters

@@ -15,8 +15,8 @@ import httpx
 import numpy as np
 
 from engine.cli.files import write_picture
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from service.client import Client, ServiceError
 from tests.service import serving

@@ -8,7 +8,7 @@ __all__ = ["COMMANDS", "COMPILE", "IMPORTS", "RASTER"]
 RASTER = """
 import json, statistics, sys, time
 import numpy as np
-from engine.evaluate.bench.raster import bench_camera
+from engine.lab.evaluate.bench.raster import bench_camera
 from engine.formats import read_model
 from engine.raster import Gradients, backward, draw, prepare_view, render, sh_colors_backward
 model = read_model(sys.argv[1]).model
@@ -42,7 +42,7 @@ print(json.dumps(result))
 COMPILE = """
 import json, time
 start = time.perf_counter()
-from engine.pipeline.warming import warm_up
+from engine.flows.warmup.kernel_warmup import warm_up
 warm_up("everything")
 print(json.dumps({"compile everything": time.perf_counter() - start}))
 """
@@ -51,9 +51,9 @@ IMPORTS = """
 import json, subprocess, sys, time
 result = {}
 for name, module in {
-    "import the command line": "service.cli.app",
-    "import embedding": "engine.pipeline.embedding",
-    "import verification": "engine.pipeline.verification",
+    "import the command line": "engine.cli.app",
+    "import embedding": "engine.flows.embed.embedding",
+    "import verification": "engine.flows.verify.verification",
 }.items():
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", "import " + module], check=True)

@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.flows.embed.profiles import profile
+from engine.flows.progress import Clock
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify.search import Reading, Suspect, readings
+from engine.flows.views.camera_rig import make_rig
+from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.lab.sim.attacks import model_attack
 from engine.model import Float32
-from engine.pipeline.profiles import profile
-from engine.pipeline.progress import Clock
-from engine.pipeline.rigs import make_rig
-from engine.pipeline.sealing import OpenedRecord
-from engine.pipeline.searching import Reading, Suspect, readings
 from engine.raster import render
-from engine.sim.attacks import model_attack
 from engine.watermark.keys import CHIPS
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.spreading import spread
@@ -83,7 +83,7 @@ def test_evidence_is_the_same_to_the_last_byte_whatever_the_chips_are(scene: Mar
 
 def test_the_test_would_see_a_leak(scene: MarkedScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Evidence that a strength enters is told apart."""
-    import engine.pipeline.searching as searching
+    import engine.flows.verify.search as searching
 
     read = searching.read_gaussians
 

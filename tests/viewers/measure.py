@@ -20,12 +20,12 @@ from zlib import crc32
 import numpy as np
 from PIL import Image, ImageDraw
 
-from engine.evaluate.intervals import share_interval
-from engine.evaluate.marked_scene import MarkedScene, mark_scene
+from engine.flows.embed.profiles import profile
+from engine.flows.verify.verification import VerifyConfig, verify_images
 from engine.formats import write_model
+from engine.lab.evaluate.intervals import share_interval
+from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.model import Float32
-from engine.pipeline.profiles import profile
-from engine.pipeline.verification import VerifyConfig, verify_images
 from tests.viewers.shooting import VIEWERS, fetch_viewers, studio
 from tests.viewers.taking import COUNTS, Taken, take
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from engine.flows.views.camera_rig import UP, direction, measure_extent
 from engine.formats import write_model
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.pictures.camera_motion import project
-from engine.pipeline.rigs import UP, direction, measure_extent
+from engine.pictures.camera.camera_motion import project
 from engine.raster import render_depth
 from tests.pictures.rolling import rolled
 from tests.viewers.shooting import Studio

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.evaluate.marked_scene import MarkedScene, mark_scene
+from engine.flows.embed.profiles import profile
+from engine.flows.verify.verification import VerifyConfig, verify_images
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import write_model
-from engine.pipeline.profiles import profile
-from engine.pipeline.rigs import make_rig
-from engine.pipeline.verification import VerifyConfig, verify_images
+from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
 from engine.raster import RasterSettings, render
 from tests.pictures.rolling import rolled
 from tests.viewers.shooting import CHROMIUM, studio

@@ -9,9 +9,9 @@ import numpy as np
 
 from engine.compress.hvq import HvqConfig, Stage, quantize
 from engine.compress.impact import Impact, measure_impact
+from engine.flows.views.camera_rig import make_rig
+from engine.flows.views.view_set import ViewSet, look
 from engine.model import Camera, GaussianModel
-from engine.pipeline.rigs import make_rig
-from engine.pipeline.scenes import ViewSet, look
 from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import Plan, PlanConfig, make_plan
 from engine.watermark.spreading import Spreading, signed_amplitudes, spread

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, GaussianModel
-from engine.pipeline.rigs import make_rig
 from engine.raster import RasterSettings, draw, prepare_view, render
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen, thin
 from engine.watermark.grain_pictures import GrainView

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.pictures.jpeg_score import jpeg_cotangent
-from engine.pipeline.strength import add_dc
+from engine.flows.embed.strength_search import add_dc
+from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
 from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, gather_image_evidence
 from engine.watermark.model_evidence import Evidence

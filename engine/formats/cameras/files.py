@@ -8,8 +8,8 @@ from typing import Any
 
 from engine.errors import CameraError
 from engine.formats.cameras.documents import read_inria, read_nerf
+from engine.formats.file_writing import write_whole
 from engine.formats.guards import opening, read_regular
-from engine.formats.writing import write_whole
 from engine.model import Camera
 
 MAX_CAMERA_BYTES = 1 << 28

@@ -15,8 +15,8 @@ from engine.formats.ply.body import read_tables
 from engine.formats.ply.extras import FILTER, fuse_filter, ignored, refuse_codebooks, refuse_motion
 from engine.formats.ply.header import Element, Header, parse_header
 from engine.formats.repairs import LOG_SCALE_RANGE, Repair, clean
+from engine.kernels.jit import kernel, parallel_kernel, share_of
 from engine.model import DISC_THICKNESS, Float32, GaussianModel
-from engine.numerics.jit import kernel, parallel_kernel, share_of
 
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""

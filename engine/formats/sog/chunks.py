@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
+from engine.formats.file_writing import write_whole
 from engine.formats.sog.archive import META
 from engine.formats.sog.encoding import encode_scene
 from engine.formats.sog.levels import LOD_META
-from engine.formats.writing import write_whole
 from engine.model import Float64, GaussianModel, Int64
 from engine.numerics.similarity import quaternion_to_rotation
 

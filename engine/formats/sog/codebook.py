@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import inlined, kernel
 from engine.model import Float32, Float64
-from engine.numerics.jit import inlined, kernel
 
 LEVELS = 256
 _CELLS = 1 << 12

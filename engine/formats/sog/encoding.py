@@ -15,8 +15,8 @@ from engine.formats.sog.decoding import OTHERS, QUATERNION_TAG
 from engine.formats.sog.meta import MAX_PALETTE, PALETTE_ROW
 from engine.formats.sog.palette import learn_palette, palette_size
 from engine.formats.sog.webp import MAX_SIDE, Pixels, encode_webp
+from engine.kernels.jit import side_by_side
 from engine.model import Float32, Float64, GaussianModel
-from engine.numerics.jit import side_by_side
 
 SogPalette = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 """Code vectors (P, K - 1, 3) and the label of each Gaussian (N,)."""

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Float64, Int64
-from engine.numerics.crew import thread_count
-from engine.numerics.jit import parallel_kernel, share_of
 
 _SAMPLE = 1 << 16
 _GROUP_ROUNDS, _CODE_ROUNDS = 8, 4

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import service.cli.app  # noqa: F401  adds the service's commands
 from engine.cli.app import run
 from service.settings import JOBS_DATABASE
 from tests.service.cli.folders import put

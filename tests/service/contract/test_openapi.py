@@ -16,8 +16,6 @@ SCRIPTS = ROOT / "service" / "web" / "js"
 
 
 def test_frozen(tmp_path: Path) -> None:
-    import service.cli.app  # noqa: F401  adds the service's commands
-
     assert run(["openapi", "--out", str(tmp_path / "now.json")]) == 0
     now, frozen = (json.loads(path.read_text()) for path in (tmp_path / "now.json", FROZEN))
     assert now == frozen, "run 'mark3dgs openapi --out openapi/openapi.json' and look at the difference"

@@ -16,8 +16,8 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 from engine.cli.files import write_picture
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from tests.service import serving
 from tests.service.web.conftest import ARGUMENTS, CHROMIUM, DESKTOP, sign_in

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from engine.cli.files import write_picture
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.pipeline.rigs import make_rig
 from engine.raster import render
 from service.jobs.course import course
 from service.jobs.port import Job, State

@@ -10,9 +10,9 @@ import pytest
 
 from engine.catalogue.entry import Entry
 from engine.cli.files import write_picture
-from engine.evaluate.strangers import make_stranger
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
-from engine.pipeline.rigs import make_rig
+from engine.lab.evaluate.strangers import make_stranger
 from engine.raster import render
 from engine.registration.sketch import make_sketch
 from service.work.tasks import TASKS

@@ -14,11 +14,11 @@ from PIL import Image
 
 from engine.catalogue.entry import Entry
 from engine.errors import CapacityError, FormatError, InputError
+from engine.flows.records.opened_record import open_record
+from engine.flows.warmup.warmup_steps import Step
 from engine.formats import read_model, write_model
-from engine.pipeline.sealing import open_record
-from engine.pipeline.warm_steps import Step
+from engine.lab.sim.attacks import model_attack
 from engine.registration.sketch import make_sketch
-from engine.sim.attacks import model_attack
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import find_masses
 from engine.watermark.planning import PlanConfig
@@ -57,7 +57,7 @@ def test_importing_the_tasks_is_cheap_and_preloading_needs_no_torch() -> None:
 def test_a_process_that_is_wanted_loads_no_more_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     ran = list[str]()
     steps = {name: Step(partial(ran.append, name), 1.0, ()) for name in ("first", "second")}
-    monkeypatch.setattr("engine.pipeline.warming.steps_of", lambda work: steps)
+    monkeypatch.setattr("engine.flows.warmup.kernel_warmup.steps_of", lambda work: steps)
     preload(lambda: True)
     assert ran == ["first"]
     preload(lambda: False)

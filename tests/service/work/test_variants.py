@@ -10,8 +10,8 @@ import pytest
 
 from engine.errors import UnsupportedFormatError
 from engine.formats import read_model
-from engine.sim.variants.spacetime_ply import read_spacetime_ply, write_spacetime_ply
-from engine.sim.variants.swaying import fit_spacetime, set_in_motion
+from engine.lab.sim.variants.swaying import fit_spacetime, set_in_motion
+from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from service.work.embedding import embed_mark
 from service.work.tasks import TASKS
 from tests.formats.ksplat_files import ksplat_of, section_of

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from engine.cli.files import write_picture
+from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model, write_model
-from engine.pipeline.rigs import make_rig
+from engine.lab.sim.attacks import model_attack
 from engine.raster import render
-from engine.sim.attacks import model_attack
 from service.problems import Problem
 from tests.service.work.conftest import FOREIGN, Ask, Marked, checks
 

@@ -1,1 +1,0 @@
-"""What `mark3dgs bench` measures: a table of benches (`table`) and the functions of their cells."""

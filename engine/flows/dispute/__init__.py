@@ -1,0 +1,1 @@
+"""Disputes between two claimants of one asset."""

@@ -1,0 +1,199 @@
+"""Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark one bad picture still shows.
+
+A scene is rehearsed (`rehearsal`). Where the owner allows a loss (a pruning budget), every way of spending it
+(`delivery_budget`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
+pareto`, which holds every promise against what was measured.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from engine.flows.embed.delivery import Delivery, deliver
+from engine.flows.embed.delivery_budget import ways
+from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
+from engine.flows.embed.profiles import Auto, EmbedConfig
+from engine.flows.embed.rehearsal import Rehearsal, Rehearsing
+from engine.flows.progress import Clock
+from engine.formats import encode_model
+from engine.model import Camera, GaussianModel
+from engine.numerics.blas import one_blas_thread
+from engine.watermark.keys import OwnerKey
+from engine.watermark.planning import BIT_Z
+from engine.watermark.statistics import CHANCE_RATE, z_threshold
+
+__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
+
+MARGIN = 1.15
+"""Promised over needed z: with other chips z is one more or less, in other views a little, too."""
+SLACK_DB = 2.0
+"""By how much the mark may fall short of its PSNR in a view that no key view was near."""
+VIEW_SIZE = 256
+"""Key views of 256 pixels shape the same mark as those of 800: docs/RESULTS.md, pareto."""
+VIEWS = (6, 10, 16)
+LOWER_DB = (1.0, 2.0)
+"""What may be taken off the fidelity where evidence is short; the last gives the fidelity of `strong`."""
+SSIM_PER_DB = 0.0005
+"""And off SSIM with it, as in `strong`."""
+KEPT_SHARE = 0.9
+"""Of what the whole model promises, where that is less than wanted: what a smaller file must keep."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way of spending an allowance, and what it leaves."""
+
+    sh_degree: int
+    gaussians: int
+    bytes: int  # of the delivered file, before its mark
+    predicted_z: float | None  # None where a smaller file did, and this one was not rehearsed
+
+
+@dataclass(frozen=True)
+class Spent:
+    """On what an owner's allowance went."""
+
+    allowed_db: float
+    sh_degree: int | None  # of the way taken; None where none leaves enough of the mark: the model is kept whole
+    bytes_whole: int  # of the delivered file if nothing were spent
+    ways: tuple[Way, ...]  # smallest file first
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The settings chosen for a scene."""
+
+    rehearsal: Rehearsal  # of these settings
+    wanted_z: float
+    tried: int  # settings rehearsed
+    ground: Groundwork  # of the model as it came
+    delivery: Delivery  # what was rehearsed on; `embed` goes on from it
+    spent: Spent | None  # on what the owner's allowance went, where there was one
+
+    @property
+    def config(self) -> EmbedConfig:
+        """The settings."""
+        return self.delivery.settings
+
+    @property
+    def met(self) -> bool:
+        """Whether one bad picture is predicted to show all bits and a claim.
+
+        Where nothing meets that, the choice is the strongest; better pictures, several, or the model itself may still
+        show everything.
+        """
+        return self.rehearsal.predicted_z >= self.wanted_z
+
+    def report(self) -> dict[str, Any]:
+        """Plain values for `embed --json`."""
+        return {
+            "views": self.config.views,
+            "view_size": self.config.view_size,
+            "psnr_db": self.config.psnr_db,
+            "predicted_z": self.rehearsal.predicted_z,
+            "predicted_psnr_db": self.rehearsal.psnr_db,
+            "predicted_held_out_db": self.rehearsal.held_out_db,
+            "wanted_z": self.wanted_z,
+            "met": self.met,
+            "tried": self.tried,
+            "spent": None if self.spent is None else asdict(self.spent),
+        }
+
+
+def wanted_z(bits: int) -> float:
+    """z that a picture must be predicted to give: a claim at 1e-9 and every bit clear, with MARGIN.
+
+    A bit's z is the message's over the root of its length; BIT_Z of them is what the planner accepts.
+    """
+    return MARGIN * max(z_threshold(CHANCE_RATE), (BIT_Z + 0.2) * math.sqrt(bits))
+
+
+@one_blas_thread
+def choose(
+    model: GaussianModel,
+    key: OwnerKey,
+    bits: int,
+    asked: Auto,
+    original_sha256: str,
+    cameras: Sequence[Camera] | None = None,
+) -> Choice:
+    """The cheapest settings that are predicted to do: the fewest views that do, then the highest fidelity that does.
+
+    Deterministic. InputError if no copy of the model could be registered.
+
+    Parameters
+    ----------
+    key : OwnerKey
+        Draws the key views, on which the mark is rehearsed as it will be made; its chips are not looked at.
+    asked : Auto
+        The number of cells is not chosen: fewer save no time, more show no better.
+    original_sha256 : str
+        Hex digest of the owner's file.
+    cameras : sequence of Camera, optional
+        The owner's own.
+    """
+    wanted, tried, allowed = wanted_z(bits), 0, asked.start.prune.budget_db
+    whole = replace(asked.start, prune=replace(asked.start.prune, budget_db=None))
+    for views in VIEWS:
+        tried += 1
+        # A loss is measured where it is seen: on large views.
+        config = replace(whole, views=views, view_size=VIEW_SIZE if allowed is None else whole.view_size)
+        ground = lay_groundwork(model, key, original_sha256, config, cameras)
+        scene = Rehearsing(deliver(ground, config, Clock()), cameras)
+        found = scene.at(config)
+        if found.held_out_db >= config.psnr_db - SLACK_DB:
+            break
+    if found.predicted_z < wanted and not asked.keep_psnr:
+        faithful = config
+        for lower in LOWER_DB:
+            config = _lowered(faithful, lower)
+            found, tried = scene.at(config), tried + 1
+            if found.predicted_z >= wanted:
+                break
+    delivery, spent = replace(scene.delivery, settings=config), None
+    if allowed is not None:
+        delivery, found, spent = _spend(ground, delivery, found, asked, allowed, wanted, cameras)
+        tried += sum(way.predicted_z is not None for way in spent.ways)
+    return Choice(found, wanted, tried, ground, delivery, spent)
+
+
+def _spend(
+    ground: Groundwork,
+    kept: Delivery,
+    found: Rehearsal,
+    asked: Auto,
+    allowed_db: float,
+    wanted: float,
+    cameras: Sequence[Camera] | None,
+) -> tuple[Delivery, Rehearsal, Spent]:
+    """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
+    config, least = kept.settings, min(wanted, KEPT_SHARE * found.predicted_z)
+    made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
+    within = [one for one in made if one.pruned["psnr_pruned_worst_view"] >= allowed_db]
+    # The whole file: a palette (.sog) costs a part as much as all.
+    weighed = sorted(((len(encode_model(one.model, asked.format)), one) for one in within), key=lambda each: each[0])
+    whole, chosen = len(encode_model(kept.model, asked.format)), None
+    tried: list[Way] = []
+    for size, one in weighed:
+        z, degree = None, one.model.sh_degree
+        if chosen is None and size < whole:
+            promise = Rehearsing(one, cameras).at(one.settings)
+            z = promise.predicted_z
+            if z >= least:
+                chosen, kept, found = degree, one, promise
+        tried.append(Way(degree, len(one.model), size, z))
+    return kept, found, Spent(allowed_db, chosen, whole, tuple(tried))
+
+
+def rehearse(model: GaussianModel, key: OwnerKey, config: EmbedConfig, original_sha256: str) -> Rehearsal:
+    """What a mark on the unpruned model promises, planned on small views of the key, with chips from a fixed seed."""
+    small = replace(config, view_size=VIEW_SIZE)
+    whole = replace(small, prune=replace(small.prune, budget_db=None))
+    ground = lay_groundwork(model, key, original_sha256, whole)
+    return Rehearsing(deliver(ground, whole, Clock()), None).at(whole)
+
+
+def _lowered(config: EmbedConfig, by: float) -> EmbedConfig:
+    """Less fidelity, more evidence."""
+    return replace(config, psnr_db=max(config.psnr_db - by, 20.0), ssim=config.ssim - SSIM_PER_DB * by)

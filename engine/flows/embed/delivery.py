@@ -1,0 +1,117 @@
+"""What is delivered before it is marked: as many Gaussians, SH bands and codes as the scene needs, no more."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.compress.densification import densify
+from engine.compress.hvq import Stage, decode_stages, learn_residual_stage
+from engine.compress.impact import Impact, frequency_impact, paper_impact, sh_curvature
+from engine.compress.pruning import drop_unseen_bands, prune, prune_at
+from engine.flows.embed.planning_basis import Groundwork, color_weights
+from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.progress import Clock
+from engine.flows.views.camera_rig import Extent
+from engine.flows.views.view_set import ViewSet, worst_psnr_against
+from engine.model import Float64, GaussianModel
+
+BAND_SHARE = 0.05
+"""Share of the pruning budget's squared error that dropping SH bands may use."""
+
+MOST_STAGES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Delivery:
+    """A model as it would be delivered, unmarked, and what it is marked with."""
+
+    settings: EmbedConfig
+    ground: Groundwork  # of the pruned model
+    model: GaussianModel
+    stages: tuple[Stage, ...]  # public cells, and what refines them
+    views: ViewSet  # of `model`
+    pruned: dict[str, Any]  # for the report
+
+
+def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delivery:
+    """Prune and quantise as the settings say."""
+    with clock.stage("prune"):
+        slim, pruned = slim_down(original.model, original.views, original.impact, original.extent, settings)
+    with clock.stage("quantize"):
+        ground = original.of(slim, clock)
+        model, stages = unmarked_delivery(slim, ground.stages, original.views, ground.impact, settings)
+        return Delivery(settings, ground, model, tuple(stages), ground.views_of(model, clock), pruned)
+
+
+def slim_down(
+    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
+) -> tuple[GaussianModel, dict[str, Any]]:
+    """Prune Gaussians and SH bands within the owner's budget, or as the paper does, and report on it.
+
+    With neither the model stays as it is and the report is empty.
+    """
+    if config.paper.tau_base > 0 or config.paper.densify > 0:
+        return _as_the_paper(model, original, impact, extent, config)
+    budget = config.prune.budget_db
+    if budget is None:
+        return model, {}
+    measure = worst_psnr_against(original.images, original.cameras)
+    if config.prune.sh_degree < model.sh_degree:
+        model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
+    pixels = sum(c.width * c.height for c in original.cameras)
+    curvature = sh_curvature(model, original.views, original.cameras)
+    thin, dropped = drop_unseen_bands(model, curvature, pixels, BAND_SHARE * 10 ** (-budget / 10.0))
+    rank = _worth(model, impact, config)
+    pruned = prune(thin, rank, measure, extent.radius, config.prune)
+    if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
+        dropped = 0
+        pruned = prune(model, rank, measure, extent.radius, config.prune)
+    return pruned.model, {
+        "budget_db": budget,
+        "psnr_pruned_worst_view": pruned.psnr_db,
+        "merged": pruned.merged,
+        "sh_bands_dropped": dropped,
+    }
+
+
+def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64:
+    """(N,) what Gaussians are ranked by when some must go."""
+    return paper_impact(model, impact) if config.prune.rank == "paper" else impact.squared
+
+
+def _as_the_paper(
+    model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
+) -> tuple[GaussianModel, dict[str, Any]]:
+    """Pruned at a fixed threshold (Eq 5), merged, and densified where W^freq is greatest."""
+    slim, kept, merged = model, np.arange(len(model), dtype=np.int32), 0
+    if config.paper.tau_base > 0:
+        rank = _worth(model, impact, config)
+        slim, kept, merged = prune_at(model, rank, config.paper.tau_base, extent.radius, config.prune)
+    dense = densify(slim, frequency_impact(model, impact)[kept], config.paper.densify)
+    return dense, {
+        "psnr_pruned_worst_view": worst_psnr_against(original.images, original.cameras)(dense),
+        "merged": merged,
+        "densified": len(dense) - len(slim),
+    }
+
+
+def unmarked_delivery(
+    model: GaussianModel, stages: tuple[Stage, ...], original: ViewSet, impact: Impact, config: EmbedConfig
+) -> tuple[GaussianModel, tuple[Stage, ...]]:
+    """The unmarked model as delivered: itself ("fidelity"), or the sum of its code vectors ("compact").
+
+    "compact" learns residual stages until the worst view keeps `compact_db` against the original (with room for
+    the mark), up to MOST_STAGES: as many codes as the scene needs.
+    """
+    if config.output == "fidelity":
+        return model, stages
+    measure = worst_psnr_against(original.images, original.cameras)
+    weights = color_weights(model, impact, by_frequency=config.paper.frequency)
+    while True:
+        compact = model.with_(sh=decode_stages(stages))
+        if measure(compact) >= config.compact_db + 0.8 or len(stages) > MOST_STAGES:
+            return compact, stages
+        residual = (model.sh - compact.sh).reshape(len(model), -1)
+        number = len(stages)
+        stages = (*stages, learn_residual_stage(residual, weights, 1024, config.quantize, seed=number))

@@ -1,0 +1,296 @@
+"""The embedding flow: model -> prune -> quantise -> displace code vectors -> refine -> marked model and record.
+
+0. Choose the settings, where that is left open.
+1. Look at the model from the key views.            5. Plan both layers; commit to the plan.
+2. Prune to the budget, if one was given.           6. Settle the strength; draw bits and chips from the key.
+3. Fix the canonical reference.                     7. Refine, where that was asked for.
+4. Quantise hierarchically.                         8. Write the record: all that verification needs.
+
+Up to the landmarks all copies of a model have everything in common: see `pipeline.asset`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.catalogue.entry import SeenPoints
+from engine.compress.hvq import Stage, group_means
+from engine.errors import InputError
+from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
+from engine.flows.embed.auto_profile import Choice, choose
+from engine.flows.embed.copy_mark import Committed, Copy, make_mark
+from engine.flows.embed.delivery import deliver
+from engine.flows.embed.layer_strengths import settle
+from engine.flows.embed.planning_basis import lay_groundwork
+from engine.flows.embed.profiles import Auto, EmbedConfig, Settings
+from engine.flows.embed.strength_search import Fidelity
+from engine.flows.embed.variant import PLAIN, Variant
+from engine.flows.progress import Clock, Progress
+from engine.flows.records.opened_record import DRAWN
+from engine.flows.views.view_set import worst_psnr_against
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.blas import one_blas_thread
+from engine.records.record import Record
+from engine.records.reference import encode_reference, reference_digest
+from engine.watermark.keys import OwnerKey
+from engine.watermark.masses import spare_masses
+from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
+from engine.watermark.planning import Plan, make_plan, predict_z
+from engine.watermark.secret_cells import cells_key, jitter, join_cells
+from engine.watermark.unpredictability import unexplained
+
+
+@dataclass(frozen=True, eq=False)
+class Embedding:
+    """What an embedding gives back."""
+
+    model: GaussianModel  # the marked model to deliver
+    record: Record  # what the owner keeps
+    config: EmbedConfig  # the settings used: the chosen ones, where that was left open
+    report: dict[str, Any]  # measurements for people and machines (`embed --json`)
+    seen: SeenPoints | None  # what an index of many assets keeps of its looks
+
+
+def embed(
+    model: GaussianModel,
+    key: OwnerKey,
+    *,
+    original_sha256: str,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: Settings | None = None,
+    cameras: Sequence[Camera] | None = None,
+    copy: str = "",
+    registered_at: str = "",
+    progress: Progress | None = None,
+    variant: Variant = PLAIN,
+    drawn: str = "",
+    earlier: Record | None = None,
+) -> Embedding:
+    """Mark a model.
+
+    CapacityError if the scene cannot carry the message at the asked fidelity; InputError if the model or the options
+    are unusable.
+
+    Parameters
+    ----------
+    original_sha256 : str
+        Hex digest of the owner's file; the record commits to it.
+    message : (B,) signs, optional
+        Derived from the key where not given.
+    bits : int
+        Length of a derived message.
+    config : EmbedConfig or Auto, optional
+        See `profiles.compose`.
+    cameras : sequence of Camera, optional
+        The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
+    copy : str
+        Name of the recipient; every copy has a message and chips of its own.
+    registered_at : str
+        Time of registration as the caller knows it; no clock is read here.
+    variant : Variant, optional
+        What is special about a model that moves, or brings its own codebook.
+    drawn : str
+        What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
+        so decides the chips, which nobody can then try out beforehand.
+    earlier : Record, optional
+        Of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of made
+        anew: same bytes, sooner.
+    """
+    return next(
+        embed_copies(
+            model,
+            key,
+            [copy],
+            original_sha256=original_sha256,
+            message=message,
+            bits=bits,
+            config=config,
+            cameras=cameras,
+            registered_at=registered_at,
+            progress=progress,
+            variant=variant,
+            drawn=drawn,
+            earlier=earlier,
+        )
+    )
+
+
+def embed_copies(
+    model: GaussianModel,
+    key: OwnerKey,
+    copies: Sequence[str],
+    *,
+    original_sha256: str,
+    message: Signs | None = None,
+    bits: int = 32,
+    config: Settings | None = None,
+    cameras: Sequence[Camera] | None = None,
+    registered_at: str = "",
+    progress: Progress | None = None,
+    variant: Variant = PLAIN,
+    drawn: str = "",
+    earlier: Record | None = None,
+) -> Iterator[Embedding]:
+    """Mark a model for each of these recipients, one after another; parameters as for `embed`.
+
+    The same bytes as single embeddings, in a part of the time: what takes long is done once. The first report's
+    seconds include it.
+    """
+    clock = Clock(progress)
+    bits = len(message) if message is not None else bits
+    check_bits(bits)
+    asset = _prepare(model, key, original_sha256, clock, bits, config, cameras, variant, earlier)
+    for copy in copies:
+        yield _mark(asset, key, clock, message, bits, copy, registered_at, drawn)
+        clock = Clock(progress)
+
+
+@one_blas_thread
+def _prepare(
+    model: GaussianModel,
+    key: OwnerKey,
+    original_sha256: str,
+    clock: Clock,
+    bits: int,
+    config: Settings | None,
+    cameras: Sequence[Camera] | None,
+    variant: Variant,
+    earlier: Record | None,
+) -> Asset:
+    """Everything up to the recipient's own part."""
+    choice: Choice | None = None
+    if isinstance(config, Auto):
+        if variant is not PLAIN:
+            raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
+        with clock.stage("choose"):  # 0
+            choice = choose(model, key, bits, config, original_sha256, cameras)
+        settings = choice.config
+    else:
+        settings = config or EmbedConfig()
+    variant.check(model, keeps_rows=settings.keeps_rows, refines=settings.refine.steps > 0)
+
+    with clock.stage("look"):  # 1
+        # What was rehearsed on is gone on from: nothing is looked at twice.
+        original = (
+            choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
+        )
+    # 2, 3, 4
+    delivery = choice.delivery if choice else deliver(original, settings, clock)
+    delivered = delivery.model
+    with clock.stage("quantize"):
+        reference = encode_reference(delivered)
+        digest = reference_digest(reference)
+    with clock.stage("landmarks"):
+        known = None if earlier is None else known_landmarks(earlier, digest, settings)
+        landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
+    return Asset(
+        original=original,
+        original_sha256=original_sha256,
+        settings=settings,
+        choice=choice,
+        variant=variant,
+        ground=delivery.ground,
+        delivered=delivered,
+        stages=delivery.stages,
+        reference=reference,
+        digest=digest,
+        views=delivery.views,
+        landmarks=landmarks,
+        seen=seen,
+        pruned=delivery.pruned,
+    )
+
+
+@one_blas_thread
+def _mark(
+    asset: Asset,
+    key: OwnerKey,
+    clock: Clock,
+    message: Signs | None,
+    bits: int,
+    copy: str,
+    registered_at: str,
+    drawn: str,
+) -> Embedding:
+    """The recipient's own part."""
+    settings, delivered, variant, ground = asset.settings, asset.delivered, asset.variant, asset.ground
+    with clock.stage("plan"):  # 5, 6
+        settled = settle(asset.views, _plan(asset, cells_key(key, asset.digest, copy)), settings, asset.grained)
+    with clock.stage("mark"):
+        sign = message if message is not None else derive_message(key, bits, asset.digest + copy.encode())
+        mark = make_mark(
+            asset.views,
+            settled,
+            Copy(key, asset.digest, copy, sign),
+            Committed(ground.cameras, asset.landmarks, {**variant.commitments, **({DRAWN: drawn} if drawn else {})}),
+            Fidelity(settings.psnr_db, settings.ssim),
+            ground.picture_scale,
+            variant.at_view,
+        )
+        plan = mark.settled.plan
+    marked, fidelity = mark.model, mark.fidelity
+    if settings.refine.steps > 0:
+        with clock.stage("refine"):  # 7
+            from engine.flows.embed.refinement import refine_mark  # torch is only needed here
+
+            marked, fidelity = refine_mark(asset, mark, bits, clock.advance)
+    with clock.stage("record"):  # 8
+        record = Record.make(
+            key,
+            asset.reference,
+            original_digest=asset.original_sha256,
+            plan=mark.plan[0],
+            plan_arrays=mark.plan[1],
+            extra={"settings": {**settings.told(), "bank": BANK}},
+            copy=copy,
+            registered_at=registered_at,
+        )
+        total = fidelity.psnr_db
+        if delivered is not asset.original.model:
+            total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
+    predicted = predict_z(plan.energies * ground.picture_scale, mark.spreading.bit_of, bits)
+    report = {
+        "gaussians_in": len(asset.original.model),
+        "gaussians_out": len(marked),
+        "bits": bits,
+        "message": message_hex(sign),
+        "copy": copy,
+        "record_id": record.header.record_id,
+        "psnr_worst_view": fidelity.psnr_db,
+        "ssim_worst_view": fidelity.ssim,
+        "psnr_total_worst_view": total,
+        "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
+        "capacity_bits": mark.capacity,
+        "picture_bits": mark.pictured,
+        "chips": plan.layout.chips,
+        "grain": asdict(mark.settled.grain),
+        "choice": None if asset.choice is None else asset.choice.report(),
+        **asset.pruned,
+        "seconds": clock.total,
+        "seconds_by_stage": clock.seconds,
+    }
+    return Embedding(marked, record, settings, report, asset.seen)
+
+
+def _plan(asset: Asset, secret: bytes) -> Plan:
+    """The tint at unit strength, on cells that the copy's secret joins."""
+    stages: tuple[Stage, ...] = asset.stages
+    ground, variant, settings, delivered = asset.ground, asset.variant, asset.settings, asset.delivered
+    missed = None
+    own = variant.labels is not None or settings.paper.public_codes
+    if not own:
+        joined = join_cells(stages[0], ground.cell_features, delivered, ground.colors, settings.plan.codes, secret)
+        stages = (joined, *stages[1:])
+        centers = group_means(delivered.means, joined.labels, ground.colors).astype(np.float64)
+        missed = unexplained(centers, joined.codebook[:, :3].astype(np.float64))
+    emphasis: Float32 | Float64 | None = variant.emphasis_on(ground.impact)
+    # A file's own codebook and the compact output keep few values on purpose: no sign of clipping.
+    if variant.labels is None and settings.output == "fidelity":
+        stages, emphasis = spare_masses(delivered.sh[:, 0], stages, settings.plan.mass_share, emphasis)
+        if missed is not None and len(stages[0].codebook) > len(missed):
+            missed = np.concatenate([missed, missed.mean(axis=0, keepdims=True)])
+    shaken = None if settings.paper.public_codes else lambda chips: jitter(secret, chips)
+    return make_plan(stages, ground.impact, settings.plan, emphasis, missed, shaken, whole=settings.paper.whole_sh)

@@ -1,0 +1,136 @@
+"""How strong each layer of the mark is, settled before a chip is drawn (DESIGN 4.5, 4.9).
+
+One budget of fidelity holds both layers. The grain takes what it needs up to a fixed part of it, the tint the rest:
+errors of independent signs add in squares, so each is measured alone. Signs are public ones; those of the key show as
+much within a few tenths of a decibel, and where they show more, strengths are lowered and chips drawn anew.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.strength_search import Fidelity, compare, first_guess, solve_strength, worst_of
+from engine.flows.embed.variant import PLAIN, AtView, Variant
+from engine.flows.views.view_set import ViewSet
+from engine.model import GaussianModel
+from engine.raster import render
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
+from engine.watermark.planning import Plan
+from engine.watermark.spreading import public_signs
+
+GRAIN_ROOM_DB = 6.0
+"""How far above the asked PSNR the grain alone stays: a quarter of the squared error. It has chips enough; what it
+takes away is evidence of pictures."""
+GRAIN_SSIM_SHARE = 0.25
+"""Of what SSIM may lose; SSIM sees moved edges sooner than squared error does."""
+GRAIN_ROUNDS = 4
+"""Most measurements of the grain."""
+LEAST_GROWTH = 0.3
+"""Errors grow more slowly than the grain where a hair's breadth turns the order of Gaussians round (playbot: to the
+power of a half); the exponent is taken from the last two measurements, and not below this."""
+CLOSE = 0.05
+"""A grain that exceeds its part of the budget by less than this, in log of amplitude, stays."""
+WASTE = 0.3
+"""And one that could grow by less."""
+MARGIN_DB = 0.05
+"""Aimed at above the target, for chips that meet less luckily than the public ones."""
+
+
+@dataclass(frozen=True)
+class Grained:
+    """A grain, and what the worst view shows of it alone."""
+
+    grain: Grain
+    spent: Fidelity
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Both layers at the strength at which they are embedded."""
+
+    plan: Plan
+    grain: Grain
+    tint: Fidelity  # what the tint alone keeps
+
+    def lowered(self, found: Fidelity, wanted: Fidelity) -> "Settled":
+        """Weaker by as much as the worst view misses, and a hair more."""
+        factor = 0.997 * min(found.room_to(wanted), 1.0)
+        return Settled(self.plan.times(factor), self.grain.times(factor), self.tint)
+
+
+def settle(views: ViewSet, plan: Plan, config: EmbedConfig, grained: Grained) -> Settled:
+    """Strengths at which the worst view keeps PSNR and SSIM.
+
+    Parameters
+    ----------
+    views : ViewSet
+        Of the unmarked model as delivered.
+    plan : Plan
+        At unit strength.
+    grained : Grained
+        The second layer, from `settle_grain`: the same for all copies.
+    """
+    wanted, spent = _aim(config), grained.spent
+    error = 10.0 ** (-wanted.psnr_db / 10.0) - 10.0 ** (-spent.psnr_db / 10.0)
+    left = Fidelity(-10.0 * float(np.log10(error)), wanted.ssim + (1.0 - spent.ssim))
+    displacement = plan.layout.displace(plan.layout.amplitudes * public_signs(plan.layout.chips))
+    guess = first_guess(plan.energies, views.cameras, left.psnr_db)
+    strength = solve_strength(views, displacement, left.psnr_db, left.ssim, guess)
+    return Settled(plan.times(strength.factor), grained.grain, left)
+
+
+def _aim(config: EmbedConfig) -> Fidelity:
+    return Fidelity(config.psnr_db + MARGIN_DB, config.ssim)
+
+
+def settle_grain(views: ViewSet, config: EmbedConfig, variant: Variant = PLAIN) -> Grained:
+    """The grain that was asked for, or as much of it as its part of the budget allows, and what that costs as measured.
+
+    There is none where neither centres nor sizes have room for it.
+    """
+    wanted, model, at_view = _aim(config), views.model, variant.at_view
+    grain = Grain(config.plan.grain_center * variant.free_centers, config.plan.grain_scale * variant.free_sizes)
+    if not grain.there:
+        return Grained(Grain(), Fidelity(np.inf, 1.0))
+    signs = public_signs(ATTRIBUTES * len(model)).astype(np.float32).reshape(-1, ATTRIBUTES)
+    allowed = Fidelity(wanted.psnr_db + GRAIN_ROOM_DB, 1.0 - GRAIN_SSIM_SHARE * (1.0 - wanted.ssim))
+    factor, growth = 1.0, 1.0
+    tried: list[tuple[float, float, Fidelity]] = []  # factor, log of what it may be multiplied with, what was found
+    chosen = list(range(len(views.cameras)))
+    for _ in range(GRAIN_ROUNDS):
+        each = measure_each(views, roughen(model, grain.times(factor), signs), at_view, chosen)
+        found = worst_of(each)
+        if not tried:  # the views that show it worst decide, and are enough from then on
+            chosen = sorted({each.index(min(each, key=lambda view: view.psnr_db)), each.index(min(each, key=_ssim))})
+        room = math.log(found.room_to(allowed)) if np.isfinite(found.psnr_db) else math.inf
+        tried.append((factor, room, found))
+        if -CLOSE < room < WASTE or (room > 0.0 and factor == 1.0):
+            break
+        if len(tried) > 1:
+            (x0, y0, _), (x1, y1, _) = tried[-2:]
+            growth = min(max((y1 - y0) / math.log(x0 / x1), LEAST_GROWTH), 1.0)
+        factor = min(factor * math.exp(room / growth), 1.0)
+    # The most of what may stay, else the least.
+    factor, _, spent = max(tried, key=lambda each: (each[1] > -CLOSE, each[0] if each[1] > -CLOSE else -each[0]))
+    return Grained(grain.times(factor), spent)
+
+
+def _ssim(found: Fidelity) -> float:
+    return found.ssim
+
+
+def measure_each(
+    views: ViewSet, model: GaussianModel, at_view: AtView | None = None, chosen: Sequence[int] | None = None
+) -> list[Fidelity]:
+    """What each view, or each of those chosen, shows of another model, whatever of it differs, against its image."""
+    chosen = range(len(views.cameras)) if chosen is None else chosen
+    seen = (render(model if at_view is None else at_view(model, k), views.cameras[k]) for k in chosen)
+    return compare([views.images[k] for k in chosen], seen)
+
+
+def measure(views: ViewSet, model: GaussianModel, at_view: AtView | None = None) -> Fidelity:
+    """What the worst of them shows."""
+    return worst_of(measure_each(views, model, at_view))

@@ -1,0 +1,212 @@
+"""Settings of an embedding: three named points on one curve of speed against accuracy (DESIGN 10), and the paper's."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+from engine.compress.hvq import HvqConfig
+from engine.compress.pruning import PruneConfig
+from engine.errors import InputError
+from engine.watermark.planning import PlanConfig
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Knobs of the refinement (Eq 9). Only the paper's profiles use it: the closed-form mark reads as well without
+    (docs/RESULTS.md, ablation).
+    """
+
+    steps: int = 0  # Adam steps; 0 leaves the closed-form mark as it is
+    # Weights of the three losses (paper's text: 0.4, 1.0, 0.3; its appendix: 0.2, 0.5, 0.05)
+    lambda_msg: float = 0.4
+    lambda_rec: float = 1.0
+    lambda_wavelet: float = 0.3
+    rate: float = 4e-4  # Adam step in SH units, before the uncertainty's scaling
+    size: int = 400  # side of the refined views, pixels
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """What the paper does and we do not, stage by stage, with the reason why not; all off but in its own profiles."""
+
+    # Threshold of Eq 5 as a fraction of the ranking, taken as it is, then merging; 0 prunes to the owner's budget.
+    # Ours: a fixed threshold takes what it takes; this one leaves 16 dB of the shipped plant.
+    tau_base: float = 0.0
+    # Share of the Gaussians, those of the greatest W^freq, that are split. Ours: marks need no new Gaussians, files do
+    # not want them.
+    densify: float = 0.0
+    # Cells and codes weigh Gaussians by W^freq. Ours: by the inverse Laplace uncertainty, the curvature of the error.
+    frequency: bool = False
+    # s of tau_unc = mean(U) + s std(U): coefficients more uncertain are left to the first stage; 0 leaves none. Ours:
+    # codebooks carry no mark beyond the first stage, and "fidelity" keeps every coefficient.
+    tau_unc: float = 0.0
+    # The quantiser's code vectors carry the mark. Ours: cells that a copy's key joins, since public ones can be washed.
+    public_codes: bool = False
+    # SVD over all coefficients. Ours: DC alone, since formats drop or crush the others.
+    whole_sh: bool = False
+    # Refinement moves code vectors, held by Eq 6 and 7 with this weight (the paper names none), not single Gaussians;
+    # 0: Gaussians. Ours: no refinement at all.
+    codes: float = 0.0
+
+
+@dataclass(frozen=True)
+class EmbedConfig:
+    """Everything an embedding can be told."""
+
+    psnr_db: float = 47.0  # wanted PSNR of the mark in the worst view, against the unmarked render
+    ssim: float = 0.998  # wanted SSIM of the mark in the worst view
+    output: str = "fidelity"  # "fidelity" keeps each Gaussian's own residual, "compact" drops it
+    compact_db: float = 40.0  # with "compact": least PSNR of the delivered model against the original, worst view
+    views: int = 8  # key views at which the mark is shaped
+    view_size: int = 800  # side of a key view, pixels
+    # Views of the landmark bank by which the camera of a screenshot is found, fewer of flat ground; 0 leaves it out
+    landmark_views: int = 48
+    # Knobs of those stages
+    quantize: HvqConfig = field(default_factory=HvqConfig)
+    prune: PruneConfig = field(default_factory=PruneConfig)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
+
+    def __post_init__(self) -> None:
+        if self.output not in ("fidelity", "compact"):
+            raise InputError(f"output must be 'fidelity' or 'compact', got {self.output!r}")
+        if not 20.0 <= self.psnr_db <= 90.0:
+            raise InputError(f"psnr must lie between 20 and 90 dB, got {self.psnr_db}")
+        if self.prune.budget_db is not None and not 15.0 <= self.prune.budget_db <= 80.0:
+            raise InputError(f"budget must lie between 15 and 80 dB or be 'none', got {self.prune.budget_db}")
+
+    @property
+    def keeps_rows(self) -> bool:
+        """Whether the delivered model is the owner's own, Gaussian by Gaussian."""
+        thinned = self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
+        return self.output == "fidelity" and not thinned
+
+    def told(self) -> dict[str, Any]:
+        """As a record tells it: what the paper does is named where it is done."""
+        told = asdict(self)
+        if self.paper == PaperConfig():
+            del told["paper"]
+        return told
+
+
+PAPER = EmbedConfig(
+    psnr_db=28.52,  # what its mark costs (its Table 6, against the unmarked model); zeta scales a unit it does not name
+    ssim=0.975,
+    output="compact",
+    compact_db=0.0,  # as many residual stages as are named
+    views=10,
+    quantize=HvqConfig(residual_codes=(1024, 1024), lambda_freq=0.1),
+    prune=PruneConfig(rank="paper", gamma=0.2),
+    plan=PlanConfig(
+        stages=3,
+        residual_share=2.0 / 3.0,  # the message spread evenly over the stages
+        texture_exponent=0.0,  # strength by uncertainty alone; texture counts in W^freq
+        balance_rounds=0,
+        mass_share=1.0,
+        grain_center=0.0,
+        grain_scale=0.0,
+        surprise_exponent=0.0,
+    ),
+    refine=RefineConfig(steps=1000),  # the paper: 10,000, on a GPU
+    paper=PaperConfig(
+        tau_base=0.55, densify=0.05, frequency=True, tau_unc=1.0, public_codes=True, whole_sh=True, codes=1.0
+    ),
+)
+"""The paper's system with the settings of its text."""
+
+
+PROFILES: dict[str, EmbedConfig] = {
+    "fast": EmbedConfig(views=6),
+    "balanced": EmbedConfig(views=10),
+    "strong": EmbedConfig(views=16, psnr_db=45.0, ssim=0.997),
+    "paper": PAPER,
+    "paper-appendix": replace(
+        PAPER,
+        paper=replace(PAPER.paper, tau_unc=1.1),
+        refine=replace(PAPER.refine, lambda_msg=0.2, lambda_rec=0.5, lambda_wavelet=0.05),
+    ),
+}
+"""fast and balanced differ in how many views shape the mark; strong spends 2 dB of fidelity on evidence. The other two
+are the paper's, with the hyper-parameters of its text and of its appendix."""
+
+
+AUTO = "auto"
+"""The name under which a profile is left to the scene."""
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Settings that a rehearsal on the scene chooses (`engine.flows.embed.auto_profile`)."""
+
+    # Where to start from; its views, view size and (unless `keep_psnr`) fidelity are chosen anew, and so is on what its
+    # pruning budget is spent: no file need be larger than that allows
+    start: EmbedConfig = PROFILES["fast"]
+    keep_psnr: bool = False  # the owner named this fidelity: evidence may not be bought with it
+    format: str = "ply"  # of the delivered file, whose bytes count
+
+
+Settings = EmbedConfig | Auto
+"""What an embedding is told: everything, or to choose."""
+
+
+def profile(name: str, **changes: Any) -> EmbedConfig:
+    """A named profile with some knobs changed; an unknown name is an InputError."""
+    if name not in PROFILES:
+        raise InputError(f"unknown profile {name!r}, choose one of {', '.join(sorted(PROFILES))}")
+    return replace(PROFILES[name], **changes)
+
+
+def compose(
+    name: str,
+    *,
+    psnr_db: float | None = None,
+    output: str | None = None,
+    budget_db: float | None = None,
+    knobs: Sequence[str] = (),
+) -> Settings:
+    """A named profile, or `auto`, with what an owner asked for; None leaves the profile's own.
+
+    `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
+    """
+    asked = {"psnr_db": psnr_db, "output": output}
+    changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
+    config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
+    if budget_db is not None:
+        config = replace(config, prune=replace(config.prune, budget_db=budget_db))
+    for knob in knobs:
+        config = _turned(config, *knob.partition("=")[::2])
+    if name != AUTO:
+        return config
+    keep_psnr = psnr_db is not None or any(knob.startswith("psnr_db=") for knob in knobs)
+    return Auto(config, keep_psnr)
+
+
+def delivered_as(settings: Settings, format: str) -> Settings:
+    """The settings, knowing the format of the delivered file."""
+    return replace(settings, format=format) if isinstance(settings, Auto) else settings
+
+
+def _turned(config: Any, knob: str, text: str, depth: int = 0) -> Any:
+    """A configuration with one knob, ``name`` or ``stage.name``, at the value that a text says."""
+    parts = knob.split(".")
+    name, last = parts[depth], depth == len(parts) - 1
+    if name not in (field.name for field in fields(config)) or is_dataclass(now := getattr(config, name)) == last:
+        raise InputError(f"there is no knob {knob!r}; `mark3dgs config show` lists them")
+    return replace(config, **{name: _parsed(knob, text, now) if last else _turned(now, knob, text, depth + 1)})
+
+
+def _parsed(knob: str, text: str, now: Any) -> Any:
+    """A text as a value of the kind that the knob has; `budget_db`, which may be none, is a number."""
+    try:
+        if isinstance(now, str):
+            return text
+        if isinstance(now, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(now, tuple):
+            return tuple(int(part) for part in text.split(",") if part not in ("", "-"))
+        if knob == "prune.budget_db" and text == "none":
+            return None
+        return int(text) if isinstance(now, int) else float(text)
+    except (ValueError, KeyError):
+        raise InputError(f"{knob} is {now!r} and cannot be {text!r}") from None

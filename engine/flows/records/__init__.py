@@ -1,0 +1,1 @@
+"""Records as flows use them: checked, opened, and read together with their attestations."""

@@ -1,0 +1,1 @@
+"""Where on an asset the mark is, and maps that show it."""

@@ -1,0 +1,1 @@
+"""Traitor tracing: whose copies a suspect derives from, out of many records."""

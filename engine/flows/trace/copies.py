@@ -1,0 +1,78 @@
+"""Copies of one asset: placed in a suspect once, and read once for all of them.
+
+They have the reference in common, and so where it lies and what every Gaussian says; cells, chips and amplitudes are
+each copy's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from engine.flows.progress import Clock
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify.search import Reading, Suspect, readings
+from engine.flows.verify.suspect_evidence import compare_tint, read_grain, read_tint
+from engine.watermark.grain import Grain
+from engine.watermark.image_evidence import gather_again
+from engine.watermark.model_evidence import Evidence, Residual
+
+__all__ = ["Copies", "asset_of"]
+
+MOST_GRAINS = 4
+"""Readings of the grain that are kept: copies have it in one of a few strengths, and each takes 24 bytes a chip."""
+
+
+def asset_of(opened: OpenedRecord) -> tuple[str, bool]:
+    """What the records of copies that are read together have in common."""
+    return opened.header.reference_digest, opened.grain.there
+
+
+class Copies:
+    """One asset's place in the suspect, found once for all of its copies, along one route after the other."""
+
+    def __init__(self, suspect: Suspect, first: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock) -> None:
+        self.read_as = first.header.record_id
+        self._suspect = suspect
+        self._readings = enumerate(readings(suspect, first, routes, seed, clock))
+        self._route = -1
+        self._tint = first.layout.chips  # of the copy that it is read as
+        self._compared: dict[int, Residual] = {}  # colours, by the width of the carriers
+        self._grain: dict[Grain, Evidence] = {}  # of the Gaussians
+        self.reading: Reading
+
+    def go_along(self, route: int) -> None:
+        """Have read along this route, by its number; they are taken in turn."""
+        if self._route < route:
+            self._route, self.reading = next(self._readings)
+
+    def reading_of(self, opened: OpenedRecord) -> Reading:
+        """The reading as it speaks of one copy."""
+        return replace(self.reading, evidence=self.evidence(opened), scattered=None)
+
+    def evidence(self, opened: OpenedRecord) -> Evidence:
+        """What the suspect says of the chips of one copy, along all routes so far.
+
+        Of Gaussians that is all that reading this copy alone would say; pictures tell nothing of what to expect, and
+        the grain counts in them as it does for the copy that they were read as.
+        """
+        reading = self.reading
+        pictures = gather_again(opened.layout, reading.evidence.pulled)
+        if reading.pictures is not None:  # copies have other cells, and the same Gaussians
+            pictures = pictures.then(reading.pictures.behind(self._tint))
+        if reading.route in ("image", "render"):
+            return pictures
+        assert self._suspect.model is not None
+        assert reading.registration is not None
+        asked = self._suspect.model, opened, reading.registration
+        width = opened.layout.width
+        if width not in self._compared:
+            self._compared = {width: compare_tint(*asked)}
+        model = read_tint(*asked, self._compared[width])
+        if opened.grain.there:
+            if opened.grain not in self._grain:
+                if len(self._grain) == MOST_GRAINS:
+                    self._grain.clear()
+                self._grain[opened.grain] = read_grain(*asked)
+            model = model.then(self._grain[opened.grain])
+        return model.plus(pictures) if reading.route == "both" else model

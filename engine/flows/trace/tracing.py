@@ -1,0 +1,163 @@
+"""The tracing flow: which copies of an asset took part in a suspect? One reading, one Z for every copy.
+
+1. Records are opened one at a time; of each asset one is kept.
+2. Each asset is placed in the suspect once, and read along a route, blind to all chips.
+3. Every copy's cells are read from that, which gives its Z.
+4. Hypotheses are records times routes and layers times two signs. Every copy whose Z passes that bar, one way or the
+   other, is named. An asset of which none is named goes on to the next route.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from engine.errors import InputError
+from engine.flows.progress import Clock, Progress
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.trace.copies import Copies, asset_of
+from engine.flows.verify.decision import VerifyConfig
+from engine.flows.verify.search import Suspect, count_tries
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
+from engine.watermark.layers import layered_z
+from engine.watermark.statistics import log10_false_claim_bound, z_threshold
+
+__all__ = ["CopyFinding", "Tracing", "trace", "trace_images", "trace_model"]
+
+SIGNS = 2
+"""A copy's mark may show turned round."""
+
+
+@dataclass(frozen=True)
+class CopyFinding:
+    """What the suspect says about one copy."""
+
+    copy: str  # name of the recipient
+    record_id: str
+    named: bool  # the copy took part: its false-claim bound, all tries counted, is at most the rate asked for
+    # 0 expected with a standard deviation of 1 for a copy that took no part; negative where copies were put together
+    # so that what they differ in is turned round
+    z: float
+    log10_false_claim: float  # log10 of that bound
+    route: str  # kind of evidence
+    # Share of the record's reference found in the suspect; None where the route does not measure it
+    derived_fraction: float | None
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """The answer of one tracing."""
+
+    findings: tuple[CopyFinding, ...]  # one for each record, strongest first
+    tries: int  # hypotheses counted: records times routes
+    z_threshold: float  # the z at which a copy is named
+    false_claim_rate: float  # largest probability that any innocent copy is named, fixed before the evidence was seen
+    notes: tuple[str, ...]
+    seconds: float
+    seconds_by_stage: dict[str, float]
+
+    @property
+    def named(self) -> tuple[CopyFinding, ...]:
+        """The copies that took part."""
+        return tuple(finding for finding in self.findings if finding.named)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dict of JSON values."""
+        return {"named": [finding.copy for finding in self.named], **asdict(self)}
+
+
+def trace_model(
+    suspect: GaussianModel,
+    records: Iterable[OpenedRecord],
+    config: VerifyConfig | None = None,
+    progress: Progress | None = None,
+) -> Tracing:
+    """Which of these copies took part in making this model? See `trace`."""
+    return trace(Suspect(suspect), records, config, progress)
+
+
+def trace_images(
+    images: Sequence[Float32],
+    records: Iterable[OpenedRecord],
+    config: VerifyConfig | None = None,
+    cameras: Sequence[Camera] | None = None,
+    progress: Progress | None = None,
+) -> Tracing:
+    """Which of these copies took part in making the model that these pictures, all together, show? See `trace`."""
+    return trace(Suspect(None, images, cameras), records, config, progress)
+
+
+@one_blas_thread
+def trace(
+    suspect: Suspect,
+    records: Iterable[OpenedRecord],
+    config: VerifyConfig | None = None,
+    progress: Progress | None = None,
+) -> Tracing:
+    """Which of these copies took part in making this suspect?
+
+    InputError if there is no record, one is given twice, the suspect is empty, or the route takes another kind of
+    suspect. Records that can be gone through again, a list or an object that opens files, are opened once for each
+    route, and one of each asset is kept in memory. Route "auto" reads a model's Gaussians, and looks at renders of the
+    pose key, too, where they name nobody.
+    """
+    config = config or VerifyConfig()
+    clock = Clock(progress)
+    routes = suspect.routes(config.route)
+    again = list(records) if iter(records) is records else records
+    assets: dict[tuple[str, bool], Copies] = {}
+    copies: dict[tuple[str, bool], list[str]] = {}
+    settled: set[tuple[str, bool]] = set()  # some copy was named: no further route is asked
+    found: dict[str, CopyFinding] = {}
+    tries = 0
+    for number in range(len(routes)):
+        for opened in _opened(again, clock):  # 1
+            record_id = opened.header.record_id
+            place = asset_of(opened)
+            if place not in assets:
+                assets[place], copies[place] = Copies(suspect, opened, routes, config.seed, clock), []
+            if number == 0:
+                if record_id in found:
+                    raise InputError(f"record {record_id} (copy {opened.copy!r}) is given twice")
+                copies[place].append(record_id)
+            if place in settled:
+                continue
+            assets[place].go_along(number)  # 2
+            found[record_id] = _judge(assets[place], opened)  # 3
+        tries = max(SIGNS * count_tries(len(found), routes, replace(config, tries=None)), config.tries or 1)
+        found = {name: _counted(finding, tries, config) for name, finding in found.items()}  # 4
+        settled = {place for place, names in copies.items() if any(found[name].named for name in names)}
+        if len(settled) == len(assets):
+            break
+    if not found:
+        raise InputError("no record was given")
+    notes = tuple(note for asset in assets.values() for note in asset.reading.notes)
+    strongest_first = tuple(sorted(found.values(), key=lambda finding: -abs(finding.z)))
+    threshold = z_threshold(config.false_claim_rate, tries)
+    return Tracing(strongest_first, tries, threshold, config.false_claim_rate, notes, clock.total, dict(clock.seconds))
+
+
+def _opened(records: Iterable[OpenedRecord], clock: Clock) -> Iterator[OpenedRecord]:
+    """The records one by one, the time to open them told apart."""
+    left = iter(records)
+    while True:
+        with clock.stage("open records"):
+            opened = next(left, None)
+        if opened is None:
+            return
+        yield opened
+
+
+def _judge(asset: Copies, opened: OpenedRecord) -> CopyFinding:
+    evidence = asset.evidence(opened)
+    signs = opened.spreading_of(len(evidence.y)).signs(opened.message)
+    z = layered_z(evidence, signs, opened.layout.chips, either_way=True).best
+    route, share = asset.reading.route, asset.reading.derived_fraction
+    return CopyFinding(opened.copy, opened.header.record_id, False, z, 0.0, route, share)
+
+
+def _counted(finding: CopyFinding, tries: int, config: VerifyConfig) -> CopyFinding:
+    """The finding with its bound, now that all tries are known; their number does not depend on what was read."""
+    z = abs(finding.z)
+    named = z >= z_threshold(config.false_claim_rate, tries)
+    return replace(finding, named=named, log10_false_claim=log10_false_claim_bound(z, tries))

@@ -1,0 +1,1 @@
+"""Verification of a suspect: registration, evidence along three routes, and the decision."""

@@ -1,0 +1,149 @@
+"""From evidence to a claim, in the terms of an opened record."""
+
+from dataclasses import dataclass, replace
+from functools import reduce
+
+from engine.errors import InputError
+from engine.flows.records.opened_record import OpenedRecord
+from engine.registration.registration_search import Registration
+from engine.watermark.claim import SCATTERED, Claim, ClaimConfig, decide
+from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.layers import layered_z, only
+from engine.watermark.messages import message_hex
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.paper_decoder import adaptive_weights, decode_paper
+from engine.watermark.power import Moments, moments
+from engine.watermark.rates import AppliedRate, Attested, applicable_rate
+from engine.watermark.statistics import CHANCE_RATE, log10_binomial_tail, z_threshold
+
+ROUTES = ("auto", "model", "render", "image")
+
+
+@dataclass(frozen=True)
+class VerifyConfig:
+    """What a verification can be told."""
+
+    # Largest acceptable probability of a false claim; counts only where it is stricter than what applies to the record
+    # (`rates.applicable_rate`)
+    false_claim_rate: float = CHANCE_RATE
+    suspect_seen: str = ""  # since when the suspect is known, ISO 8601; empty where nobody knows
+    route: str = "auto"  # "auto", "model", "render" or "image"
+    decoder: str = "ours"  # "ours", or "paper" (Eq 10 as printed) for the extracted bits; the claim is always ours
+    seed: int = 0  # of the registration's trials
+    # Hypotheses (records times routes) of the whole question, where this verification is one part of it: fixed before
+    # any evidence is seen, and counted in every claim. Default: those of this one record, as they come.
+    tries: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.route not in ROUTES:
+            raise InputError(f"route must be one of {', '.join(ROUTES)}, got {self.route!r}")
+        if self.decoder not in ("ours", "paper"):
+            raise InputError(f"decoder must be 'ours' or 'paper', got {self.decoder!r}")
+        if not 0.0 < self.false_claim_rate < 1.0:
+            raise InputError(f"false-claim rate must lie in (0, 1), got {self.false_claim_rate}")
+        if self.tries is not None and self.tries < 1:
+            raise InputError(f"at least one hypothesis is tried, got tries {self.tries}")
+        self.rate_for(None)  # refuses a date that is none
+
+    def rate_for(self, attested: Attested | None) -> AppliedRate:
+        """The rate that a claim of such a record must meet."""
+        return applicable_rate(self.false_claim_rate, attested, self.suspect_seen)
+
+
+def judge(
+    evidence: Evidence,
+    opened: OpenedRecord,
+    route: str,
+    tries: int,
+    config: VerifyConfig,
+    registration: Registration | None = None,
+    notes: tuple[str, ...] = (),
+    derivation: Derivation = NOT_FOUND,
+    scattered: Evidence | None = None,
+) -> Claim:
+    """The claim that this evidence supports, or the same pictures read by their scatter, where that says more.
+
+    All of it must be counted in `tries`.
+    """
+    rate = ClaimConfig.at(config.rate_for(opened.attested))
+    tries = max(tries, config.tries or 1)
+    spreading = opened.spreading_of(len(evidence.y))
+    transform = None
+    if registration is not None:
+        if registration.found:
+            transform = {
+                "scale": registration.scale,
+                "rotation": registration.R.tolist(),
+                "translation": registration.t.tolist(),
+                "mirrored": registration.mirrored,  # x of the suspect is negated first
+            }
+            if registration.mirrored:
+                notes = (*notes, "the suspect model is a mirror image of the asset, and was read as such")
+            if registration.deformed:
+                notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
+            elif registration.mixed is not None:
+                notes = (*notes, "Gaussians of the suspect model were merged: each is read as a mixture of the asset's")
+        elif route == "model":
+            weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
+            notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")
+    tint = opened.layout.chips
+    layered = layered_z(evidence, spreading.signs(opened.message), tint)
+    asked, heard = only(evidence, layered.strongest, tint), dict(layered.z)
+    sums = _sums_of_layers(evidence, tint)
+    change = max(each.change for each in sums.values())  # that of both together lies between them
+    known: Moments | None = (
+        reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
+    )
+    if scattered is not None:
+        other = layered_z(scattered, spreading.signs(opened.message), tint)
+        heard |= {name + SCATTERED: z for name, z in other.z.items()}
+        if other.best > max(layered.best, z_threshold(rate.doubt_rate, tries)):
+            asked, known = only(scattered, other.strongest, tint), None
+    claim = decide(
+        asked.y,
+        asked.weights,
+        asked.signal,
+        spreading.bit_of,
+        spreading.chips,
+        opened.message,
+        tries=tries,
+        config=rate,
+        route=route,
+        copy=opened.copy,
+        derivation=derivation,
+        transform=transform,
+        notes=notes,
+        layers=heard if len(heard) > 1 and opened.grain.there else None,
+        change=change,
+        sums=known,
+    )
+    if config.decoder == "paper":
+        steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
+        chips, bit_of = spreading.chips[:tint], spreading.bit_of[:tint]  # the paper knows of no other layer
+        weights = adaptive_weights(evidence.differences, opened.layout.amplitudes) if evidence.differences else None
+        bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message), weights)
+        matching = int((bits == opened.message).sum())
+        claim = replace(
+            claim,
+            message=message_hex(bits),
+            matching_bits=matching,
+            bit_accuracy=matching / len(bits),
+            bit_reliability=tuple(0.5 + 0.5 * lead),
+            log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
+            notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
+        )
+    return claim
+
+
+def _sums_of_layers(evidence: Evidence, tint: int) -> dict[str, Moments]:
+    """Those of each layer, the names are `layers.LAYERS`; the tint's chips come first."""
+    parts = {"tint": slice(0, tint)} | ({"grain": slice(tint, None)} if len(evidence.y) > tint else {})
+    return {
+        name: moments(evidence.y[part], evidence.weights[part], evidence.signal[part]) for name, part in parts.items()
+    }
+
+
+def _image_gain(evidence: Evidence, opened: OpenedRecord) -> float:
+    """Pictures give y in units of precision: the paper's step is scaled to the response that was expected."""
+    amplitudes = opened.layout.amplitudes
+    return float(amplitudes @ evidence.signal[: len(amplitudes)] / max(float(amplitudes @ amplitudes), 1e-300))

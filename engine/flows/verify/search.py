@@ -1,0 +1,195 @@
+"""The search: is this record's mark in this suspect? Hypotheses, tries and routes, once (DESIGN 4.9).
+
+1. What is asked is fixed, and counted: every record along every route at every place is three tries, walked or not:
+   both layers of the mark together and each alone. Of pictures it is six: they are read in two ways.
+2. Of many records only those are asked whose asset the suspect resembles (`engine.catalogue`, blind to chips).
+3. The suspect is read along a record's routes, the cheapest first, blind to all chips.
+4. What a route says is added to what those before it said, never chosen over it.
+5. Every reading is judged with all tries counted; the answer that tells most stands first.
+
+Verification asks one record (`verify`), tracing all copies of an asset (`copies`), the service all that is registered
+(`trace.candidates`), the simulator every object of a file (`count_tries`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from engine.errors import InputError
+from engine.flows.progress import Clock, Progress
+from engine.flows.records.opened_record import OpenedRecord
+from engine.flows.verify.decision import VerifyConfig, judge
+from engine.flows.verify.derived_share import derivation_of_model, derivation_of_pictures, derivation_of_sight
+from engine.flows.verify.suspect_evidence import read_gaussians, read_pictures, read_renders
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.blas import one_blas_thread
+from engine.registration.registration_search import Registration, register
+from engine.watermark.claim import Claim, Verdict
+from engine.watermark.derivation import Derivation
+from engine.watermark.layers import LAYERS
+from engine.watermark.model_evidence import Evidence
+
+__all__ = ["Answer", "Reading", "Suspect", "Verification", "count_tries", "readings", "verify"]
+
+
+PICTURE_WAYS = 2
+"""Pictures are read with every chip saturated, and by their scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """What is looked at: one model, or pictures of one."""
+
+    model: GaussianModel | None = None
+    pictures: Sequence[Float32] = ()  # range 0 to 1; any size, possibly rotated, scaled or cropped
+    # One for each picture, where known; found from a record's landmarks otherwise
+    cameras: Sequence[Camera] | None = None
+
+    def routes(self, asked: str) -> tuple[str, ...]:
+        """The routes along which it is read, in their order.
+
+        InputError if the route takes the other kind of suspect, or the model is empty.
+        """
+        if self.model is None:
+            if asked not in ("auto", "image"):
+                raise InputError(f"route {asked!r} takes a model; pictures go by 'image' or 'auto'")
+            return ("image",)
+        if asked == "image":
+            raise InputError("route 'image' takes pictures; a model goes by 'model', 'render' or 'auto'")
+        if len(self.model) == 0:
+            raise InputError("the suspect model is empty")
+        return ("model", "render") if asked == "auto" else (asked,)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a suspect says along one route, blind to all chips."""
+
+    route: str
+    evidence: Evidence
+    registration: Registration | None  # of a model
+    notes: tuple[str, ...]  # for the reader of the claim
+    shown: bool  # whether the asset was found in the suspect
+    derivation: Derivation  # the same, with how much of it and where
+    pictures: Evidence | None = None  # what pictures of it alone say
+    scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
+    cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
+
+    @property
+    def derived_fraction(self) -> float | None:
+        """Share of the reference found in the suspect; None where the route does not measure it."""
+        return None if self.registration is None else self.registration.derived_fraction
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """A claim, the evidence it rests on, and what it cost."""
+
+    claim: Claim
+    evidence: Evidence
+    seconds: float
+    seconds_by_stage: dict[str, float]
+    cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
+    reading: Reading | None = None  # that reading: where it was found, and by what
+
+    def report(self) -> dict[str, Any]:
+        """Plain values for `verify --json`."""
+        return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
+
+
+def count_tries(records: int, routes: Sequence[str], config: VerifyConfig, places: int = 1) -> int:
+    """Hypotheses of a question, fixed before any evidence is seen.
+
+    A try is a Z that may be computed: all count from the first on, or the rates of the routes would add up beyond the
+    one asked for. A registration's own hypotheses were weighed without the chips and are none.
+    """
+    ways = sum(PICTURE_WAYS if route == "image" else 1 for route in routes)
+    return max(records * ways * len(LAYERS) * places, config.tries or 1)
+
+
+def readings(
+    suspect: Suspect, opened: OpenedRecord, routes: Sequence[str], seed: int, clock: Clock
+) -> Iterator[Reading]:
+    """Read a suspect against one reference, a route at a time; who has heard enough stops asking.
+
+    The routes are those of `Suspect.routes`, the seed that of the registration's trials.
+    """
+    if suspect.model is None:
+        evidence, scattered, notes, cameras = read_pictures(suspect.pictures, opened, suspect.cameras, clock)
+        # Each picture in which the asset was not found left one note that begins so.
+        seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
+        sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
+        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight, evidence, scattered, cameras)
+        return
+    with clock.stage("register"):
+        registration = register(opened.reference, suspect.model, seed=seed)
+        matched = derivation_of_model(opened.reference, suspect.model, registration)
+    said: Evidence | None = None
+    for route in routes:
+        with clock.stage(route):
+            if route == "model":
+                evidence = read_gaussians(suspect.model, opened, registration)
+                said = evidence if evidence.weights.any() else None
+                reading = Reading(route, evidence, registration, (), registration.found, matched)
+            else:
+                renders = read_renders(suspect.model, opened, registration, clock)
+                both = said is not None and bool(renders.evidence.weights.any())
+                evidence = said.plus(renders.evidence) if said is not None and both else renders.evidence
+                sight = derivation_of_sight(matched, renders.recognised)
+                asked = "both" if both else route
+                said_all = evidence, registration, renders.notes, renders.shown, sight
+                reading = Reading(asked, *said_all, renders.evidence)
+        yield reading
+
+
+@one_blas_thread
+def verify(
+    suspect: Suspect, opened: OpenedRecord, config: VerifyConfig | None = None, progress: Progress | None = None
+) -> Verification:
+    """Does this suspect carry the record's mark?
+
+    Route "auto" reads a model's Gaussians, and looks at renders of the pose key, too, where these do not show the mark.
+    """
+    config = config or VerifyConfig()
+    clock = Clock(progress)
+    routes = suspect.routes(config.route)
+    answer = Answer(replace(config, tries=count_tries(1, routes, config)))
+    for reading in readings(suspect, opened, routes, config.seed, clock):
+        with clock.stage("decide"):
+            answer.hear(opened, reading)
+        if answer.settled:
+            break
+    return replace(answer.verification, seconds=clock.total, seconds_by_stage=clock.seconds)
+
+
+class Answer:
+    """What one record answers, as one route after the other is heard."""
+
+    def __init__(self, config: VerifyConfig) -> None:
+        self._config = config
+        self._best: Verification | None = None
+        self._notes: tuple[str, ...] = ()
+        self.settled = False  # so near the original, further routes show no more
+
+    def hear(self, opened: OpenedRecord, reading: Reading) -> None:
+        """Judge what a suspect, read along a route, says of this record's chips."""
+        said = reading.registration, reading.notes, reading.derivation, reading.scattered
+        claim = judge(reading.evidence, opened, reading.route, 1, self._config, *said)
+        self._notes = tuple(dict.fromkeys((*self._notes, *claim.notes)))
+        found = reading.registration is not None and reading.registration.found
+        marked = claim.verdict is Verdict.MARKED
+        # A model without a Gaussian of the reference may still show the asset: then what it shows decides.
+        if self._best is None or marked or reading.route == "both" or (reading.shown and not found):
+            self._best = Verification(claim, reading.evidence, 0.0, {}, reading.cameras, reading)
+        self.settled = claim.verdict is not Verdict.INCONCLUSIVE and found
+
+    @property
+    def verification(self) -> Verification:
+        """The best so far; where nothing is decided, with all that was tried."""
+        best = self._best
+        assert best is not None
+        if best.claim.verdict is Verdict.INCONCLUSIVE:
+            best = replace(best, claim=replace(best.claim, notes=self._notes))
+        return best

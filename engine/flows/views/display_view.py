@@ -1,0 +1,73 @@
+"""A model, or a picture of it, as people are shown it: from where, and what was laid over what."""
+
+import numpy as np
+from PIL import Image
+
+from engine.flows.views.camera_rig import make_rig
+from engine.model import Bool, Camera, Float32, GaussianModel
+from engine.pictures.alignment.background import find_background
+from engine.pictures.alignment.planar import Alignment, align_image
+from engine.raster import render
+
+_TRIAL_VIEWS = 6
+_TRIAL_SIZE = 72
+_TRIAL_GAUSSIANS = 40_000
+SAME_SHAPE = 0.02
+"""Ratios of sides that differ by less are of one picture, made smaller."""
+SURE_CORRELATION = 0.95
+"""Above it, a picture lies the right way round."""
+
+
+def choose_view(model: GaussianModel, width: int, height: int) -> Camera:
+    """The view that shows most of a model, of a few regular ones; it follows from the model alone, never a key.
+
+    Tried on a thinned-out model in tiny pictures: what counts is how much of the picture is filled, and how much
+    there is to see in it.
+    """
+    thin = model.take(np.arange(0, len(model), max(1, len(model) // _TRIAL_GAUSSIANS)))
+    # The gaps that thinning leaves are filled.
+    wider = 0.5 * np.log(len(model) / len(thin))
+    thin = thin.with_(log_scales=thin.log_scales + np.float32(wider))
+    short = min(width, height)  # a rig fits the model to the width of its pictures
+    rig = [_widened(camera, width, height) for camera in make_rig(thin, _TRIAL_VIEWS, short, short)]
+    shrink = _TRIAL_SIZE / max(width, height)
+    scores = []
+    for camera in rig:
+        small = camera.resized(max(1, round(width * shrink)), max(1, round(height * shrink)))
+        image = np.clip(render(thin, small, 0.5), 0.0, 1.0)
+        filled = (np.abs(image - 0.5).max(axis=2) > 0.02).mean()
+        scores.append(float(filled) + float(image.std()))
+    return rig[int(np.argmax(scores))]
+
+
+def _widened(camera: Camera, width: int, height: int) -> Camera:
+    K = camera.K.copy()
+    K[0, 2], K[1, 2] = width / 2, height / 2
+    return Camera(camera.viewmat, K, width, height)
+
+
+def lay_over(picture: Float32, image: Float32, alpha: Float32) -> tuple[Float32, Bool] | None:
+    """A suspect picture in the pixels of the asset's render, less what shines through from behind, and where it can be
+    compared; None where it cannot be laid over it."""
+    height, width = alpha.shape
+    small = to_picture(picture)
+    if abs(width / height - small.width / small.height) < SAME_SHAPE:
+        small = small.resize((width, height), reducing_gap=2.0)
+    best: Alignment | None = None
+    for hand in (1, -1):  # as it is, and turned over left to right
+        faced = np.asarray(small, dtype=np.float32)[:, ::hand] / np.float32(255.0)
+        behind = find_background(faced, alpha) if faced.shape == image.shape else None
+        fit = align_image(image, faced if behind is None else faced - behind.through)
+        if fit is not None and (best is None or fit.correlation > best.correlation):
+            best = fit
+        if best is not None and best.correlation > SURE_CORRELATION:
+            break
+    return None if best is None else (best.warped, best.mask)
+
+
+def to_picture(image: Float32, longest: int | None = None) -> Image.Image:
+    """A picture of (H, W, 3) floats in 0..1, no side longer than `longest` pixels."""
+    picture = Image.fromarray(np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8))
+    if longest is not None:
+        picture.thumbnail((longest, longest), reducing_gap=2.0)
+    return picture

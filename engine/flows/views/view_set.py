@@ -1,0 +1,61 @@
+"""A model seen from a set of cameras: geometry prepared once, colours rendered as often as needed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.flows.embed.variant import AtView
+from engine.model import Camera, Float32, GaussianModel
+from engine.numerics.image_metrics import psnr
+from engine.raster import View, prepare_view, render, sh_colors
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSet:
+    """Prepared views of one geometry."""
+
+    model: GaussianModel
+    cameras: Sequence[Camera]
+    views: Sequence[View]
+    frames: Sequence[GaussianModel]  # the model as each view sees it: itself, unless it moves
+    images: Sequence[Float32]  # (H, W, 3) each: renders of the model itself
+
+    def render(self, index: int, sh: Float32) -> Float32:
+        """(H, W, 3) one view with other colours, sh (N, K, 3)."""
+        colors = sh_colors(sh, self.frames[index].means, self.cameras[index].position.astype(np.float32))
+        return self.views[index].render(colors)[0]
+
+    def worst(self, sh: Float32, metric: Callable[[Float32, Float32], float] = psnr) -> float:
+        """Worst view's metric of other colours against the model's own."""
+        return min(metric(image, self.render(k, sh)) for k, image in enumerate(self.images))
+
+
+def look(
+    model: GaussianModel, cameras: Sequence[Camera], advance: Callable[[float], None], at_view: AtView | None = None
+) -> ViewSet:
+    """Prepare and render all views, of a moving model each at its moment."""
+    views, frames, images = [], [], []
+    for k, camera in enumerate(cameras):
+        frame = model if at_view is None else at_view(model, k)
+        view = prepare_view(frame, camera)
+        colors = sh_colors(frame.sh, frame.means, camera.position.astype(np.float32))
+        views.append(view)
+        frames.append(frame)
+        images.append(view.render(colors)[0])
+        advance((k + 1) / len(cameras))
+    return ViewSet(model, cameras, views, frames, images)
+
+
+def worst_psnr_against(
+    images: Sequence[Float32], cameras: Sequence[Camera], at_view: AtView | None = None
+) -> Callable[[GaussianModel], float]:
+    """Function from a candidate model to its worst view's PSNR against given renders."""
+
+    def measure(candidate: GaussianModel) -> float:
+        frames = (candidate if at_view is None else at_view(candidate, k) for k in range(len(cameras)))
+        return min(
+            psnr(image, render(frame, camera)) for image, frame, camera in zip(images, frames, cameras, strict=True)
+        )
+
+    return measure

@@ -1,0 +1,1 @@
+"""Kernels made ready before a job begins."""

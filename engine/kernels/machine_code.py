@@ -1,0 +1,226 @@
+"""Machine code of kernels in files, loaded and called without numba.
+
+Numba takes a quarter of a second to import, a third to set itself up at the first kernel, and five milliseconds for
+each that it finds in its cache; a command of a few seconds calls fifty. So what it compiled is kept as the object file
+that LLVM made, loaded by LLVM alone in a fifth of a millisecond, and called by its address. `compiler` makes it.
+
+A kernel's code depends on nothing but its own text, that of all it calls, the types of its arguments and the processor:
+a digest of these names its file, so nothing out of date is ever found.
+"""
+
+import ctypes
+import hashlib
+import json
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = [
+    "Code",
+    "Native",
+    "announce",
+    "compiler",
+    "find",
+    "flatten",
+    "keep",
+    "kind_of",
+    "load",
+    "on_compiling",
+    "processor",
+    "store",
+]
+
+_C_TYPES: dict[str, Any] = {
+    "ptr": ctypes.c_void_p,
+    "double": ctypes.c_double,
+    "float": ctypes.c_float,
+    "i1": ctypes.c_bool,
+    "i8": ctypes.c_int8,
+    "i16": ctypes.c_int16,
+    "i32": ctypes.c_int32,
+    "i64": ctypes.c_int64,
+}
+_DONE = (0, -2)
+"""What a kernel says when it is through, with a value or None."""
+
+Native = Callable[..., Any]
+"""A compiled kernel: takes what `flatten` gives."""
+
+
+on_compiling: list[Callable[[], None]] = []
+"""Called before a kernel is compiled that was not kept."""
+
+
+def announce() -> None:
+    """A kernel is about to be compiled."""
+    for tell in list(on_compiling):
+        tell()
+
+
+class Code(NamedTuple):
+    """One kernel for one set of argument types."""
+
+    name: str  # of the function in the object file
+    arguments: list[str]  # LLVM types
+    returns: list[str]  # LLVM types of the numbers that are given back; none where nothing is, `single` for a bare one
+    single: bool
+    symbols: list[str]  # of the C library that it calls
+    machine: bytes  # the object file
+
+
+def kind_of(value: Any) -> str | None:
+    """The type of an argument, as far as code depends on it; None where numba alone knows what to do with it."""
+    if isinstance(value, np.ndarray):
+        form = value.dtype, value.ndim, value.flags.num  # of a handful: to spell it out takes longer than to look it up
+        if form not in _array_kinds:
+            _array_kinds[form] = _array_kind(value)
+        return _array_kinds[form]
+    if isinstance(value, tuple):
+        inside = [kind_of(each) for each in value]
+        return None if None in inside else f"({','.join(map(str, inside))})"
+    if value is None or isinstance(value, bool | np.bool_):
+        return "-" if value is None else "?"
+    if isinstance(value, np.generic):
+        return value.dtype.str if value.dtype.kind in "iuf" else None
+    if isinstance(value, float):
+        return "<f8"
+    if isinstance(value, int):
+        return "<i8" if -(2**63) <= value < 2**63 else None
+    return None
+
+
+_array_kinds: dict[tuple[np.dtype[Any], int, int], str | None] = {}
+
+
+def _array_kind(array: np.ndarray[Any, Any]) -> str | None:
+    flags = array.flags
+    layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+    held = ("" if flags.writeable else "r") + ("" if flags.aligned else "u")
+    return None if array.dtype.hasobject or array.dtype.names else f"{array.dtype.str}{array.ndim}{layout}{held}"
+
+
+def flatten(values: Sequence[Any], out: list[Any]) -> list[Any]:
+    """Append what numba's calls pass for these arguments: arrays as two owners, of which there are none, size, item
+    size, address, shape and strides; tuples as their members; None as no address."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            address = value.__array_interface__["data"][0]
+            out += (None, None, value.size, value.itemsize, address, *value.shape, *value.strides)
+        elif isinstance(value, tuple):
+            flatten(value, out)
+        else:
+            out.append(value.item() if isinstance(value, np.generic) else value)
+    return out
+
+
+@cache
+def processor() -> tuple[str, str]:
+    """Name and features for which kernels are compiled: this machine's, unless numba was told others."""
+    import llvmlite.binding as llvm
+
+    name = os.environ.get("NUMBA_CPU_NAME") or llvm.get_host_cpu_name()
+    return name, os.environ.get("NUMBA_CPU_FEATURES") or llvm.get_host_cpu_features().flatten()
+
+
+@cache
+def store() -> Path:
+    """Where the files are: numba's own cache if it was given one, beside this package, or the user's cache."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given) / "kernels"
+    beside = Path(__file__).parents[1] / "__pycache__"
+    try:
+        beside.mkdir(exist_ok=True)
+        if os.access(beside, os.W_OK):
+            return beside / "kernels"
+    except OSError:
+        pass
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mark3dgs" / "kernels"
+
+
+@cache
+def compiler() -> list[str]:
+    """By what, with which options, and in what form."""
+    sources = [Path(__file__), Path(__file__).with_name("compiler.py")]
+    return [version("numba"), version("llvmlite"), *(hashlib.sha256(each.read_bytes()).hexdigest() for each in sources)]
+
+
+def _path(label: str, text: bytes, kinds: str) -> Path:
+    facts = [*compiler(), *processor(), label, kinds]
+    digest = hashlib.sha256("\0".join(map(str, facts)).encode() + b"\0" + text).hexdigest()
+    return store() / f"{label}-{digest[:32]}.kernel"
+
+
+def find(label: str, text: bytes, kinds: str) -> Code | None:
+    """The code kept of a kernel: its name, a digest of its text, the kinds of its arguments."""
+    try:
+        head, _, machine = _path(label, text, kinds).read_bytes().partition(b"\n")
+        fields = json.loads(head)
+        digest = fields.pop("digest")
+        return Code(**fields, machine=machine) if digest == hashlib.sha256(machine).hexdigest() else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def keep(label: str, text: bytes, kinds: str, code: Code) -> None:
+    """Keep it for later runs; where nothing can be written nothing is kept."""
+    path = _path(label, text, kinds)
+    fields = code._asdict() | {"digest": hashlib.sha256(code.machine).hexdigest()}
+    machine = fields.pop("machine")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(json.dumps(fields).encode() + b"\n" + machine)
+        os.replace(part, path)
+    except OSError:
+        pass
+
+
+_lock = threading.Lock()
+
+
+@cache
+def _engine() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+
+
+def load(code: Code) -> Native | None:
+    """The kernel as a function that lets go of Python's lock; None where this process lacks something it calls."""
+    import llvmlite.binding as llvm
+
+    with _lock:
+        engine = _engine()  # which lets LLVM see what this process has loaded
+        if not all(llvm.address_of_symbol(name) for name in code.symbols):
+            return None
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code.machine))
+        engine.finalize_object()
+        address = engine.get_function_address(code.name)
+    types = [_C_TYPES[each] for each in code.arguments]
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *types)(address)
+
+    class Given(ctypes.Structure):
+        _fields_ = [(f"n{i}", _C_TYPES[each]) for i, each in enumerate(code.returns)]
+
+    def call(*arguments: Any) -> Any:
+        given, failed = Given(), ctypes.c_void_p()
+        status = function(ctypes.byref(given), ctypes.byref(failed), *arguments)
+        if status not in _DONE:
+            raise RuntimeError(f"kernel {code.name} failed with status {status}")
+        if not code.returns:
+            return None
+        numbers = tuple(getattr(given, name) for name, *_ in given._fields_)
+        return numbers[0] if code.single else numbers
+
+    return call

@@ -1,0 +1,1 @@
+"""The laboratory: the simulator, attacks, studies and benches. Product code never imports it (an import contract)."""

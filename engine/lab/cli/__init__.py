@@ -1,0 +1,1 @@
+"""The laboratory's commands: `attack`, `sim`, `evaluate` and `demo`; `mark3dgs` finds them by their entry points."""

@@ -1,0 +1,5 @@
+"""Studies: what is measured, against which bar, and how it is reported. Only the command line comes in.
+
+Start at `study` (cells, bars, sections), then `cell_runner` (resumable, in several processes) and `report`; `studies`
+lists them by name. A folder is one study; its `study` module says what it asks.
+"""

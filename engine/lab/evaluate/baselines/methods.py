@@ -1,0 +1,41 @@
+"""The runnable methods by name, so that any study can put them beside ours."""
+
+from engine.errors import InputError
+from engine.lab.evaluate.baselines.method import Method
+from engine.lab.evaluate.baselines.model_marks import DitheredQim, FileOrderSpreadSpectrum
+from engine.lab.evaluate.baselines.picture_marks import DctSpreadSpectrum, FittedPictures, RivaGan
+
+__all__ = ["METHODS", "find_method"]
+
+METHODS: dict[str, Method] = {
+    "qim": DitheredQim(
+        "QIM on DC colour",
+        "the class of FlyMark (2026): dithered QIM on DC colour, keyed by quantised position. Its own choice of "
+        "carriers is not public; all Gaussians carry here, and votes are soft",
+    ),
+    "spread": FileOrderSpreadSpectrum(
+        "spread spectrum over the file index",
+        "the position paper of Deng, Nakra and Wu (2026): DCT along the file's order, keyed signs, read by "
+        "subtracting the original. Additive, where the paper's is multiplicative",
+    ),
+    "dct": FittedPictures(
+        "DCT mark in renders, fitted",
+        "the class HiDDeN+3DGS: a mark in every training picture, the model fitted to them. HiDDeN's weights cannot "
+        "be had; a classic blind DCT mark stands in",
+        mark=DctSpreadSpectrum(),
+    ),
+    "rivagan": FittedPictures(
+        "RivaGAN in renders, fitted",
+        "the class HiDDeN+3DGS with a trained network: RivaGAN of invisible-watermark",
+        keyed=False,
+        mark=RivaGan(),
+    ),
+}
+"""By short name; the first two mark models at once, the others need half a minute and more."""
+
+
+def find_method(name: str) -> Method:
+    """The method of that short name."""
+    if name not in METHODS:
+        raise InputError(f"no method is called {name!r}; there are {', '.join(METHODS)}")
+    return METHODS[name]

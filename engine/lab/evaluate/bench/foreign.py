@@ -1,0 +1,64 @@
+"""Pictures that do not carry the mark, held against its record: does any claim, is any taken for the asset?
+
+Of `pictures` in all a quarter each show the asset itself unmarked, which is to be recognised and not claimed; the next
+scene, marked under another key; lumps that nobody captured; and photographs in which nothing was rendered.
+"""
+
+from collections.abc import Iterator
+from itertools import islice
+
+import cv2
+import numpy as np
+from skimage import data
+
+from engine.flows.embed.profiles import profile as named_profile
+from engine.flows.verify.verification import VerifyConfig, verify_images
+from engine.lab.evaluate.bench.attacks import claim_row
+from engine.lab.evaluate.bench.posting import SIZES, posted_pictures
+from engine.lab.evaluate.marked_scene import mark_scene
+from engine.lab.evaluate.strangers import PHOTOS, make_stranger
+from engine.lab.evaluate.study import Row
+from engine.lab.sim.attacks import image_attack
+from engine.model import Float32, GaussianModel
+
+PICTURES_OF_A_LUMP = 5
+
+
+def measure_foreign(scene: str, seed: int, profile: str, pictures: int, other: str | None) -> list[Row]:
+    """A row a picture; without another scene a third each of the rest."""
+    marked = mark_scene(scene, named_profile(profile), seed=seed)
+    rng = np.random.default_rng((seed, 0xF0))
+    shown = {"unmarked": posted_pictures(marked.original, pictures, rng)}
+    if other is not None:
+        config = named_profile(profile, landmark_views=0)
+        shown["another scene"] = posted_pictures(mark_scene(other, config, seed=seed + 1).marked, pictures, rng)
+    shown |= {"a lump": _lumps(seed, rng), "a photograph": _photographs(rng)}
+    each = -(-pictures // len(shown))
+    rows: list[Row] = []
+    for source, supply in shown.items():
+        for number, picture in enumerate(islice(supply, each)):
+            result = verify_images([picture], marked.opened, VerifyConfig())
+            told = {"source": source, "number": number, "recognised": result.claim.derivation.derived}
+            rows.append({"scene": marked.name, **told, **claim_row(source, result)})
+    return rows
+
+
+def _lumps(seed: int, rng: np.random.Generator) -> Iterator[Float32]:
+    number = 0
+    while True:
+        lump: GaussianModel = make_stranger(2_000_000 + 1_000 * seed + number)
+        yield from posted_pictures(lump, PICTURES_OF_A_LUMP, rng)
+        number += 1
+
+
+def _photographs(rng: np.random.Generator) -> Iterator[Float32]:
+    """Parts of the photographs that scikit-image ships, at the sizes and roll of other pictures, JPEG 80."""
+    while True:
+        photo = np.atleast_3d(getattr(data, PHOTOS[int(rng.integers(len(PHOTOS)))])())
+        photo = np.broadcast_to(photo, (*photo.shape[:2], 3)).astype(np.float32) / 255.0
+        width, height = SIZES[int(rng.integers(len(SIZES)))]
+        scale = max(width / photo.shape[1], height / photo.shape[0]) * rng.uniform(1.0, 2.0)
+        around = cv2.getRotationMatrix2D((photo.shape[1] / 2, photo.shape[0] / 2), rng.uniform(-180.0, 180.0), scale)
+        around[:, 2] += np.array([width - photo.shape[1], height - photo.shape[0]]) / 2
+        turned = cv2.warpAffine(photo, around, (width, height), borderMode=cv2.BORDER_REFLECT_101)
+        yield image_attack("jpeg").apply(np.asarray(turned, dtype=np.float32), 80)

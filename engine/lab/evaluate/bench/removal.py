@@ -1,0 +1,101 @@
+"""Removal: what who has read this code, and has no key, pays in decibels to take the mark out of a model.
+
+He knows how cells are made, what both layers move and by how much; not the signs, nor which cells a copy's key joins.
+
+- *Washing*: public cells of the stolen model; what a plane through the neighbours does not explain of each one's colour
+  is taken off (all of it, or a multiple of the mark's size with a soft limit, which cleans best for its price).
+- *Smoothing*: every colour becomes the mean of its neighbours'.
+- *Shaking*: every centre moved by a multiple of its own size, sizes by half as much at most, the order drawn anew.
+- Shaking and smoothing together.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from engine.compress.hvq import HvqConfig, group_means, quantize
+from engine.flows.embed.profiles import profile as named_profile
+from engine.flows.embed.strength_search import add_dc
+from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
+from engine.flows.views.camera_rig import make_rig, measure_extent
+from engine.lab.evaluate.bench.attacks import claim_row, to_8_bit
+from engine.lab.evaluate.marked_scene import mark_scene
+from engine.lab.evaluate.study import Row
+from engine.model import Float64, GaussianModel
+from engine.numerics.image_metrics import psnr
+from engine.raster import render
+from engine.watermark.grain import ATTRIBUTES, Grain, roughen
+from engine.watermark.unpredictability import guess
+
+WASHES = (2.0, 4.0, 5.5, 8.0, np.inf)
+"""Multiples of the mark's usual size that are taken off at most; without limit, all that is not explained."""
+SOFT = 0.5
+"""Of the mark's size: from there on what is not explained counts as mark."""
+SMOOTH = (8, 32)
+"""Neighbours of which a colour becomes the mean."""
+SHAKES = (0.3, 1.0, 2.0, 4.0)
+"""Standard deviation of a centre's move, in the Gaussian's own size along each axis."""
+PICTURES = 3
+SIDE = 640
+
+
+def wash(model: GaussianModel, times: float, size: float) -> GaussianModel:
+    """Colours without what the neighbouring cells do not explain, of which at most `times` the mark's `size` goes."""
+    weights = np.exp(model.log_scales.astype(np.float64).sum(axis=1) * (2.0 / 3.0))  # about the area it covers
+    stage = quantize(model, weights, measure_extent(model).radius, HvqConfig())[0]
+    centers = group_means(model.means, stage.labels, weights).astype(np.float64)
+    colors = stage.codebook[:, :3].astype(np.float64)
+    missed = colors - guess(centers, colors)[0]
+    taken = missed if np.isinf(times) else times * size * np.tanh(missed / (SOFT * size))
+    return model.with_(sh=add_dc(model.sh, -taken.astype(np.float32)[stage.labels]))
+
+
+def smooth(model: GaussianModel, neighbours: int) -> GaussianModel:
+    """Every colour the mean of its neighbours', itself among them."""
+    near = cKDTree(model.means).query(model.means, k=min(neighbours, len(model)), workers=2)[1]
+    colors = model.sh[near.reshape(len(model), -1), 0]  # (N, neighbours, 3)
+    return model.with_(sh=add_dc(model.sh, colors.mean(axis=1) - model.sh[:, 0]))
+
+
+def rattle(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
+    """Centres and sizes moved at random, `sigma` in each Gaussian's own size."""
+    moves: Float64 = rng.standard_normal((len(model), ATTRIBUTES)) * ([sigma] * 3 + [min(sigma, 1.0) / 2] * 3)
+    return roughen(model, Grain(1.0, 1.0), moves.astype(np.float32))
+
+
+def shake(model: GaussianModel, sigma: float, rng: np.random.Generator) -> GaussianModel:
+    """Centres and sizes moved at random, and the order drawn anew."""
+    return rattle(model, sigma, rng).take(rng.permutation(len(model)))
+
+
+def _ways(model: GaussianModel, size: float, seed: int) -> Iterator[tuple[str, GaussianModel]]:
+    yield "none", model
+    for times in WASHES:
+        yield f"washed, {times:g} of the mark", wash(model, times, size)
+    for count in SMOOTH:
+        yield f"smoothed over {count}", smooth(model, count)
+    for sigma in SHAKES:
+        shaken = shake(model, sigma, np.random.default_rng(seed))
+        yield f"shaken by {sigma:g}", shaken
+        yield f"shaken by {sigma:g}, smoothed over {SMOOTH[0]}", smooth(shaken, SMOOTH[0])
+
+
+def measure_removal(scene: str, seed: int, profile: str) -> list[Row]:
+    """Each way at each strength: decibels against the original, z of the model and of three pictures of it."""
+    marked = mark_scene(scene, named_profile(profile, landmark_views=0), seed=seed)
+    model, layout = marked.marked, marked.opened.layout
+    size = float(np.sqrt(np.square(layout.displace(layout.amplitudes)).mean()))
+    jitter = np.random.default_rng(seed).random((2 * PICTURES, 4))
+    cameras = make_rig(marked.original, 2 * PICTURES, SIDE, SIDE, jitter=jitter)
+    shown, judged = cameras[::2], cameras[1::2]
+    truth = [render(marked.original, camera) for camera in judged]
+    rows = []
+    for name, suspect in _ways(model, size, seed):
+        found = verify_model(suspect, marked.opened, VerifyConfig())
+        pictures = [to_8_bit(render(suspect, camera)) for camera in shown]
+        seen = verify_images(pictures, marked.opened, cameras=shown).claim
+        paid = min(psnr(a, render(suspect, camera)) for a, camera in zip(truth, judged, strict=True))
+        row = {"scene": marked.name, "psnr_db": paid, **claim_row(name, found), "layers": found.claim.layers}
+        rows.append(row | {"route": found.claim.route, "z_pictures": seen.z, "pictures": seen.verdict.value})
+    return rows

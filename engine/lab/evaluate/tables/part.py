@@ -1,0 +1,138 @@
+"""A table or figure of the study: the settings and cells it needs, what the paper prints in it, what its rows say."""
+
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from engine.lab.evaluate.study import Bar, Cell, Options, Row, Section, Table
+from engine.lab.evaluate.summary import Column, grouped, mean_text, picked, table
+
+PROFILE = "fast"
+"""Profile that a setting starts from: the cheapest one, so nothing shown here needs more."""
+MEASURING = "engine.lab.evaluate.tables.measuring"
+"""Module of the cells' functions, where no bench has the same."""
+KINDS = ("marked", "refused", "view", "picture")
+"""Of the rows of a setting's cell."""
+CONDITIONS = ("none", "JPEG 10", "noise 0.1")
+"""What the pictures of a sweep went through."""
+PUBLISHED = (
+    "Published numbers are the paper's own table: other scenes, other hardware, and image decoders that are "
+    "blind; it describes no path from a picture to its own, informed decoder."
+)
+FIDELITY: tuple[Column, ...] = (
+    ("PSNR, dB", lambda of: mean_text([row["psnr"] for row in of["view"] if row["psnr"] is not None])),
+    ("SSIM", lambda of: mean_text([row["ssim"] for row in of["view"]], 4)),
+    ("1 - MS-SSIM", lambda of: mean_text([row["distance"] for row in of["view"]], 5)),
+)
+"""Columns on the views of `rows_of_setting`; no PSNR where pictures are equal."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of the suites that the tables are made of; parts may share cells, and each is given the rows of all."""
+
+    name: str
+    title: str
+    question: str
+    cells: Callable[[Options], list[Cell]]
+    section: Callable[[list[Row], Options], Section]
+    bars: Callable[[list[Row], Options], list[Bar]] = lambda rows, options: []
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A row of an ablation, a point of a curve, as plain values; its name, unique among all tables, names cells."""
+
+    name: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    """Fields of `EmbedConfig` that differ from the profile's, nested as its stages are."""
+    without: str = ""
+    """A step to take out that has no knob (see `engine.lab.evaluate.tables.without`)."""
+    bits: int = 32
+    unmarked: bool = False
+    """Look at the unmarked original in place of the marked model."""
+    profile: str = PROFILE
+
+
+DEFAULT = Setting("default")
+"""The profile as it is, 32 bits."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Owner keys that every scene is marked under (pose keys, chips and messages follow); pictures of a marked model,
+    from views that are not the key views; and their side, 176 pixels at least."""
+
+    keys: int
+    views: int
+    size: int
+
+
+def efforts(options: Options) -> tuple[Effort, Effort]:
+    """Of this run's single settings, and of its sweeps, where one knob is turned after the other."""
+    return (Effort(1, 1, 256), Effort(1, 1, 192)) if options.quick else (Effort(3, 4, 800), Effort(2, 3, 480))
+
+
+def changes_of(options: Options) -> dict[str, Any]:
+    """What differs from the profile in every embedding of this run; cameras are given, so there are no landmarks."""
+    return {"landmark_views": 0, **({"views": 2, "view_size": 256} if options.quick else {})}
+
+
+def scenes_of(options: Options) -> Iterator[tuple[str, str]]:
+    """A short name for cells, and the path, of each scene."""
+    for number, path in enumerate(options.scenes):
+        safe = "".join(c if c.isalnum() else "_" for c in Path(path).name.split(".")[0])
+        yield f"{safe}{number}", path
+
+
+def setting_cells(options: Options, settings: Iterable[Setting], *, sweep: bool = True) -> list[Cell]:
+    """One cell for each setting, scene and key.
+
+    In a sweep, pictures are fewer and smaller, and each is read after every attack of `measuring.ATTACKS`.
+    """
+    effort = efforts(options)[sweep]
+    shared = {"views": effort.views, "size": effort.size, "changes": changes_of(options), "attacked": sweep}
+    return [
+        Cell(
+            f"set-{setting.name}-{short}-k{seed}",
+            f"{MEASURING}:measure_setting",
+            {"scene": path, "setting": asdict(setting), "seed": seed, **shared},
+        )
+        for setting in {setting.name: setting for setting in settings}.values()
+        for short, path in scenes_of(options)
+        for seed in range(options.seed, options.seed + effort.keys)
+    ]
+
+
+def rows_of_setting(rows: Iterable[Row], name: str) -> dict[str, list[Row]]:
+    """A setting's rows by kind (see `measuring.measure_setting`); lists are empty where there is none."""
+    found = grouped(picked(rows, setting=name), "kind")
+    return {kind: found.get(kind, []) for kind in KINDS}
+
+
+@cache
+def _paper() -> dict[str, Any]:
+    return tomllib.loads(files(__package__).joinpath("paper.toml").read_text())
+
+
+def printed(name: str) -> list[dict[str, Any]]:
+    """Rows of one of the paper's tables, each a dict by column; what it does not print is None."""
+    found = _paper()[name]
+    return [
+        {name: None if value == "-" else value for name, value in zip(found["columns"], row, strict=True)}
+        for row in found["rows"]
+    ]
+
+
+def printed_table(name: str, *columns: Column, title: str = "As the paper prints it") -> Table:
+    """One of the paper's tables, to be shown."""
+    return table(printed(name), *columns, title=title)
+
+
+def system(row: Row) -> str:
+    """What a system of the paper's tables is called here."""
+    return "the paper" if row["system"] == "Mark3DGS" else str(row["system"])

@@ -1,0 +1,75 @@
+"""The attacks by name. Where papers and code differ, both readings stand.
+
+Sources of the readings: the public code of GuardSplat, 3D-GSW, WateRF and GaussianMarker. One thing of theirs
+is left out: 3D-GSW and WateRF cast noisy images back to 8 bit without clipping, so that white wraps to black.
+"""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from engine.errors import InputError
+from engine.lab.sim import image_attacks, model_merging, model_placement, model_population, model_travels, model_values
+from engine.lab.sim.adversaries import (
+    appearance,
+    collusion,
+    denoising,
+    evolution,
+    overwriting,
+    published,
+    purification,
+    transplant,
+)
+from engine.lab.sim.attack import Attack
+from engine.lab.sim.views import encoders, lenses, overlays, tones
+from engine.model import Float32, GaussianModel
+
+__all__ = ["IMAGE_ATTACKS", "MODEL_ATTACKS", "find_attack", "image_attack", "model_attack"]
+
+A = TypeVar("A")
+
+MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {
+    **model_placement.ATTACKS,
+    **model_population.ATTACKS,
+    **model_merging.ATTACKS,
+    **model_values.ATTACKS,
+    **model_travels.ATTACKS,
+    **published.ATTACKS,
+    **appearance.ATTACKS,
+    **purification.ATTACKS,
+    **evolution.ATTACKS,
+    **overwriting.ATTACKS,
+    **collusion.ATTACKS,  # needs `others`
+    **transplant.ATTACKS,  # needs `source`
+}
+"""Attacks on models, by name."""
+
+IMAGE_ATTACKS: dict[str, Attack[Float32]] = {
+    **image_attacks.ATTACKS,
+    **lenses.ATTACKS,
+    **tones.ATTACKS,
+    **overlays.ATTACKS,
+    **encoders.ATTACKS,
+    **denoising.ATTACKS,
+}
+"""Attacks on images, by name."""
+
+
+def model_attack(name: str) -> Attack[GaussianModel]:
+    """The attack on models of that name; InputError with the known names when there is none."""
+    return _named(name, MODEL_ATTACKS)
+
+
+def image_attack(name: str) -> Attack[Float32]:
+    """The attack on images of that name; InputError with the known names when there is none."""
+    return _named(name, IMAGE_ATTACKS)
+
+
+def find_attack(name: str) -> Attack[Any]:
+    """The attack of that name, of either kind; InputError with the known names when there is none."""
+    return _named(name, {**MODEL_ATTACKS, **IMAGE_ATTACKS})
+
+
+def _named(name: str, known: Mapping[str, A]) -> A:
+    if name not in known:
+        raise InputError(f"no attack is called {name!r}; there are {', '.join(known)}")
+    return known[name]

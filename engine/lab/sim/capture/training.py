@@ -1,0 +1,201 @@
+"""Training Gaussians on photos with the CPU rasterizer (Kerbl et al. 2023): Adam on L1 and D-SSIM, densification.
+
+A step: 1. a photo in random order, 2. render, 3. loss and its gradient, 4. gradients of all parameters, 5. Adam,
+6. now and then: densify and prune, bring opacities down, one more SH degree.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.lab.sim.capture.densification import RESET_OPACITY, CenterGradients, DensifyConfig, densify
+from engine.lab.sim.capture.parameters import Parameters
+from engine.lab.sim.capture.photo_loss import photo_loss
+from engine.model import Camera, Float32, GaussianModel
+from engine.raster import Gradients, View, backward, draw, prepare_view, sh_colors, sh_colors_backward
+
+__all__ = ["TrainConfig", "Trainer", "cameras_extent", "train"]
+
+
+MARGIN = 1.1  # extent of the cameras over the largest distance from their middle (INRIA)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Knobs of a training; rates are Adam steps, and the defaults INRIA's at 30,000 steps."""
+
+    steps: int = 30_000  # one photo each
+    # every parameter, or SH alone with the geometry frozen (then nothing is densified)
+    trained: Literal["all", "colors"] = "all"
+    position_rate: float = 1.6e-4  # of the centres at the first step, part of the extent of the cameras
+    position_rate_end: float = 1.6e-6  # at the last step; exponential between
+    scale_rate: float = 0.005  # of log-scales
+    rotation_rate: float = 0.001  # of quaternions
+    opacity_rate: float = 0.05  # of opacity logits
+    color_rate: float = 0.0025  # of DC; higher SH bands move at a twentieth of it
+    ssim_weight: float = 0.2  # of D-SSIM in the loss, 0 to 1; the rest is L1
+    # degree reached in the end, 0 to 3; one more every `sh_every`. None: the model's own, from the start
+    sh_degree: int | None = 3
+    sh_every: float = 1_000 / 30_000  # part of the training after which the next SH degree joins: 1,000 steps of 30,000
+    # colour behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
+    background: float | tuple[float, float, float] | Literal["random"] = 0.0
+    densify: DensifyConfig | None = field(default_factory=DensifyConfig)  # None: the number of Gaussians stays
+    seed: int = 0  # of the photos' order, random backgrounds and places of split Gaussians
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise InputError(f"steps is {self.steps}, expected at least 1")
+        if self.trained not in ("all", "colors"):
+            raise InputError(f"trained must be 'all' or 'colors', got {self.trained!r}")
+        if self.sh_degree is not None and self.sh_degree not in (0, 1, 2, 3):
+            raise InputError(f"sh_degree is {self.sh_degree}, expected 0 to 3")
+        shape = self.position_rate, self.position_rate_end, self.scale_rate, self.rotation_rate
+        rates = (*shape, self.opacity_rate, self.color_rate, self.sh_every)
+        if not all(np.isfinite(rate) and rate > 0.0 for rate in rates):
+            raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)}")
+        if isinstance(self.background, str) and self.background != "random":
+            raise InputError(f"background must be a colour or 'random', got {self.background!r}")
+
+
+def cameras_extent(cameras: Sequence[Camera]) -> float:
+    """1.1 times the largest distance of a camera from the middle of all, scene units: INRIA's scale of a scene.
+
+    Cameras at one place have none, and then it is the unit of the scene.
+    """
+    positions = np.stack([camera.position for camera in cameras])  # (V, 3)
+    largest = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+    return MARGIN * largest if largest > 0.0 else 1.0
+
+
+class Trainer:
+    """A training in progress: can be stepped, looked at, and (being plain arrays) pickled and gone on with.
+
+    It starts from a model, which is left as it is; `images` (H, W, 3) are what the cameras should see, 0 to 1.
+    """
+
+    def __init__(
+        self,
+        model: GaussianModel,
+        cameras: Sequence[Camera],
+        images: Sequence[Float32],
+        config: TrainConfig | None = None,
+    ) -> None:
+        if len(cameras) != len(images) or not cameras:
+            raise InputError(f"{len(cameras)} cameras for {len(images)} pictures")
+        if len(model) == 0:
+            raise InputError("the model to train is empty")
+        for k, (camera, image) in enumerate(zip(cameras, images, strict=True)):
+            if image.shape != (camera.height, camera.width, 3):
+                raise InputError(f"picture {k} has shape {image.shape}, its camera {(camera.height, camera.width, 3)}")
+        self.config = config or TrainConfig()
+        self.cameras = list(cameras)
+        self.images = [np.ascontiguousarray(image, dtype=np.float32) for image in images]
+        self.extent = cameras_extent(cameras)
+        self.parameters = Parameters(model)
+        self.done = 0
+        self._rng = np.random.default_rng(self.config.seed)
+        self._queue: list[int] = []
+        self._pull = CenterGradients(len(model))
+        self._gradients = Gradients.empty(model)
+        self._frozen: dict[int, View] = {}
+
+    def step(self) -> float:
+        """One step; returns the loss of the photo it saw."""
+        config = self.config
+        if not self._queue:
+            self._queue = [int(k) for k in self._rng.permutation(len(self.cameras))]
+        k = self._queue.pop()
+        behind = self._rng.uniform(size=3) if config.background == "random" else config.background
+        self.done += 1
+        if config.trained == "colors":
+            return self._step_colors(k, behind)
+        return self._step_all(k, behind)
+
+    def _step_all(self, k: int, behind: object) -> float:
+        rendering = draw(self.parameters.model, self.cameras[k], np.asarray(behind, dtype=np.float32))
+        loss, cotangent = photo_loss(rendering.image, self.images[k], self.config.ssim_weight)
+        gradients = backward(rendering, cotangent, out=self._gradients)
+        if self._densifying:
+            camera = self.cameras[k]
+            self._pull.add(gradients.centers, rendering.view.visible, camera.width, camera.height)
+        self.parameters.step(gradients, self._rates(), self.done)
+        self._control()
+        return loss
+
+    def _step_colors(self, k: int, behind: object) -> float:
+        """The geometry stands still: one prepared view for each camera."""
+        if k not in self._frozen:
+            self._frozen[k] = prepare_view(self.parameters.model, self.cameras[k])
+        arrays, position = self.parameters.arrays, self.cameras[k].position
+        colors = sh_colors(arrays["sh"], arrays["means"], position)
+        image, _ = self._frozen[k].render(colors, np.asarray(behind, dtype=np.float32))
+        loss, cotangent = photo_loss(image, self.images[k], self.config.ssim_weight)
+        toward = self._frozen[k].backward_colors(cotangent)
+        sh_colors_backward(toward, arrays["sh"], arrays["means"], position, colors=colors, out=self._gradients.sh)
+        self.parameters.step(self._gradients, {"sh": self.config.color_rate}, self.done)
+        self._grow_degree()
+        return loss
+
+    def _rates(self) -> dict[str, float]:
+        c = self.config
+        part = (self.done - 1) / max(c.steps - 1, 1)
+        position = c.position_rate * (c.position_rate_end / c.position_rate) ** min(part, 1.0)
+        return {
+            "means": position * self.extent,
+            "log_scales": c.scale_rate,
+            "quats": c.rotation_rate,
+            "opacity_logits": c.opacity_rate,
+            "sh": c.color_rate,
+        }
+
+    @property
+    def _densifying(self) -> bool:
+        density = self.config.densify
+        return density is not None and self.done <= density.last * self.config.steps
+
+    def _control(self) -> None:
+        """Density, opacity and SH degree, where their step has come."""
+        density = self.config.densify
+        if density is not None and self._densifying:
+            reset = max(1, round(density.reset * self.config.steps))
+            if self.done > density.first * self.config.steps and self.done % density.every == 0:
+                large = self.done > reset
+                densify(self.parameters, self._pull.mean, self.extent, density, self._rng, prune_large=large)
+                self._pull = CenterGradients(len(self.parameters))
+                self._gradients = Gradients.empty(self.parameters.model)
+            if self.done % reset == 0 and self.done < density.last * self.config.steps:
+                self.parameters.cap_opacity(RESET_OPACITY)
+        self._grow_degree()
+
+    def _grow_degree(self) -> None:
+        wanted, model = self.config.sh_degree, self.parameters.model
+        every = max(1, round(self.config.sh_every * self.config.steps))
+        if wanted is not None and model.sh_degree < wanted and self.done % every == 0:
+            self.parameters.raise_degree((model.sh_degree + 2) ** 2)
+            self._gradients = Gradients.empty(self.parameters.model)
+
+    def run(self, advance: Callable[[float], None] | None = None, until: int | None = None) -> GaussianModel:
+        """Step to the end (or to step `until`), telling `advance` the part done; returns the model as it is then."""
+        last = self.config.steps if until is None else min(until, self.config.steps)
+        while self.done < last:
+            self.step()
+            if advance:
+                advance(self.done / self.config.steps)
+        return self.parameters.finished()
+
+
+def train(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    images: Sequence[Float32],
+    config: TrainConfig | None = None,
+    advance: Callable[[float], None] | None = None,
+) -> GaussianModel:
+    """Train a model, as from `kernels_from_points`, on photos: a whole `Trainer` run.
+
+    The same input and seed give the same bytes.
+    """
+    return Trainer(model, cameras, images, config).run(advance)

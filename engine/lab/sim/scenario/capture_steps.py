@@ -1,0 +1,126 @@
+"""Steps of devices that look at a model or keep it: a LiDAR scans it, a viewer shows less of it, in half precision."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.flows.views.camera_rig import UP, Extent, direction, measure_extent
+from engine.lab.points.trajectory import Trajectory
+from engine.lab.sim.capture.from_points import scans_to_model
+from engine.lab.sim.capture.half_precision import half_precision
+from engine.lab.sim.capture.lidar import Lidar, scan_model
+from engine.lab.sim.capture.lod import level_of_quality, levels_of_detail
+from engine.lab.sim.capture.posing import odometry
+from engine.lab.sim.cost import model_cost
+from engine.lab.sim.scenario.tables import Table, given
+from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
+from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
+from engine.model import Float64
+from engine.numerics.similarity import rotation_to_quaternion, transform_model
+
+__all__ = ["KINDS", "scanning_path"]
+
+KINDS: dict[str, StepKind] = {}
+
+AROUND, INSIDE = 2.0, 0.3
+"""Radii from the middle at which the scanner goes round an object, or within a room."""
+LOWEST, HIGHEST = -5.0, 35.0
+"""Elevations between which it goes up and down on its way, degrees."""
+FARTHEST = 10.0
+"""Range of the scanner, radii."""
+
+
+def scanning_path(extent: Extent, stops: int) -> Trajectory:
+    """The way of a scanner, level, its x axis towards the middle: around an object, or within a room."""
+    positions, turns = [], []
+    for k in range(stops):
+        elevation = LOWEST + (HIGHEST - LOWEST) * 0.5 * (1.0 - np.cos(2.0 * np.pi * k / stops))
+        toward = direction(2.0 * np.pi * k / stops, np.radians(0.0 if extent.is_room else elevation))
+        positions.append(extent.center + (INSIDE if extent.is_room else AROUND) * extent.radius * toward)
+        forward = -toward + (toward @ UP) * UP
+        forward /= np.linalg.norm(forward)
+        turns.append(np.stack([forward, np.cross(UP, forward), UP], axis=1))  # x forward, y left, z up
+    times: Float64 = np.arange(stops, dtype=np.float64)
+    return Trajectory(np.array(positions), rotation_to_quaternion(np.array(turns)), times)
+
+
+@step(KINDS, "scan", "a LiDAR goes round; its points become the model: stops, rings, columns, noise, odometry, on")
+@dataclass(frozen=True)
+class Scan:
+    """What a scanner sees in place of the model. `noise` of a range in radii; with `odometry` its path is not known,
+    but found from the scans (extra `capture`)."""
+
+    stops: int = given(Table.integer, 12, 2, 1000)
+    rings: int = given(Table.integer, 256, 2, 1024)
+    columns: int = given(Table.integer, 1800, 8, 8192)
+    noise: float = given(Table.number, 0.0, 0.0, 1.0)
+    odometry: bool = given(Table.flag, False)
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        extent = measure_extent(model)
+        path = scanning_path(extent, self.stops)
+        lidar = Lidar(
+            rings=self.rings,
+            columns=self.columns,
+            lowest=-55.0,
+            highest=40.0,
+            nearest=0.01 * extent.radius,
+            farthest=FARTHEST * extent.radius,
+            noise=self.noise * extent.radius,
+        )
+        scans = scan_model(model, path, lidar, seed=int(rng.integers(2**31)))
+        advance(0.5)
+        notes = []
+        if self.odometry:
+            found = _anchored(odometry(scans), path)
+            off = np.linalg.norm(found.positions - path.positions, axis=1) / extent.radius
+            notes.append(f"odometry: path off by {100.0 * float(np.sqrt((off**2).mean())):.1f} % of the radius (RMS)")
+            path = found
+        made = scans_to_model(scans, path)
+        seen = transform_model(made.model, 1.0, np.eye(3), made.origin)
+        notes.append(f"{made.report['points']} points in {len(scans)} scans, {len(seen)} Gaussians of them")
+        cost = model_cost(model, seen, views=COST_VIEWS, size=COST_SIZE)
+        return Outcome(world.put(name, seen), notes=tuple(notes), cost=cost)
+
+
+def _anchored(found: Trajectory, path: Trajectory) -> Trajectory:
+    """A path in the frame of its first pose, with that pose where the true one is: odometry knows no more."""
+    matrices = path.matrices[0] @ np.linalg.inv(found.matrices[0]) @ found.matrices
+    return Trajectory(matrices[:, :3, 3], rotation_to_quaternion(matrices[:, :3, :3]), path.times)
+
+
+@step(KINDS, "level", "a level of detail by what each Gaussian contributes: share, or psnr in dB; merge, on")
+@dataclass(frozen=True)
+class Level:
+    """Fewer Gaussians: a share of them, or the fewest that keep the worst view at `psnr`."""
+
+    share: float = given(Table.number, 0.25, 1e-6, 1.0)
+    psnr: float = given(Table.number, 0.0, 0.0, 100.0)  # dB; 0: by share
+    merge: bool = given(Table.flag, True)  # into the nearest that stays, or dropped
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        if self.psnr:
+            level = level_of_quality(model, self.psnr, merge=self.merge)
+        else:
+            (level,) = levels_of_detail(model, (self.share,), merge=self.merge)
+        note = f"{len(level.model)} of {len(model)} Gaussians, worst view {level.psnr_db:.1f} dB"
+        cost = model_cost(model, level.model, views=COST_VIEWS, size=COST_SIZE)
+        return Outcome(world.put(name, level.model), notes=(note,), cost=cost)
+
+
+@step(KINDS, "float16", "a viewer keeps it in half precision: on")
+@dataclass(frozen=True)
+class Float16:
+    """Every value rounded to float16 and back."""
+
+    on: str = given(Table.text, "")
+
+    def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
+        name, model = world.target(self.on)
+        half = half_precision(model)
+        cost = model_cost(model, half, views=COST_VIEWS, size=COST_SIZE)
+        return Outcome(world.put(name, half), cost=cost)

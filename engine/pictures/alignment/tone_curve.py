@@ -1,0 +1,193 @@
+"""What happened to the colours of a picture: exposure, tint, tone curve, clipping - fitted robustly.
+
+A picture of the reference shows not x but f(x). The mark shows as f'(x) times itself: nothing where the
+picture is clipped, half of it where noise pushes half of the values against the limit.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Bool, Float32, Float64
+from engine.numerics.tables import look_up
+from engine.pictures.landmarks.keypoints import noise_level
+
+__all__ = ["Toned", "fit_tone", "robust_regression"]
+
+_SAMPLES = 60_000
+_LEAST_NOISE = 0.006
+"""Softness of clipping where a picture has no noise: rounding to 8 bits and what a fit leaves."""
+_CLIPPED = 0.985
+_TABLE = 1024
+_BENT = 0.004
+"""Where a tone curve bends a twentieth of the affine colours by more than this, both are fitted together."""
+_BETTER = 0.8
+"""A curve fitted together with the mixture must miss by this share of what the plain one misses by."""
+_BENT_KNOTS, _BENT_ROUNDS = 65, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Toned:
+    """The reference as the picture would show it: its expected values, and the share of a small change of colour that
+    survives clipping, 0..1; (H, W, 3) each."""
+
+    predicted: Float32
+    slope: Float32
+
+
+def robust_regression(design: Float32, target: Float32, rounds: int = 4) -> Float64:
+    """Least squares (K,) of a design (P, K) with Cauchy weights on the residual; zeros when there are fewer than 4 K
+    rows."""
+    k = design.shape[1]
+    if len(design) < 4 * k:
+        return np.zeros(k)
+    weight = np.ones(len(target), dtype=np.float32)
+    solution: Float64 = np.zeros(k)
+    for _ in range(rounds):
+        weighted = design * weight[:, None]
+        normal = (weighted.T @ design).astype(np.float64)
+        # A column without content (an image without edges) gets a zero, not a singular matrix.
+        normal[np.diag_indices(k)] += 1e-6 * np.trace(normal) / k + 1e-12
+        solution = np.asarray(np.linalg.solve(normal, weighted.T @ target), dtype=np.float64)
+        residual = target - design @ solution.astype(np.float32)
+        spread = 1.4826 * float(np.median(np.abs(residual))) + 1e-4
+        weight = 1.0 / (1.0 + np.square(residual / (3.0 * spread)))
+    return solution
+
+
+def fit_tone(reference: Float32, picture: Float32, mask: Bool, knots: int) -> Toned:
+    """Fit, in this order: affine colour change, clipping with the picture's own noise, tone curve a channel of so many
+    knots.
+
+    `reference` and `picture` (H, W, 3), 0..1, in register; `mask` (H, W), pixels to fit on.
+    """
+    where = np.nonzero(mask.ravel())[0]
+    where = where[:: max(1, len(where) // _SAMPLES)]
+    colors, seen = reference.reshape(-1, 3), picture.reshape(-1, 3)[where]  # (H W, 3), (P, 3)
+    design = np.concatenate([colors[where], np.ones((len(where), 1), dtype=np.float32)], axis=1)  # (P, 4)
+    free = (seen < _CLIPPED).all(axis=1) & (seen > 1.0 - _CLIPPED).any(axis=1)
+    predicted, slope = np.empty_like(reference), np.empty_like(reference)
+    for c in range(3):
+        affine = robust_regression(design[free], seen[free, c])
+        if not affine.any():  # hardly a pixel that is not clipped: take the colours as they are
+            affine[c] = 1.0
+        linear = (colors @ affine[:3].astype(np.float32) + np.float32(affine[3])).reshape(mask.shape)
+        noise = max(noise_level(np.where(mask, picture[..., c] - linear, 0.0)), _LEAST_NOISE)
+        low, high = float(linear.min()) - 1e-6, float(linear.max()) + 1e-6
+        grid = np.linspace(low, high, _TABLE)
+        value, keep = _clipped_mean(grid, noise)
+        level = np.interp(linear.ravel()[where], grid, value)
+        curve = _fit_curve(level, seen[:, c], knots)
+        turned = np.abs(curve(level) - level)
+        if free.any() and float(np.quantile(turned, 0.95, method="lower")) > _BENT:
+            # An affine fit alone takes a strong curve for a mixture of the channels, and no curve can undo that.
+            bent = _fit_bent(design[::2], seen[::2, c], c)
+            missed = np.abs(seen[free, c] - curve(level[free]))
+            if bent.error < _BETTER * float(np.median(missed)):
+                shown = bent(colors.reshape(reference.shape))
+                noise = max(noise_level(np.where(mask, picture[..., c] - shown, 0.0)), _LEAST_NOISE)
+                low, high = float(shown.min()) - 1e-6, float(shown.max()) + 1e-6
+                grid = np.linspace(low, high, _TABLE)
+                predicted[..., c] = shown
+                slope[..., c] = look_up(
+                    shown, low, high, _normal_below((1.0 - grid) / noise) - _normal_below(-grid / noise)
+                )
+                continue
+        predicted[..., c] = look_up(linear, low, high, curve(value))
+        slope[..., c] = look_up(linear, low, high, keep)
+    return Toned(predicted, slope)
+
+
+def _clipped_mean(u: Float64, noise: float) -> tuple[Float64, Float64]:
+    """E[clip(u + n, 0, 1)] and its derivative for Gaussian n of standard deviation `noise`."""
+    low, high = -u / noise, (1.0 - u) / noise
+    inside = _normal_below(high) - _normal_below(low)
+    density = (np.exp(-0.5 * high**2) - np.exp(-0.5 * low**2)) / np.sqrt(2.0 * np.pi)
+    return u * inside - noise * density + _normal_below(-high), inside
+
+
+def _normal_below(x: Float64) -> Float64:
+    """Share of the standard normal distribution below each value. SciPy's takes a tenth of a second to import."""
+    return np.array([0.5 * math.erfc(-value / math.sqrt(2.0)) for value in x.tolist()])
+
+
+@dataclass(frozen=True, eq=False)
+class _Bent:
+    """A curve of a mixture of the channels, f(mix . (r, g, b, 1)), dense at the dark end; `error` is its median
+    miss."""
+
+    mix: Float64
+    low: float
+    high: float
+    values: Float64  # where the root of the way from low to high takes even steps
+    error: float
+
+    def __call__(self, colors: Float32) -> Float32:
+        """(H, W) of colours (H, W, 3)."""
+        linear = colors @ self.mix[:3].astype(np.float32) + np.float32(self.mix[3])
+        way = np.sqrt(np.clip((linear - self.low) / (self.high - self.low), 0.0, 1.0))
+        return look_up(way, 0.0, 1.0, self.values)
+
+
+def _fit_bent(rows: Float32, seen: Float32, channel: int) -> _Bent:
+    """Mixture and curve by turns, starting from the channel as it is; rows (P, 4) are colours and a one."""
+    free = (seen < _CLIPPED) & (seen > 1.0 - _CLIPPED)
+    best: _Bent | None = None
+    mix: Float64 = np.eye(4)[channel]
+    for _ in range(_BENT_ROUNDS):
+        x = rows @ mix
+        low, high = float(x.min(initial=0.0)) - 1e-6, float(x.max(initial=1.0)) + 1e-6
+        # Knots lie dense at the dark end, where gammas are steep.
+        curve = _fit_curve(np.sqrt((x - low) / (high - low)), seen, _BENT_KNOTS, far=True)
+        grid = low + (high - low) * np.linspace(0.0, 1.0, _TABLE) ** 2
+        values = curve(np.linspace(0.0, 1.0, _TABLE))
+        left = seen - np.interp(x, grid, values)
+        error = float(np.median(np.abs(left[free]))) if free.any() else np.inf
+        if best is None or error < best.error:
+            best = _Bent(mix, low, high, values, error)
+        steep = np.interp(x, grid, np.gradient(values, grid))
+        columns = (steep[:, None] * rows).astype(np.float32)
+        mix = mix + robust_regression(columns[free], left[free].astype(np.float32))
+    assert best is not None
+    return best
+
+
+class _Curve:
+    """Piecewise linear function on [0, 1]."""
+
+    def __init__(self, heights: Float64) -> None:
+        self.heights = heights
+
+    def __call__(self, x: npt.NDArray[np.float64]) -> Float64:
+        return np.interp(x, np.linspace(0.0, 1.0, len(self.heights)), self.heights)
+
+
+def _fit_curve(x: Float64, y: Float32, knots: int, *, far: bool = False) -> _Curve:
+    """Tone curve y = f(x) as a correction of the identity that is smooth and zero where nothing is known.
+
+    With `far` the curve may lie far from the identity, and the first round takes no sample for an outlier.
+    """
+    ridge, rounds = (1e-7, 4) if far else (1e-4, 2)
+    x = np.clip(x, 0.0, 1.0)
+    cell = np.minimum((x * (knots - 1)).astype(np.int64), knots - 2)
+    t = x * (knots - 1) - cell
+    correction = np.zeros(knots)
+    bend = np.diff(np.eye(knots), 2, axis=0)
+    normal = 1e-3 * len(x) / knots * (bend.T @ bend) + (ridge * len(x) + 1e-9) * np.eye(knots)
+    diagonal = np.bincount(cell, (1 - t) ** 2, knots) + np.bincount(cell + 1, t * t, knots)
+    between = np.bincount(cell, t * (1 - t), knots)[:-1]
+    normal += np.diag(diagonal) + np.diag(between, 1) + np.diag(between, -1)
+    for number in range(rounds):
+        fitted = correction[cell] * (1 - t) + correction[cell + 1] * t
+        residual = y - x - fitted
+        # A mean, with outliers pulled in: a median would be biased where noise meets the limit.
+        judged = residual[y > 1.0 - _CLIPPED] if far else residual  # black says nothing about the spread elsewhere
+        limit = 4.0 * (1.4826 * float(np.median(np.abs(judged))) + 1e-3) if len(judged) else 1.0
+        if far and number == 0:
+            limit = np.inf
+        pulled = fitted + np.clip(residual, -limit, limit)
+        moment = np.bincount(cell, (1 - t) * pulled, knots) + np.bincount(cell + 1, t * pulled, knots)
+        correction = np.linalg.solve(normal, moment)
+    return _Curve(np.linspace(0.0, 1.0, knots) + correction)

@@ -1,0 +1,275 @@
+"""Refine a camera on brightness: robust Gauss-Newton against fresh renders, coarse to fine (DESIGN 4.8).
+
+The model of the picture is suspect(x) = gain render(x; camera) + offset alpha(x) + (1 - alpha(x)) behind(x), alpha the
+render's opacity, behind what the picture shows where that is clear (`background`). A small motion of the camera moves
+what a pixel shows by a flow that follows from its depth, and so changes its brightness by -gradient . flow:
+one render with depth gives all columns of the linearised problem. The residual is always that of an
+exact render, so where the iteration stops, depth edges and haze have not biased it; they only slow it down.
+
+Gradients are those of the noise-free render, so noise in the picture does not bias the fit either.
+"""
+
+# mypy: allow-untyped-defs
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.thread_crew import thread_count
+from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.numerics.resampling import smooth
+from engine.pictures.alignment.background import MARGIN, fill_background
+from engine.pictures.alignment.brightness_fit import robust_line, robust_scale
+from engine.pictures.alignment.detail import compare_detail, correlation, uncovered
+from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, moved
+from engine.pictures.landmarks.keypoints import luma
+from engine.raster import RasterSettings, render_depth
+
+__all__ = ["LEAST_CORRELATION", "Refined", "refine_level"]
+
+BLUR = 0.8
+"""Blur of both images before the comparison, pixels of the level: ringing of JPEG is finer than edges."""
+WIDEST_BLUR = 3.0
+"""Blur of the first iterations, pixels; it falls to half each time, but not below the last step, so that an edge
+overlaps with itself."""
+TRUSTED = 0.1
+"""Residuals below this are no outliers before the blur is down: a part that does not fit yet is not given up."""
+LEAST_ALPHA = 0.5
+"""Pixels more transparent than this show a background nobody knows."""
+CLIPPED = 0.985
+"""Brighter pixels of the picture say nothing about position."""
+FARTHEST = 2.0
+"""A motion is wrong that turns by so many radians, goes so many depths, or zooms by so many e-foldings at once."""
+FAR_MARGIN = 12
+"""Pixels around the model where the background is not looked for while the camera is still off by many."""
+LEAST_PIXELS = 150
+"""Fewer usable pixels than this cannot carry so many unknowns."""
+LEAST_CORRELATION = 0.75
+"""Correlation of brightness below which a picture shows something else."""
+LEAST_DETAIL = 0.5  # the same of detail
+HOPEFUL_CORRELATION, HOPEFUL_DETAIL = 0.5, 0.25
+"""What a small picture must show of both for a larger one to be looked at; right cameras came to 0.9 and 0.8."""
+LEAST_TELLING = 7.0
+"""Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came to
+5 with a correlation of 0.65, right cameras of pictures of viewers to 19 and more."""
+ACCELERATE_BELOW = 0.5
+"""Steps below this are taken for linear, pixels of the level."""
+MEMORY = 2
+"""Steps that the acceleration remembers."""
+MOST_EXTRAPOLATION = 30.0
+"""The acceleration goes at most this many times as far as the last step."""
+_UNKNOWNS = PARAMETERS + 2
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A camera of the level's size and how well its render explains the picture.
+
+    `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
+    used, -1..1; `clear` the same without what something lies over (`uncovered`), and there `detail`, that of their
+    detail and of what a flat colour of the render's opacity does not explain; `telling`: that in standard deviations of
+    what chance does where so much is seen.
+    `step`: root mean square flow of the last motion, pixels of the level; `shift`: what it would have been with the
+    principal point free. `pixels`: how many were used.
+    """
+
+    camera: Camera
+    rms: float
+    correlation: float
+    clear: float
+    detail: float
+    telling: float
+    step: float
+    shift: float
+    pixels: int
+
+    @property
+    def alike(self) -> bool:
+        """Whether the picture shows what the render does, and not something else."""
+        alike = self.clear > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+        return alike and self.telling > LEAST_TELLING
+
+    @property
+    def hopeful(self) -> bool:
+        """Whether a larger picture may show it: of what is thin or small, too little is left in this."""
+        return self.clear > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
+
+    @property
+    def gain(self) -> float:
+        """How much likelier the render makes the picture than a flat colour does, as a logarithm."""
+        return -0.5 * self.pixels * float(np.log(max(1.0 - max(self.correlation, 0.0) ** 2, 1e-9)))
+
+
+@parallel_kernel
+def _normal_equations(base, cover, residual, gx, gy, depth, weight, focal, cx, cy, spread, room, rows, flows, call):
+    """Adds up each row of pixels in `rows` and `flows`, which hold zeros; `room` is scratch."""
+    height, width = base.shape
+    column, u, v = room[call[0], 0], room[call[0], 1], room[call[0], 2]
+    for k in range(PARAMETERS):
+        u[k], v[k] = np.float64(k == 7), np.float64(k == 8)
+    for j in share_of(height, call):
+        b = (j + 0.5 - cy) / focal
+        for i in range(width):
+            if weight[j, i] <= 0.0:
+                continue
+            a = (i + 0.5 - cx) / focal
+            near = 1.0 / depth[j, i]
+            u[0], u[1], u[2], u[3], u[4], u[5], u[6] = -a * b, 1.0 + a * a, -b, near, 0.0, -a * near, a
+            v[0], v[1], v[2], v[3], v[4], v[5], v[6] = -1.0 - b * b, a * b, a, 0.0, near, -b * near, b
+            for k in range(PARAMETERS):
+                column[k] = -focal * (gx[j, i] * u[k] + gy[j, i] * v[k])
+            column[PARAMETERS] = base[j, i]
+            column[PARAMETERS + 1] = cover[j, i]
+            r = residual[j, i]
+            w = weight[j, i] / (1.0 + (r / spread) ** 2)
+            for k in range(PARAMETERS + 2):
+                for l in range(k, PARAMETERS + 2):
+                    rows[j, k, l] += w * column[k] * column[l]
+                rows[j, k, PARAMETERS + 2] += w * column[k] * r
+            for k in range(PARAMETERS):
+                for l in range(k, PARAMETERS):
+                    flows[j, k, l] += weight[j, i] * focal * focal * (u[k] * u[l] + v[k] * v[l])
+
+
+def refine_level(
+    model: GaussianModel,
+    picture: Float32,
+    camera: Camera,
+    iterations: int,
+    tolerance: float,
+    settings: RasterSettings = RasterSettings(),
+    *,
+    free: int = CENTERED,
+    off: float = np.inf,
+) -> Refined | None:
+    """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
+    the picture.
+
+    `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
+    the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders; so many
+    parameters of the motion are `free`, by default all but the principal point. A camera known to be no more than `off`
+    pixels wrong is spared the wider blurs.
+    """
+    gain, offset, step, blur = 1.0, 0.0, off, 2.0 * min(off, WIDEST_BLUR)
+    memory = Acceleration()
+    for iteration in range(iterations):
+        image, alpha, depth = render_depth(model, camera, settings=settings)
+        blur = min(max(step, 0.5 * blur, BLUR), WIDEST_BLUR)
+        behind = _behind(picture, alpha, step)
+        seen, base = smooth(picture - (1.0 - alpha) * behind, blur), smooth(luma(image), blur)
+        cover = smooth(alpha, blur)
+        weight = _weights(alpha, depth, picture)
+        used = weight > 0
+        if used.sum() < LEAST_PIXELS:
+            return None
+        unit = float(np.median(depth[used]))
+        if iteration == 0:
+            gain, offset = robust_line(base[used], seen[used])
+        toned = np.float32(gain) * base + np.float32(offset) * cover
+        residual = seen - toned
+        spread = robust_scale(residual[used])
+        outlying = 2.5 * spread if blur == BLUR else max(2.5 * spread, TRUSTED)
+        # The background stands still when the camera moves; what covers it moves.
+        gy, gx = np.gradient(toned)
+        by, bx = np.gradient(cover)
+        gy, gx = gy - by * behind, gx - bx * behind
+        rows = np.zeros((camera.height, _UNKNOWNS, _UNKNOWNS + 1))
+        flows = np.zeros((camera.height, PARAMETERS, PARAMETERS))
+        _normal_equations(
+            base,
+            cover,
+            residual,
+            np.ascontiguousarray(gx),
+            np.ascontiguousarray(gy),
+            np.where(used, depth / np.float32(unit), np.float32(1.0)),
+            weight,
+            camera.K[0, 0],
+            camera.K[0, 2],
+            camera.K[1, 2],
+            outlying,
+            np.empty((thread_count(), 3, _UNKNOWNS)),
+            rows,
+            flows,
+        )
+        system = rows.sum(axis=0)
+        motion, brightness = _solve(system, free)
+        flow = _symmetric(flows.sum(axis=0)) / max(float(weight.sum()), 1e-12)
+        step = float(np.sqrt(max(float(motion @ flow @ motion), 0.0)))
+        if not np.isfinite(step) or step > 0.25 * max(camera.width, camera.height):
+            return None
+        move = memory.improve(motion, flow, step) if blur == BLUR else motion
+        if not np.abs(move).max() < FARTHEST:
+            return None  # a picture of something else: motions that hardly show run away
+        camera = moved(camera, move, unit)
+        gain, offset = gain + brightness[0], offset + brightness[1]
+        if step < tolerance and blur == BLUR:
+            break
+    freed = _solve(system, PARAMETERS)[0]
+    shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
+    clear = uncovered(residual, used, spread)
+    alike = correlation(toned[used], seen[used]), correlation(toned[clear], seen[clear])
+    detail = compare_detail(toned, seen, cover, clear, camera)
+    return Refined(camera, spread, *alike, *detail, step, shift, int(used.sum()))
+
+
+class Acceleration:
+    """Anderson's acceleration of a fixed-point iteration (Walker and Ni 2011).
+
+    The columns come from flow and gradients and so carry errors, which shrink the steps along directions that
+    hardly show, such as a longer lens further away: there plain Gauss-Newton goes a tenth of the way each time.
+    What the last steps achieved tells how much further to go.
+    """
+
+    def __init__(self) -> None:
+        self._motions: list[Float64] = []
+        self._moves: list[Float64] = []
+
+    def improve(self, motion: Float64, flow: Float64, step: float) -> Float64:
+        """The move to make in place of a motion (9,), whose squared flow is motion' flow motion = step^2."""
+        if step > ACCELERATE_BELOW:  # not linear yet
+            self._motions, self._moves = [], []
+            return motion
+        move = motion
+        if self._moves:
+            changes = np.diff(np.stack([*self._motions, motion]), axis=0).T  # (9, m)
+            moves = np.stack(self._moves).T  # (9, m)
+            normal = changes.T @ flow @ changes
+            normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
+            normal[np.diag_indices_from(normal)] += 1e-16
+            mix = np.linalg.solve(normal, changes.T @ flow @ motion)
+            if np.abs(mix).max() < MOST_EXTRAPOLATION:
+                move = motion - (moves + changes) @ mix
+        self._motions, self._moves = [*self._motions, motion][-MEMORY:], [*self._moves, move][-MEMORY:]
+        return move
+
+
+def _behind(picture: Float32, alpha: Float32, step: float) -> Float32:
+    """(H, W) what lies behind the model; nothing where it cannot be seen."""
+    margin = int(np.clip(2.0 * step, MARGIN, FAR_MARGIN)) if np.isfinite(step) else FAR_MARGIN
+    filled = fill_background(picture, alpha, margin)
+    return np.zeros_like(picture) if filled is None else filled
+
+
+def _weights(alpha: Float32, depth: Float32, seen: Float32) -> Float32:
+    """(H, W) how far a pixel shows the model and nothing else."""
+    usable = (alpha > LEAST_ALPHA) & (depth > 0) & (seen < CLIPPED)
+    return np.asarray(usable * np.square(np.square(alpha)), dtype=np.float32)
+
+
+def _symmetric(upper: Float64) -> Float64:
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def _solve(system: Float64, free: int) -> tuple[Float64, Float64]:
+    """Motion (9,), zero beyond so many parameters, and change of gain and offset (2,) from the summed upper triangle
+    and right side."""
+    asked = np.r_[:free, PARAMETERS:_UNKNOWNS]
+    normal = _symmetric(system[:, :_UNKNOWNS])[np.ix_(asked, asked)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
+    # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
+    # cannot tell where it was.
+    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(len(asked))
+    solution = np.zeros(_UNKNOWNS)
+    solution[asked] = scale * np.linalg.solve(damped, scale * system[asked, _UNKNOWNS])
+    return solution[:PARAMETERS], solution[PARAMETERS:]

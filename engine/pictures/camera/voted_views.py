@@ -1,0 +1,83 @@
+"""Views of a model that a picture's keypoints vote for, where too few stand out to make a camera (DESIGN 4.8).
+
+Each keypoint speaks for the landmarks that look most like it, by how much more they do than the next; votes for one
+view count as far as they lie as they lay there. A dozen right ones among a thousand are enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.model import Camera, Float32, Float64, Int64
+from engine.pictures.camera.camera_motion import project, swung
+from engine.pictures.camera.view_agreement import TOLERANCE, agreement_of_views
+from engine.pictures.landmarks.keypoints import Keypoints
+from engine.pictures.landmarks.landmark_set import Landmarks
+
+__all__ = ["VotedView", "vote_for_views"]
+
+NEAREST = 8
+"""Landmarks that a keypoint speaks for; the next one is the yardstick."""
+AROUND = 1.5
+"""Votes count as agreeing so many times as far as those that were counted: what they agree on is a rough map."""
+
+
+@dataclass(frozen=True, eq=False)
+class VotedView:
+    """A view that may show what a picture shows."""
+
+    loudness: float  # of the votes that agree
+    camera: Camera  # of the picture, standing where the view's stood
+    keypoints: Int64  # (M,) of these votes
+    landmarks: Int64  # (M,)
+
+
+def vote_for_views(
+    keypoints: Keypoints, landmarks: Landmarks, cameras: Sequence[Camera], size: tuple[int, int]
+) -> list[VotedView]:
+    """The views that a picture of this size (width, height) is voted to show, the loudest first. `cameras` are those
+    that the landmarks were seen from.
+    """
+    if len(landmarks) <= NEAREST or not len(keypoints):
+        return []
+    nearest, gain = _neighbours(keypoints.descriptors.astype(np.float32), landmarks.descriptors.astype(np.float32))
+    spots = np.repeat(keypoints.points, NEAREST, axis=0)
+    views = landmarks.views[nearest].astype(np.int64)
+    places = np.empty((len(nearest), 2))
+    for view, camera in enumerate(cameras):
+        mine = views == view
+        places[mine] = project(landmarks.points[nearest[mine]].astype(np.float64), camera)
+    names, loudness, maps = agreement_of_views(views, spots, places, gain)
+    found = []
+    for n in np.argsort(-loudness, kind="stable")[: int((loudness > 0).sum())]:
+        a, b, c, d = maps[n]
+        off = (spots @ (1, 1j)) * complex(a, b) + complex(c, d) - places @ (1, 1j)
+        reach = AROUND * TOLERANCE * min(1.0, np.hypot(a, b)) ** 0.5
+        agreeing = np.flatnonzero((views == names[n]) & (np.abs(off) < reach))
+        camera = _camera(cameras[names[n]], maps[n], size)
+        found.append(VotedView(float(loudness[n]), camera, agreeing // NEAREST, nearest[agreeing]))
+    return found
+
+
+def _neighbours(queries: Float32, targets: Float32) -> tuple[Int64, Float64]:
+    """The NEAREST of each query, one behind the other, and how much nearer each is than the next one, 0 to 1."""
+    import faiss
+
+    index = faiss.IndexFlatL2(targets.shape[1])
+    index.add(targets)
+    distance, near = index.search(queries, NEAREST + 1)
+    away = np.sqrt(distance, dtype=np.float64)
+    gains = 1.0 - away[:, :NEAREST] / np.maximum(away[:, NEAREST:], 1e-12)
+    return near[:, :NEAREST].reshape(-1), gains.reshape(-1)
+
+
+def _camera(view: Camera, carried: Float64, size: tuple[int, int]) -> Camera:
+    """The camera of a picture of which the view shows what the map `carried` (4,) takes there."""
+    turn, shift = complex(carried[0], carried[1]), complex(carried[2], carried[3])
+    middle = view.K[:2, 2]
+    place = (complex(*middle) - shift) / turn
+    scale = 1.0 / abs(turn)
+    return swung(view, middle, np.array([place.real, place.imag]), -float(np.angle(turn)), scale, size[::-1])

@@ -1,0 +1,1 @@
+"""Landmarks of a model: keypoints of its renders with their places in the world, and their matching."""

@@ -1,0 +1,103 @@
+"""Making the landmarks of a model from renders of it."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Bool, Camera, Float32, Float64, GaussianModel
+from engine.pictures.landmarks.keypoints import detect_keypoints, luma
+from engine.pictures.landmarks.landmark_set import Landmarks
+from engine.raster import render_depth
+
+__all__ = ["PER_VIEW", "lift", "make_landmarks"]
+
+PER_VIEW = 450
+"""Most landmarks of one view: 48 views of 144 bytes each make 3.1 MB."""
+DETECTED = 1350
+"""Keypoints detected in a view, more than are wanted: those on edges of depth and on haze are thrown away."""
+LEAST_ALPHA = 0.7
+"""A pixel this opaque shows a surface, and its depth is that surface's."""
+DEPTH_EDGE = 0.05
+"""Largest relative spread of depth in the 5 x 5 pixels around a landmark."""
+AHEAD = 2
+"""Pictures drawn before they are searched: 6 MB each."""
+MARGIN = 8
+"""Pixels kept around what is visible when a render is cut before detection."""
+
+
+def make_landmarks(
+    model: GaussianModel,
+    cameras: Sequence[Camera],
+    advance: Callable[[float], None] | None = None,
+    *,
+    most: int = PER_VIEW,
+) -> Landmarks:
+    """Detect landmarks in renders of the unmarked reference, in the order of the cameras, strongest first within each.
+
+    The cameras cover it, about 48 of 640 x 480 pixels; `advance` is called with the fraction done, 0 to 1, after each.
+    At most `most` of a view are kept.
+    """
+    found: list[Future[tuple[Float32, npt.NDArray[np.uint8]]]] = []
+    with ThreadPoolExecutor(max_workers=1) as detector:  # while one picture is searched, the next is drawn
+        for number, camera in enumerate(cameras):
+            image, alpha, depth = render_depth(model, camera)
+            if number >= AHEAD:
+                found[number - AHEAD].result()
+            found.append(detector.submit(_detect, image, alpha, depth, camera, most))
+            if advance is not None:
+                advance((number + 1) / len(cameras))
+        points, descriptors = zip(*(each.result() for each in found), strict=True) if found else ((), ())
+    views = [np.full(len(seen), number, dtype=np.int32) for number, seen in enumerate(points)]
+    if not points:
+        return Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, dtype=np.int32))
+    return Landmarks(np.concatenate(points), np.concatenate(descriptors), np.concatenate(views))
+
+
+def _detect(
+    image: Float32, alpha: Float32, depth: Float32, camera: Camera, most: int
+) -> tuple[Float32, npt.NDArray[np.uint8]]:
+    """Points (P, 3) and descriptors (P, 128) of one render."""
+    top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
+    grey = luma(image[top:bottom, left:right])
+    if min(grey.shape) < 16:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
+    surface = _surface(alpha, depth)  # keypoints elsewhere are not described
+    keypoints = detect_keypoints(grey, DETECTED, surface[top:bottom, left:right])
+    pixels = keypoints.points + np.array([left, top])
+    column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
+    row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)
+    kept = np.nonzero(surface[row, column])[0][:most]
+    z = depth[row[kept], column[kept]].astype(np.float64)
+    return lift(pixels[kept], z, camera).astype(np.float32), keypoints.descriptors[kept]
+
+
+def _bounds(visible: Bool) -> tuple[int, int, int, int]:
+    """Top, bottom, left, right of what is visible, with a margin; detection costs by the pixel."""
+    rows, columns = np.nonzero(visible.any(axis=1))[0], np.nonzero(visible.any(axis=0))[0]
+    if not len(rows):
+        return 0, 0, 0, 0
+    return (
+        max(int(rows[0]) - MARGIN, 0),
+        min(int(rows[-1]) + MARGIN + 1, visible.shape[0]),
+        max(int(columns[0]) - MARGIN, 0),
+        min(int(columns[-1]) + MARGIN + 1, visible.shape[1]),
+    )
+
+
+def _surface(alpha: Float32, depth: Float32) -> Bool:
+    """(H, W) where an opaque surface is seen, away from its edges."""
+    import cv2
+
+    window = np.ones((5, 5), dtype=np.uint8)
+    farthest, nearest = cv2.dilate(depth, window), cv2.erode(depth, window)
+    opaque = cv2.erode(alpha, window) > LEAST_ALPHA
+    return np.asarray(opaque & (farthest - nearest < DEPTH_EDGE * depth))
+
+
+def lift(pixels: Float64, depth: Float64, camera: Camera) -> Float64:
+    """(P, 3) world points at pixel coordinates (P, 2) and camera depths (P,)."""
+    rays = np.linalg.solve(camera.K, np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1).T).T  # (P, 3)
+    local = rays * depth[:, None]
+    return np.asarray((local - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3])

@@ -1,0 +1,244 @@
+"""Is a proposed similarity right? It is refined, its errors are learnt, and it must beat decoys of itself."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.model import Float32, GaussianModel, Int32
+from engine.numerics.chi_square import chi_square_beyond
+from engine.numerics.similarity import quaternion_to_rotation
+from engine.numerics.umeyama import Similarity, robust_umeyama
+from engine.registration.match_candidates import sample_rows
+from engine.registration.match_classes import Growth, SizedMatcher, growth_in_order
+from engine.registration.matching import HARD, Deviations, Matcher, estimate_deviations, joint_vectors, paired
+
+ROUNDS = 8
+"""Rounds of match, fit and re-measure; exact suspects need one, noisy ones four or five."""
+ORDER_SAMPLE = 4000
+"""Pairs looked at to tell whether the order was kept."""
+GLANCE = 250
+"""Suspect Gaussians on which a proposal is dismissed without further work."""
+CLIPPED = 0.001
+"""Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
+ORDER_ROUNDS = 4
+"""Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
+STRAYS = 0.001
+"""Share of pairs in order without trust that nobody looks for elsewhere: to lay the reference out costs more time than
+all else."""
+DECOYS = 3
+"""The right similarity must explain more than wrong ones of the same scale at the same place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """A similarity that was found right, its measured errors and the global change of colour.
+
+    `matcher` lays the reference out for these errors. Where the order was kept, suspect Gaussian i is reference
+    Gaussian i, `order_quality` (M,) is the trust in each pair, and the matcher is for those with none; it is None where
+    all have some. `mirrored`: all this is of the suspect's mirror image.
+    """
+
+    fit: Similarity
+    matcher: Matcher | SizedMatcher | None
+    deviations: Deviations
+    order_quality: Float32 | None = None
+    mirrored: bool = False
+
+    def match(self, suspect: GaussianModel) -> tuple[Int32, Float32]:
+        """(M,) reference Gaussian of each Gaussian of the suspect, or of its mirror image, -1 where there is none, and
+        the trust in it, 0 to 1."""
+        matches, quality = np.full(len(suspect), -1, np.int32), np.zeros(len(suspect), np.float32)
+        if self.order_quality is not None:
+            quality = self.order_quality.copy()
+            matches = np.where(quality > 0, np.arange(len(suspect)), -1).astype(np.int32)
+        if self.matcher is not None:
+            left = np.flatnonzero(matches < 0)
+            rest = suspect if len(left) == len(suspect) else suspect.take(left)
+            matches[left], quality[left] = self.matcher.pair(rest, self.fit, self.deviations)
+        return matches, quality
+
+
+def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
+    """Log scale in the reference's frame below which sizes are not told apart, minus infinity where nothing is lost.
+
+    SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
+    what is left of all that were smaller.
+    """
+    smallest = float(suspect.log_scales.min()) + float(np.log(fit.scale))
+    below = float(np.logical_or.reduce((reference.log_scales < smallest).T).mean())
+    return smallest if below > CLIPPED else -np.inf
+
+
+def judge(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    fit: Similarity,
+    inliers: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None,
+    rows: npt.NDArray[np.int64],
+    floor_matcher: Matcher,
+    rng: np.random.Generator,
+    *,
+    min_matches: int,
+) -> Verdict | None:
+    """Refine a proposal and accept or refuse it; None if it explains no more than its decoys.
+
+    `inliers`: reference and suspect index (k,) of pairs that speak for it; they tell how noisy the suspect is. `rows`
+    (s,): suspect Gaussians to look at, which must be matched to at least `min_matches` distinct reference Gaussians.
+    `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
+    """
+    floor = replace(floor_matcher.deviations, smallest=clipped_at(reference, suspect, fit))
+    deviations = floor
+    if inliers is not None:
+        measured = estimate_deviations(reference, suspect, inliers, fit, floor)
+        if measured.much_above(floor, 1.5):
+            # Candidates are pairs that look alike: their errors are too small by selection.
+            deviations = measured
+    as_laid_out = deviations is floor and floor.smallest == floor_matcher.deviations.smallest
+    matcher = floor_matcher if as_laid_out else Matcher(reference, deviations)
+    spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
+    if not _tells(deviations, spread):
+        return None
+    part = suspect.take(rows)
+    if inliers is not None and len(rows) > 4 * GLANCE:
+        glance = part.take(np.arange(0, len(rows), len(rows) // GLANCE))
+        if not beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
+            return None
+    pairs = paired(matcher.match(part, fit, deviations))
+    for _ in range(ROUNDS):
+        if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian are one witness
+            return None
+        better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
+        if better is None:
+            return None
+        fit = better
+        measured = estimate_deviations(reference, part, pairs, fit, floor)
+        if not _tells(measured, spread):
+            return None
+        settled = not (measured.much_above(matcher.deviations, 1.25) or matcher.deviations.much_above(measured, 2.0))
+        deviations = measured
+        if not settled:
+            matcher = Matcher(reference, deviations)
+        pairs = paired(matcher.match(part, fit, deviations))
+        if settled:
+            break
+    if len(np.unique(pairs[0])) < min_matches or not beats_decoys(
+        reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0
+    ):
+        return None
+    return Verdict(fit, matcher, deviations)
+
+
+def fit_suspect(
+    suspect: npt.NDArray[Any], reference: npt.NDArray[Any], start: Similarity | None = None
+) -> Similarity | None:
+    """Robust similarity from suspect to reference points, (n, 3) each, or None if it is not determined.
+
+    Fitted the other way round and inverted: the noise is in the suspect, and least squares with noise in the
+    source shrinks the scale (by 1 % for noise of a tenth of the spread).
+    """
+    back = robust_umeyama(reference, suspect, None if start is None else start.inverse())
+    return None if back is None else back.inverse()
+
+
+def _tells(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
+    """Whether errors this large still tell one place from another; random pairs have the spread itself."""
+    share = deviations.position / np.maximum(spread, deviations.position)
+    return bool(np.exp(np.log(share).mean()) < 0.3)
+
+
+def beats_decoys(
+    reference: GaussianModel,
+    part: GaussianModel,
+    matcher: Matcher,
+    fit: Similarity,
+    deviations: Deviations,
+    rng: np.random.Generator,
+    factor: float,
+    margin: float,
+) -> bool:
+    """Whether the similarity explains clearly more than others, turned wrongly about its middle."""
+    right = matcher.match(part, fit, deviations)
+    explained = float(right.probability.sum())
+    if explained <= margin:
+        return False
+    middle = np.median(reference.means[right.index[right.index >= 0]].astype(np.float64), axis=0)
+    for _ in range(DECOYS):
+        axis = rng.normal(size=3)
+        half = 0.5 * rng.uniform(0.5, 2.5)
+        turn = quaternion_to_rotation([np.cos(half), *(np.sin(half) / np.linalg.norm(axis) * axis)])
+        decoy = Similarity(fit.scale, turn @ fit.R, turn @ (fit.t - middle) + middle)
+        by_chance = float(matcher.match(part, decoy, deviations).probability.sum())
+        if explained < factor * by_chance + margin:
+            return False
+    return True
+
+
+def same_order(
+    reference: GaussianModel, suspect: GaussianModel, floor: Deviations, rng: np.random.Generator
+) -> Verdict | None:
+    """Whether Gaussian i of the suspect is Gaussian i of the reference, however noisy.
+
+    Two scenes sorted along the same space-filling curve agree roughly in position by accident. So the pairs
+    must agree in size, opacity and colour, too, by far better than shuffled pairs do.
+    """
+    rows = sample_rows(len(reference), ORDER_SAMPLE, rng)
+    ref, sus = reference.take(rows), suspect.take(rows)
+    fit = fit_suspect(sus.means, ref.means)
+    if fit is None:
+        return None
+    floor = replace(floor, smallest=clipped_at(reference, suspect, fit))
+    deviations = estimate_deviations(reference, suspect, (rows, rows), fit, floor)
+    origin = np.zeros(3)
+    a = joint_vectors(ref, Similarity.identity(), deviations, origin, suspect=False)
+    b = joint_vectors(sus, fit, deviations, origin)
+    right = np.median(np.abs(a - b), axis=0)
+    wrong = np.median(np.abs(a - b[rng.permutation(len(rows))]), axis=0)
+    groups = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10))
+    # 2: a group whose shuffled pairs lie as close as the smallest errors tells nothing either way
+    tells = [float(wrong[g].max()) > 2.0 for g in groups]
+    agrees = [float(right[g].mean()) < 0.5 * float(wrong[g].mean()) for g in groups]
+    looks = [yes for yes, told in zip(agrees[1:], tells[1:], strict=True) if told]
+    if not (tells[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
+        return None
+    before = 0
+    for _ in range(ORDER_ROUNDS):
+        agreeing = rows[_order_quality(ref, sus, fit, deviations) > 0]
+        if len(agreeing) in (len(rows), before):
+            break
+        before = len(agreeing)
+        fit = fit_suspect(suspect.means[agreeing], reference.means[agreeing], start=fit) or fit
+        deviations = estimate_deviations(reference, suspect, (agreeing, agreeing), fit, floor)
+    growth = growth_in_order(ref, sus, fit, _order_quality(ref, sus, fit, deviations, placed=False) > 0)
+    quality = _order_quality(reference, suspect, fit, deviations, growth)
+    # A file sorted along a curve, and sorted again after it was turned a little, keeps half of its order.
+    strays = float((quality == 0).mean())
+    matcher = None if strays <= STRAYS else Matcher(reference, deviations)
+    return Verdict(fit, matcher, deviations, quality)
+
+
+def _order_quality(
+    reference: GaussianModel,
+    suspect: GaussianModel,
+    fit: Similarity,
+    deviations: Deviations,
+    growth: Growth | None = None,
+    *,
+    placed: bool = True,
+) -> Float32:
+    """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i, by where it lies only if `placed`.
+
+    `growth` tells by how much errors of position grow with the Gaussians.
+    """
+    origin = np.zeros(3)
+    a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)
+    b = joint_vectors(suspect, fit, deviations, origin)
+    error2 = np.square(a - b)
+    if not placed:
+        error2[:, :3] = 0.0
+    elif growth is not None:
+        error2[:, :3] /= np.square(growth.factors(suspect, fit, deviations))
+    usual, limit = chi_square_beyond(10, 0.5), 4.0 * chi_square_beyond(10, 1e-3)
+    distance2 = error2[:, :HARD].sum(axis=1) + np.minimum(error2[:, HARD:].sum(axis=1), 0.5 * limit)
+    return np.asarray(np.clip((limit - distance2) / (limit - usual), 0.0, 1.0).astype(np.float32))

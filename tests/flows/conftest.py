@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.flows.embed.embedding import embed_copies
+from engine.flows.embed.profiles import profile
+from engine.flows.records.opened_record import OpenedRecord, open_record
+from engine.formats import read_model
+from engine.lab.evaluate.marked_scene import MarkedScene, bench_key, mark_scene
+from engine.model import GaussianModel
+from tests.scenes import sparse_plant
+
+SCENE = Path(__file__).parents[1] / "data" / "plant.splat"
+
+
+@pytest.fixture(scope="session")
+def plant() -> GaussianModel:
+    return read_model(SCENE).model
+
+
+@pytest.fixture(scope="session")
+def small_plant(plant: GaussianModel) -> GaussianModel:
+    """Every sixth Gaussian: enough of a scene to be fast."""
+    return plant.take(np.arange(0, len(plant), 6))
+
+
+@dataclass(frozen=True)
+class FiveCopies:
+    """Of one asset, under one key."""
+
+    models: list[GaussianModel]
+    opened: list[OpenedRecord]
+
+
+@pytest.fixture(scope="session")
+def five_copies(small_plant: GaussianModel) -> FiveCopies:
+    """For "buyer 0" to "buyer 4"; no landmark bank."""
+    key, names = bench_key(5), [f"buyer {number}" for number in range(5)]
+    config = profile("fast", landmark_views=0, views=3, view_size=160)
+    made = list(embed_copies(small_plant, key, names, original_sha256="11" * 32, bits=16, config=config))
+    return FiveCopies([each.model for each in made], [open_record(each.record.to_bytes(key), key) for each in made])
+
+
+@pytest.fixture(scope="session")
+def third(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A third of the plant's Gaussians: evidence enough for every route, in two thirds of the time."""
+    path = tmp_path_factory.mktemp("third") / "plant.splat"
+    path.write_bytes(sparse_plant(every=3))
+    return path
+
+
+@pytest.fixture(scope="session")
+def scene(third: Path) -> MarkedScene:
+    """A third of the real plant, marked with 32 bits at 47 dB; no landmark bank."""
+    return mark_scene(third, profile("fast", landmark_views=0, view_size=512))
+
+
+@pytest.fixture(scope="session")
+def whole_scene() -> MarkedScene:
+    """All of it: for bounds on what little a damaged picture still says, or on fidelity."""
+    return mark_scene(SCENE, profile("fast", landmark_views=0, view_size=512))
+
+
+@pytest.fixture(scope="session")
+def other(third: Path) -> MarkedScene:
+    """The same, marked by somebody else."""
+    return mark_scene(third, profile("fast", landmark_views=0, views=3, view_size=256), seed=1)

@@ -1,0 +1,49 @@
+"""What a JPEG coder stored is read in the picture's own pixels, wherever its blocks begin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from engine.flows.verify.verification import verify_images
+from engine.flows.views.camera_rig import make_rig
+from engine.lab.evaluate.bench.attacks import to_8_bit
+from engine.lab.evaluate.marked_scene import MarkedScene
+from engine.lab.sim.attacks import image_attack
+from engine.model import Camera, Float32
+from engine.raster import render
+
+SIDE = 400
+
+
+@pytest.fixture(scope="module")
+def camera(scene: MarkedScene) -> Camera:
+    return make_rig(scene.original, 6, SIDE, SIDE, jitter=np.random.default_rng(0).random((6, 4)))[0]
+
+
+def attacked(image: Float32, *steps: tuple[str, float]) -> Float32:
+    for name, strength in steps:
+        image = to_8_bit(image_attack(name).apply(image, strength, rng=np.random.default_rng(1)))
+    return image
+
+
+def z(scene: MarkedScene, camera: Camera, image: Float32) -> float:
+    return verify_images([image], scene.opened, cameras=[camera]).claim.z
+
+
+@pytest.mark.parametrize("kind", ["cut after, mirrored", "turned before"])
+def test_blocks_are_read_in_the_pictures_own_pixels(
+    scene: MarkedScene, camera: Camera, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shot = to_8_bit(render(scene.marked, camera))
+    if kind == "turned before":
+        picture = attacked(shot, ("rotate_image", 20.0), ("jpeg", 10))
+    else:
+        picture = np.ascontiguousarray(attacked(shot, ("jpeg", 10))[29:349, 45:365][:, ::-1])
+    own = z(scene, camera, picture)
+    if kind == "turned before":  # bilinear: softer than a render
+        monkeypatch.setattr("engine.flows.verify.picture_evidence.SOFT", ())
+        assert own > 1.05 * z(scene, camera, picture)
+    for module in ("engine.flows.verify.picture_evidence", "engine.watermark.image_evidence"):
+        monkeypatch.setattr(f"{module}.find_grid", lambda _: None)
+    assert own > 1.15 * z(scene, camera, picture)

@@ -1,0 +1,120 @@
+"""What is delivered: no more than the scene needs, and never less than was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.compress.impact import PRIOR, paper_impact
+from engine.compress.pruning import PruneConfig, Pruned, drop_unseen_bands
+from engine.flows.embed import delivery
+from engine.flows.embed.delivery import BAND_SHARE, MOST_STAGES, slim_down, unmarked_delivery
+from engine.flows.embed.planning_basis import color_weights
+from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.views.camera_rig import measure_extent
+from engine.flows.views.view_set import worst_psnr_against
+from engine.model import GaussianModel
+from engine.numerics.image_metrics import psnr
+from engine.raster import render
+from tests.watermark.ball import Ball, marked_ball
+
+
+@pytest.fixture(scope="module")
+def ball() -> Ball:
+    return marked_ball(size=64)
+
+
+def slim(ball: Ball, budget: float, **knobs: object) -> tuple[GaussianModel, dict[str, object]]:
+    config = EmbedConfig(prune=PruneConfig(budget_db=budget, merge_distance=0.0, **knobs))  # type: ignore[arg-type]
+    return slim_down(ball.model, ball.original, ball.impact, measure_extent(ball.model), config)
+
+
+def worst_psnr(ball: Ball, model: GaussianModel) -> float:
+    return min(
+        psnr(image, render(model, camera)) for image, camera in zip(ball.original.images, ball.cameras, strict=True)
+    )
+
+
+def kept_rows(ball: Ball, model: GaussianModel) -> np.ndarray:
+    """(N,) bool."""
+    left = {tuple(mean) for mean in model.means.tolist()}
+    return np.array([tuple(mean) in left for mean in ball.model.means.tolist()])
+
+
+@pytest.mark.parametrize("rank", ["error", "paper"])
+def test_what_goes_is_what_the_rank_says(ball: Ball, rank: str) -> None:
+    """Eq 4 with "paper", the error of leaving one out with "error"."""
+    model, report = slim(ball, 24.0, rank=rank)
+    kept = kept_rows(ball, model)
+    values = {"paper": paper_impact(ball.model, ball.impact), "error": ball.impact.squared}
+    assert 0.05 < kept.mean() < 0.95
+    assert values[rank][kept].min() >= values[rank][~kept].max()
+    other = values["error" if rank == "paper" else "paper"]
+    assert other[kept].min() < other[~kept].max(), "the two ranks would have kept the same"
+    assert report["psnr_pruned_worst_view"] == pytest.approx(worst_psnr(ball, model), abs=1e-3)
+
+
+def test_bands_spend_their_share_of_the_error_at_most(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    allowed: list[tuple[int, float]] = []
+
+    def spy(model: GaussianModel, curvature: np.ndarray, pixels: int, error: float) -> tuple[GaussianModel, int]:
+        allowed.append((pixels, -10 * np.log10(error)))
+        return drop_unseen_bands(model, curvature, pixels, error)
+
+    monkeypatch.setattr(delivery, "drop_unseen_bands", spy)
+    monkeypatch.setattr(delivery, "prune", lambda model, *_: Pruned(model, np.arange(len(model)), 99.0, 0))
+    thin, report = slim(ball, 30.0)
+    assert allowed == [(3 * 64 * 64, pytest.approx(30.0 - 10 * np.log10(BAND_SHARE)))]
+    assert report["sh_bands_dropped"] > 0  # type: ignore[operator]
+    assert worst_psnr(ball, thin) >= 30.0 - 10 * np.log10(BAND_SHARE)
+
+
+def test_a_budget_that_the_bands_alone_would_break_keeps_them(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    gray = ball.model.with_(sh=np.zeros_like(ball.model.sh))
+    monkeypatch.setattr(delivery, "drop_unseen_bands", lambda *_: (gray, 5))
+    model, report = slim(ball, 30.0)
+    assert report["sh_bands_dropped"] == 0
+    assert worst_psnr(ball, model) >= 30.0
+
+
+def test_without_a_budget_the_model_is_left_alone(ball: Ball) -> None:
+    model, report = slim_down(ball.model, ball.original, ball.impact, measure_extent(ball.model), EmbedConfig())
+    assert model is ball.model
+    assert report == {}
+
+
+def test_colors_weigh_what_their_error_costs(ball: Ball) -> None:
+    """The inverse of the Laplace uncertainty: the squared blending weight, and next to nothing for the unseen."""
+    weights = color_weights(ball.model, ball.impact)
+    np.testing.assert_allclose(weights, ball.impact.squared + PRIOR, rtol=1e-6)
+    unseen = replace(ball.impact, squared=np.zeros(len(ball.model)))
+    np.testing.assert_allclose(color_weights(ball.model, unseen), PRIOR, rtol=1e-6)
+
+
+@pytest.mark.parametrize("more", [1.0, 4.0])
+def test_compact_learns_stages_until_the_mark_has_room(ball: Ball, more: float) -> None:
+    first = worst_psnr(ball, ball.model.with_(sh=ball.stages[0].decode().reshape(ball.model.sh.shape)))
+    config = EmbedConfig(output="compact", compact_db=first + more)
+    compact, stages = unmarked_delivery(ball.model, ball.stages, ball.original, ball.impact, config)
+    assert worst_psnr(ball, compact) >= config.compact_db + 0.8
+    assert 1 < len(stages) <= MOST_STAGES
+    assert stages[0] is ball.stages[0], "the stage that carries the mark"
+    np.testing.assert_allclose(compact.sh, sum(stage.decode() for stage in stages).reshape(compact.sh.shape), atol=1e-6)
+
+
+def test_fidelity_is_the_model_itself(ball: Ball) -> None:
+    delivered = unmarked_delivery(ball.model, ball.stages, ball.original, ball.impact, EmbedConfig())
+    assert delivered == (ball.model, ball.stages)
+
+
+def test_the_worst_view_decides(ball: Ball) -> None:
+    """Colours changed on one side of the ball: the views of that side say how much."""
+    sh = ball.model.sh.copy()
+    sh[ball.model.means[:, 0] > 0.3, 0] += 0.5
+    changed = ball.model.with_(sh=sh)
+    each = [psnr(image, render(changed, c)) for image, c in zip(ball.original.images, ball.cameras, strict=True)]
+    assert max(each) > min(each) + 1.0
+    assert worst_psnr_against(ball.original.images, ball.cameras)(changed) == pytest.approx(min(each), abs=1e-3)
+    assert ball.original.worst(sh) == pytest.approx(min(each), abs=1e-3)

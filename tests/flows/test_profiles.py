@@ -1,0 +1,65 @@
+"""Profiles, and what an owner asks for on top."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+
+from engine.compress.hvq import HvqConfig
+from engine.compress.pruning import PruneConfig
+from engine.errors import InputError
+from engine.flows.embed.profiles import Auto, compose, profile
+
+
+def test_what_an_owner_asks_for_is_composed() -> None:
+    assert compose("fast") == profile("fast")
+    assert compose("strong", psnr_db=48.0, output="compact", budget_db=35.0) == profile(
+        "strong", psnr_db=48.0, output="compact", prune=PruneConfig(budget_db=35.0)
+    )
+    assert compose("auto", budget_db=35.0) == Auto(profile("fast", prune=PruneConfig(budget_db=35.0)))
+    assert compose("auto", psnr_db=48.0) == Auto(profile("fast", psnr_db=48.0), keep_psnr=True)
+    with pytest.raises(InputError, match="unknown profile 'quick'"):
+        compose("quick")
+
+
+def test_every_knob_has_a_door() -> None:
+    """A changed value of every knob that `config show` lists arrives where it belongs, and nothing else changes."""
+    base = asdict(profile("fast"))
+
+    def flat(values: dict, prefix: str = "") -> dict:
+        found = {}
+        for name, value in values.items():
+            found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+        return found
+
+    assert len(flat(base)) > 30
+    for knob, value in flat(base).items():
+        if isinstance(value, str):
+            text, wanted = ("compact", "compact") if knob == "output" else ("paper", "paper")
+        elif isinstance(value, tuple):
+            text, wanted = "256,128", (256, 128)
+        elif isinstance(value, bool):
+            text, wanted = "true", True
+        elif isinstance(value, int):
+            text, wanted = str(value + 1), value + 1
+        else:
+            text, wanted = "41.5", 41.5
+        turned = flat(asdict(compose("fast", knobs=[f"{knob}={text}"])))
+        assert {name for name in turned if turned[name] != flat(base)[name]} == {knob}
+        assert turned[knob] == wanted
+
+
+def test_knobs_of_auto_and_knobs_that_are_none() -> None:
+    assert compose("auto", knobs=["quantize.cells=1024"]) == Auto(profile("fast", quantize=HvqConfig(cells=1024)))
+    assert compose("auto", knobs=["psnr_db=48"]) == Auto(profile("fast", psnr_db=48.0), keep_psnr=True)
+    assert compose("fast", budget_db=30.0, knobs=["prune.budget_db=none"]) == profile("fast")
+    for bad in ("cells=3", "quantize=3", "quantize.cell=3", "views.deep=3", ""):
+        with pytest.raises(InputError, match="there is no knob"):
+            compose("fast", knobs=[bad])
+    with pytest.raises(InputError, match=r"views is 6 and cannot be '6.5'"):
+        compose("fast", knobs=["views=6.5"])
+    with pytest.raises(InputError, match=r"paper.frequency is False and cannot be 'yes'"):
+        compose("fast", knobs=["paper.frequency=yes"])
+    with pytest.raises(InputError, match="psnr must lie between 20 and 90 dB, got 12"):
+        compose("fast", knobs=["psnr_db=12"])

@@ -1,0 +1,128 @@
+"""Collusion names: every copy that took part, and no other, whatever the colluders do with their copies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.flows.embed.embedding import embed
+from engine.flows.embed.profiles import profile
+from engine.flows.records.opened_record import OpenedRecord, draw_spreading, open_record, plan_of
+from engine.flows.trace.tracing import trace_images, trace_model
+from engine.flows.verify.verification import VerifyConfig, verify_model
+from engine.lab.evaluate.bench.attacks import to_8_bit
+from engine.lab.evaluate.marked_scene import bench_key
+from engine.lab.sim.adversaries.collusion import collude
+from engine.lab.sim.attacks import model_attack
+from engine.model import GaussianModel
+from engine.raster import render
+from engine.watermark.messages import derive_message
+from engine.watermark.statistics import z_threshold
+from tests.flows.conftest import FiveCopies
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
+
+CONFIG = profile("fast", landmark_views=0, views=3, view_size=160)
+INNOCENT = 300
+MODEL = VerifyConfig(route="model")
+
+
+@dataclass(frozen=True)
+class Copies:
+    models: list[GaussianModel]
+    opened: list[OpenedRecord]
+    others: list[OpenedRecord]
+
+    def together(self, count: int, rule: str = "mean") -> GaussianModel:
+        return collude(self.models[0], rule, np.random.default_rng(1), others=self.models[1:count])
+
+
+@pytest.fixture(scope="module")
+def copies(five_copies: FiveCopies) -> Copies:
+    """Five copies of one asset, and the records of copies that nobody leaked."""
+    key, first = bench_key(5), five_copies.opened[0]
+    digest = bytes.fromhex(first.header.reference_digest)
+
+    def innocent(number: int) -> OpenedRecord:
+        name = f"innocent {number}"
+        message = derive_message(key, 16, digest + name.encode())
+        plan = plan_of(first.layout, first.grain, message, first.cameras, None)
+        header = replace(first.header, record_id=f"{number:032x}")
+        chips, grain_key = draw_spreading(key, digest, name, first.layout, plan)
+        return replace(first, header=header, copy=name, message=message, spreading=chips, grain_key=grain_key)
+
+    return Copies(five_copies.models, five_copies.opened, [innocent(i) for i in range(INNOCENT)])
+
+
+@pytest.mark.parametrize("rule", ["mean", "median", "min", "max", "minmax", "randneg", "interleave", "patches"])
+def test_each_of_five_is_named_and_no_innocent(copies: Copies, rule: str) -> None:
+    answer = trace_model(copies.together(5, rule), [*copies.others[: INNOCENT // 3], *copies.opened], MODEL)
+    assert {f.copy for f in answer.named} == {f"buyer {i}" for i in range(5)}
+    assert all(f.log10_false_claim <= -9 for f in answer.named)
+    assert max(abs(f.z) for f in answer.findings if not f.named) < 5
+
+
+def test_one_reading_gives_what_single_verifications_give(copies: Copies) -> None:
+    suspect = model_attack("similarity").apply(copies.together(3), 4.0, rng=2)
+    answer = trace_model(suspect, copies.opened, MODEL)
+    z = {f.copy: f.z for f in answer.findings}
+    for opened in copies.opened[:3]:
+        assert z[opened.copy] == pytest.approx(verify_model(suspect, opened, MODEL).claim.z, rel=1e-9)
+    assert [f.copy for f in answer.named] == [f.copy for f in answer.findings[:3]]
+    assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
+    assert all(f.derived_fraction > 0.9 for f in answer.findings)
+
+
+def test_every_record_and_route_is_a_try(copies: Copies) -> None:
+    alone = trace_model(copies.models[0], copies.opened[:1], MODEL)
+    among = trace_model(copies.models[0], copies.opened + copies.others, VerifyConfig(route="auto"))
+    assert (alone.tries, among.tries) == (6, 12 * (5 + INNOCENT))
+    assert among.z_threshold == z_threshold(1e-9, among.tries) > alone.z_threshold
+    assert among.named[0].log10_false_claim == pytest.approx(
+        alone.named[0].log10_false_claim + np.log10(among.tries / 6)
+    )
+    counted = trace_model(copies.models[0], copies.opened, VerifyConfig(route="model", tries=10**6))
+    assert counted.tries == 10**6
+
+
+def test_an_unmarked_model_names_nobody_by_any_route(copies: Copies, small_plant: GaussianModel) -> None:
+    answer = trace_model(small_plant, copies.opened + copies.others)
+    assert answer.named == ()
+    assert "render" in answer.seconds_by_stage
+
+
+def test_pictures_of_an_average_name_each_copy(copies: Copies) -> None:
+    cameras = [c.resized(256, 256) for c in copies.opened[0].cameras]
+    pictures = [to_8_bit(render(copies.together(3), c)) for c in cameras]
+    answer = trace_images(pictures, copies.opened + copies.others, cameras=cameras)
+    assert {f.copy for f in answer.named} == {"buyer 0", "buyer 1", "buyer 2"}
+    assert answer.tries == 2 * 6 * (5 + INNOCENT)
+
+
+def test_assets_of_one_owner_are_read_apart(copies: Copies, small_plant: GaussianModel) -> None:
+    key = bench_key(5)
+    other = small_plant.with_(means=small_plant.means[:, [1, 0, 2]] * [1, 2, 1])
+    record = embed(other, key, original_sha256="22" * 32, bits=16, config=CONFIG, copy="elsewhere").record
+    elsewhere = open_record(record.to_bytes(key), key)
+    answer = trace_model(copies.models[2], [elsewhere, *copies.opened], MODEL)
+    assert [f.copy for f in answer.named] == ["buyer 2"]
+    assert answer.tries == 36
+
+
+def test_what_cannot_be_traced_is_refused(copies: Copies) -> None:
+    picture = np.zeros((64, 64, 3), np.float32)
+    with pytest.raises(InputError, match="no record"):
+        trace_model(copies.models[0], [])
+    with pytest.raises(InputError, match="given twice"):
+        trace_model(copies.models[0], [copies.opened[0], copies.opened[0]])
+    with pytest.raises(InputError, match="empty"):
+        trace_model(copies.models[0].take(np.arange(0)), copies.opened)
+    with pytest.raises(InputError, match="takes pictures"):
+        trace_model(copies.models[0], copies.opened, VerifyConfig(route="image"))
+    with pytest.raises(InputError, match="takes a model"):
+        trace_images([picture], copies.opened, MODEL)
+    with pytest.raises(InputError, match="no picture"):
+        trace_images([], copies.opened)

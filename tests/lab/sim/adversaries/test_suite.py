@@ -1,0 +1,113 @@
+"""What attacks cost, and the suite that runs and judges them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.flows.verify.verification import VerifyConfig
+from engine.lab.sim.attacks import find_attack, model_attack
+from engine.lab.sim.cost import image_cost, model_cost
+from engine.lab.sim.suite import SUITE, Company, Trial, apply_chain, failures_first, run_suite
+from engine.model import GaussianModel
+from tests.lab.sim.adversaries.conftest import Marked
+
+
+def test_nothing_costs_nothing_and_moving_costs_nothing(model: GaussianModel) -> None:
+    same = model_cost(model, model, views=2, size=96)
+    assert math.isinf(same.psnr)
+    assert (same.ssim, same.coverage) == (pytest.approx(1.0), 1.0)
+    moved = model_attack("shuffle").apply(model_attack("similarity").apply(model, 4.0, rng=1), rng=1)
+    cost = model_cost(model, moved, views=2, size=96)
+    assert cost.psnr > 55
+    assert cost.worst_psnr <= cost.psnr
+
+
+def test_cost_rises_with_strength_and_sees_holes(model: GaussianModel) -> None:
+    looks = [
+        model_cost(model, model_attack("noise_dc").apply(model, s, rng=1), views=2, size=96).psnr for s in (0.01, 0.1)
+    ]
+    assert looks[0] > looks[1] + 15
+    piece = model_attack("crop").apply(model, 0.4, rng=1)
+    cost = model_cost(model, piece, views=3, size=96)
+    assert 0.2 < cost.coverage < 0.8
+    assert cost.covered_psnr is not None
+    assert cost.covered_psnr > cost.psnr + 1
+    gone = model.with_(opacity_logits=np.full(500, -9.0, np.float32))
+    assert model_cost(model, gone, views=2, size=96).covered_psnr is None
+    with pytest.raises(InputError, match="0 views"):
+        model_cost(model, model, views=0)
+
+
+def test_cost_of_a_picture_is_its_psnr(image: np.ndarray) -> None:
+    noisy = find_attack("noise_image").apply(image, 0.1, rng=1)
+    cost = image_cost(image, noisy)
+    assert cost.psnr == pytest.approx(20, abs=1)
+    assert cost.covered_psnr == pytest.approx(cost.psnr)
+
+
+def test_the_suite_is_sound_data() -> None:
+    labels = [trial.label for trial in SUITE]
+    assert len(set(labels)) == len(labels) > 90
+    for trial in SUITE:
+        for name, strength in trial.chain:
+            attack = find_attack(name)
+            assert attack.kind == ("image" if trial.kind == "image" else "model")
+            assert isinstance(strength, str) == isinstance(attack.default, str)
+        if trial.reading == "as_code":
+            assert any(len(find_attack(name).readings) == 2 for name, _ in trial.chain)
+        assert trial.copies == 0 or trial.chain[0][0] == "collude"
+
+
+def test_every_step_of_a_chain_is_taken_in_its_reading(model: GaussianModel) -> None:
+    trial = Trial("", (("crop", 0.2), ("noise_dc", 0.1)), "", reading="as_code")
+    out = apply_chain(model, trial, 7)
+    by_hand = model_attack("crop").apply(model, 0.2, rng=np.random.default_rng((7, 0)), reading="as_code")
+    by_hand = model_attack("noise_dc").apply(by_hand, 0.1, rng=np.random.default_rng((7, 1)))
+    np.testing.assert_array_equal(out.sh, by_hand.sh)
+    kept = apply_chain(model, trial, 7, skip=("crop",))
+    assert len(kept) == 500
+
+
+def test_rows_say_what_held_what_broke_and_what_it_cost(scene: Marked, model: GaussianModel) -> None:
+    trials = [
+        Trial("untouched", (), ""),
+        Trial("nothing left", (("prune_random", 0.9995),), ""),
+        Trial("three copies", (("collude", "mean"),), "", copies=2),
+        Trial("ten copies", (("collude", "mean"),), "", copies=9),
+        Trial("merged", (("merge_into", 0.1),), ""),
+        Trial("JPEG 50", (("jpeg", 50),), "", "image"),
+    ]
+    done: list[float] = []
+    rows = run_suite(
+        scene, trials, company=Company(scene.copies, model), config=VerifyConfig(), pictures=1, advance=done.append
+    )
+    outcome = {row["attack"]: row["outcome"] for row in rows}
+    assert outcome == {
+        "untouched": "held",
+        "nothing left": "ruined",
+        "three copies": "held",
+        "ten copies": "not run: needs 9 further copies, there are 2",
+        "merged": "held",
+        "JPEG 50": "held",
+    }
+    by_label = {row["attack"]: row for row in rows}
+    assert by_label["untouched"]["psnr"] == math.inf
+    assert by_label["merged"]["psnr"] == math.inf  # the foreign scene is no damage
+    assert by_label["three copies"]["z"] < 0.8 * by_label["untouched"]["z"]
+    assert done[-1] == 1.0
+    assert failures_first(rows)[0]["attack"] == "nothing left"
+
+
+def test_a_mark_that_is_gone_while_the_look_stays_is_called_removed(scene: Marked) -> None:
+    """The owner's own original in the thief's hands: no claim, and it looks the same."""
+    stolen = replace(scene, marked=scene.original)
+    row = run_suite(stolen, [Trial("clean", (("noise_dc", 0.001),), "")])[0]
+    assert (row["outcome"], row["verdict"]) == ("removed", "not_marked")
+    assert failures_first([{"outcome": "held", "z": 1.0}, row])[0] is row
+    with pytest.raises(InputError, match="key views"):
+        run_suite(scene, [], pictures=0)
