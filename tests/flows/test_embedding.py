@@ -17,8 +17,8 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import Camera, GaussianModel
 from engine.numerics.image_metrics import psnr, ssim
+from engine.pictures.landmarks import rendered_landmarks as landmark_making
 from engine.pictures.landmarks.landmark_set import Landmarks
-from engine.pictures.landmarks.landmark_set import rendered_landmarks as landmark_making
 from engine.raster import render
 from engine.records.record import Record
 from engine.watermark.grain import units

@@ -10,9 +10,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.numerics.resampling import map_points, warp
+from engine.pictures.alignment import planar as image_alignment
 from engine.pictures.alignment.brightness_fit import Fit, fit_warp
 from engine.pictures.alignment.planar import align_either_hand, align_image
-from engine.pictures.alignment.planar import planar as image_alignment
 from tests.pictures.image_cases import SIDE, attack, marked, picture, turn
 
 EXACT = ["none", "jpeg10", "noise 0.01", "noise 0.1", "blur 1", "brightness 0.5", "brightness 1.5"]

@@ -7,8 +7,8 @@ import pytest
 
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.resampling import remap
+from engine.pictures.alignment import local_flow as local_alignment
 from engine.pictures.alignment.local_flow import align_locally
-from engine.pictures.alignment.planar import local_flow as local_alignment
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render_depth
 from tests.pictures.plant_views import around, jpeg
