@@ -28,7 +28,7 @@ def test_every_mutation_is_a_program_and_its_tests_exist() -> None:
         "registration",
         "watermark",
         "flows",
-            "kernels",
+        "kernels",
         "records",
         "service",
         "pictures",

@@ -59,7 +59,7 @@ def test_re_marking_and_back_dating(owner: Party) -> None:
     assert looks["a", "b", "original"].claim.z > 50
     assert abs(looks["b", "a", "original"].claim.z) < 6
     assert found.dates["b"].self_declared == "2020-01-01"
-    assert "which nobody attests" in " ".join(dispute_words(found.to_json()).reasons)
+    assert "No third party attests it" in " ".join(dispute_words(found.to_json()).reasons)
     turned = settle(thief, owner)
     assert turned.first == "b", "whichever side he comes from"
     assert turned.seen == tuple((deed, "a") for deed, _ in found.seen)
@@ -101,7 +101,7 @@ def test_two_who_marked_one_unmarked_model(owner: Party, small_plant: GaussianMo
     assert (found.first, found.same_original, found.registered_first) == ("neither", True, "b")
     assert found.seen == (("same original", ""),)
     words = dispute_words(found.to_json())
-    assert words.headline.startswith("Undecided")
+    assert words.headline.startswith("Inconclusive")
     assert "By the attested times, Party B registered first." in words.reasons
     undated = settle(owner, Party(replace(other.opened, attested=None), other.model))
     assert undated.registered_first == ""
