@@ -91,7 +91,7 @@ class Evidence(_Part):
     unmarked_z: float = Field(description="What is expected without a mark, with a standard deviation of 1.")
     expected_z: float = Field(description="What is expected of the mark at full strength.")
     power: float = Field(
-        description="Detection power: least probability that a watermark at half strength would be found (deliberate removal aside)."
+        description="Detection power: least probability of finding a watermark at half strength, removal aside."
     )
     change: float | None = Field(None, description="Size of what was measured, in sizes of the mark.")
 
