@@ -99,12 +99,12 @@ def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> 
     transform = found.claim.transform
     if transform is None:
         return render(model, choose_view(model, *EVIDENCE_SIZE))
-    if transform.get("mirrored"):
+    if transform.mirrored:
         model = mirror_model(model)
     viewmat = camera.viewmat.copy()
     turn = viewmat[:3, :3]
-    viewmat[:3, 3] = (turn @ transform["translation"] + viewmat[:3, 3]) / transform["scale"]
-    viewmat[:3, :3] = turn @ transform["rotation"]
+    viewmat[:3, 3] = (turn @ transform.translation + viewmat[:3, 3]) / transform.scale
+    viewmat[:3, :3] = turn @ transform.rotation
     return render(model, Camera(viewmat, camera.K, camera.width, camera.height))
 
 

@@ -61,7 +61,7 @@ def test_a_mirrored_model_claims_as_if_it_were_not(scene: MarkedScene, suspect: 
     assert mirrored.tries == plain.tries  # a mirror spends none
     assert mirrored.transform is not None
     assert plain.transform is not None
-    assert (mirrored.transform["mirrored"], plain.transform["mirrored"]) == (True, False)
+    assert (mirrored.transform.mirrored, plain.transform.mirrored) == (True, False)
     assert "the suspect model is a mirror image of the asset, and was read as such" in mirrored.notes
     assert not any("mirror" in note for note in plain.notes)
     told = [fact.text for fact in words_of(mirrored.to_json() | {"record_id": "", "owner": ""}, PLAIN).facts]
