@@ -12,12 +12,12 @@ import typer
 from engine.cli.claim_text import WIDTH
 from engine.cli.console import Console
 from engine.cli.failures import INCONCLUSIVE, OK
-from engine.cli.files import check_target, read_bytes, whole_file
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TsaCertificates, read_trust
 from engine.errors import InputError
+from engine.usecases.files import check_target, read_bytes, whole_file
 
 if TYPE_CHECKING:
     from engine.flows.dispute.dispute_text import DisputeWords

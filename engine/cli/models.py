@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from engine.cli.console import Console, Progress
-from engine.cli.files import check_folder, check_target, whole_file, whole_folder
 from engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,9 +14,6 @@ if TYPE_CHECKING:
     from engine.formats import Repair
 
 DEMO_SCENE = "plant.splat"
-
-FOLDERS = ("codebook", "frames")
-"""Formats of which a model is a folder."""
 
 
 def format_for(path: Path, source: Path | None = None) -> str:
@@ -31,16 +26,6 @@ def format_for(path: Path, source: Path | None = None) -> str:
     from engine.formats.kinds import kind_of
 
     return kind_of(path.name).name
-
-
-def check_output(target: Path, kind: str) -> None:
-    """Refuse a model to write that cannot be written, before any work is done for it."""
-    (check_folder if kind in FOLDERS else check_target)(target)
-
-
-def whole_output(target: Path, kind: str) -> AbstractContextManager[Path]:
-    """A file, or a folder, to write to beside the target; see `whole_file`."""
-    return (whole_folder if kind in FOLDERS else whole_file)(target)
 
 
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from engine.cli.files import whole_folder
+from engine.usecases.files import whole_folder
 
 if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord

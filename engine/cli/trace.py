@@ -11,11 +11,11 @@ import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import are_pictures, pictures_within, read_bytes
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import load_suspect
 from engine.cli.options import Json, Key
 from engine.errors import InputError
+from engine.usecases.files import are_pictures, pictures_within, read_bytes
 
 if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord

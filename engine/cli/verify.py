@@ -12,14 +12,14 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, check_folder, pictures_within, read_bytes
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import read_suspect, say_repairs
 from engine.cli.options import Json, Key, SpzFrame
-from engine.cli.read_ahead import Ahead
 from engine.cli.regions import region_lines, write_regions
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
+from engine.usecases.files import are_pictures, check_folder, pictures_within, read_bytes
+from engine.usecases.read_ahead import Ahead
 
 MOVING = "moving"
 """Name of a record's commitment to a clip, see `engine.scenes.clip_marking`."""

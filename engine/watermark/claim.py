@@ -146,7 +146,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a claim rests on beside evidence and mark: what was asked, and what is known of the suspect without chips."""
+    """What a claim rests on beside evidence and mark: what was asked, and what is known without chips."""
 
     tries: int = 1  # number of (record, transform, route) hypotheses tried in this verification, >= 1
     route: str = ""  # kind of evidence

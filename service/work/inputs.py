@@ -23,9 +23,14 @@ MOST_PIXELS = 200_000_000
 def load_model(request: Mapping[str, Any]) -> Loaded:
     """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
     loaded = read_scene(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    check_model(loaded)
+    return loaded
+
+
+def check_model(loaded: Loaded) -> None:
+    """Refuse a model without Gaussians."""
     if len(loaded.model) == 0:
         raise Problem("unreadable-model", "the model holds no Gaussians")
-    return loaded
 
 
 def load_pictures(paths: Sequence[str]) -> list[Float32]:

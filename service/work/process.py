@@ -20,7 +20,11 @@ from typing import Any, TextIO
 from service.work.failures import describe
 
 Progress = Callable[[str, float], None]
-Task = Callable[[Mapping[str, Any], Path, Progress], dict[str, Any]]
+Request = Mapping[str, Any]
+"""A task's request, as its JSON came."""
+Reply = dict[str, Any]
+"""And its reply, as its JSON goes."""
+Task = Callable[[Request, Path, Progress], Reply]
 
 NICENESS = 5
 """Below the API and the database: they must answer while every core works on a model."""

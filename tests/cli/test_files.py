@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.cli.files import pictures_within, refuse_same, whole_file, write_picture, write_secret
 from engine.errors import InputError
 from engine.formats.image_files import is_picture, read_picture
+from engine.usecases.files import pictures_within, refuse_same, whole_file, write_picture, write_secret
 
 
 def test_whole_file_appears_at_the_end(tmp_path: Path) -> None:

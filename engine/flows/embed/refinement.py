@@ -230,25 +230,26 @@ def refine_mark(
     asset: Asset, mark: Mark, bits: int, advance: Callable[[float], None]
 ) -> tuple[GaussianModel, Fidelity]:
     """The marked model with its tint refined and its strength solved again, and what its worst view shows."""
-    plan, delivered, tint = mark.settled.plan, asset.delivered, mark.settled.tint
+    plan, delivered, tint = mark.settled.plan, asset.delivery.model, mark.settled.tint
+    ground, views = asset.delivery.ground, asset.delivery.views
     codes, weight = None, asset.settings.paper.codes
     if weight > 0:
         width = plan.layout.width
-        left = (asset.ground.model.sh - delivered.sh).reshape(len(delivered), -1)[:, :width]
+        left = (ground.model.sh - delivered.sh).reshape(len(delivered), -1)[:, :width]
         codes = Codes(np.ascontiguousarray(left), weight, asset.settings.quantize.lambda_freq)
     displacement = refine(
         delivered,
         plan.layout.displace(mark.signed),
-        list(asset.ground.cameras),
+        list(ground.cameras),
         plan.layout,
         mark.signed,
         mark.spreading.bit_of,
         bits,
-        uncertainty(asset.ground.impact.squared),
+        uncertainty(ground.impact.squared),
         asset.settings.refine,
         advance,
         codes=codes,
     )
-    again = solve_strength(asset.views, displacement, tint.psnr_db, tint.ssim, 1.0)
+    again = solve_strength(views, displacement, tint.psnr_db, tint.ssim, 1.0)
     marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
-    return marked, measure(asset.views, marked)
+    return marked, measure(views, marked)

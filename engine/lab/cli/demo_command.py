@@ -13,12 +13,12 @@ import typer
 from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.embed import size
-from engine.cli.files import check_target, whole_file, write_picture, write_secret
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json
 from engine.cli.verify import claim_report
 from engine.errors import InputError, WrongKeyError
+from engine.usecases.files import check_target, whole_file, write_picture, write_secret
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.raster import render
+from engine.usecases.files import write_picture
 from service.jobs.course import course
 from service.jobs.port import Job, State
 from service.work.tasks import TASKS

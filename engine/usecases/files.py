@@ -1,4 +1,4 @@
-"""Files as commands see them: outputs that appear whole or not at all, and suspects of two kinds."""
+"""Files as requests see them: outputs that appear whole or not at all, and suspects of two kinds."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from engine.errors import InputError
 
@@ -39,6 +39,20 @@ def whole_file(target: Path, *, overwrite: bool = True) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             part.unlink()
+
+
+FOLDERS = ("codebook", "frames")
+"""Formats of which a model is a folder."""
+
+
+def check_output(target: Path, kind: str) -> None:
+    """Refuse a model to write that cannot be written, before any work is done for it."""
+    (check_folder if kind in FOLDERS else check_target)(target)
+
+
+def whole_output(target: Path, kind: str) -> AbstractContextManager[Path]:
+    """A file, or a folder, to write to beside the target; see `whole_file`."""
+    return (whole_folder if kind in FOLDERS else whole_file)(target)
 
 
 @contextmanager
@@ -150,8 +164,8 @@ def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_
     check_picture_ending(target)
     levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
-    options: dict[str, dict[str, Any]] = {"JPEG": {"quality": quality}, "PNG": {}, "WEBP": {"lossless": True}}
-    Image.fromarray(levels).save(path, format=kind, **options[kind])
+    options = {"JPEG": {"quality": quality}, "WEBP": {"lossless": True}}.get(kind, {})
+    Image.fromarray(levels).save(path, format=kind, **options)
 
 
 def check_picture_ending(target: Path) -> None:
