@@ -1,11 +1,11 @@
-"""Files as requests see them: outputs that appear whole or not at all, and suspects of two kinds."""
+"""Files as requests see them: outputs that appear whole or not at all."""
 
 from __future__ import annotations
 
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -128,31 +128,6 @@ def read_bytes(path: Path, what: str) -> bytes:
         raise InputError(f"cannot read {what} {str(path)!r}: {error.strerror}") from error
 
 
-def pictures_within(suspects: Sequence[Path]) -> list[Path]:
-    """The suspects; in the place of a folder of pictures alone, such as a video's frames, these in order of name."""
-    from engine.formats.image_files import is_picture
-
-    found: list[Path] = []
-    for path in suspects:
-        within = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else []
-        found += within if within and all(is_picture(each) for each in within) else [path]
-    return found
-
-
-def are_pictures(suspects: Sequence[Path], cameras: Path | None) -> bool:
-    """Whether suspects are pictures; InputError where they are neither that nor one model without cameras."""
-    from engine.formats.image_files import is_picture
-
-    pictures = [is_picture(path) for path in suspects]
-    if any(pictures) and not all(pictures):
-        raise InputError("suspects are one model, or pictures of one model, not both at once")
-    if not any(pictures) and len(suspects) > 1:
-        raise InputError(f"one model at a time; got {', '.join(repr(str(path)) for path in suspects)}")
-    if cameras is not None and not any(pictures):
-        raise InputError("--cameras belongs to pictures; a model needs none")
-    return any(pictures)
-
-
 def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_QUALITY) -> None:
     """Store a picture at `path`, in the format that the ending of `target` names.
 
@@ -164,8 +139,8 @@ def write_picture(image: Float32, path: Path, target: Path, quality: int = JPEG_
     check_picture_ending(target)
     levels = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".webp": "WEBP"}[target.suffix.lower()]
-    options = {"JPEG": {"quality": quality}, "WEBP": {"lossless": True}}.get(kind, {})
-    Image.fromarray(levels).save(path, format=kind, **options)
+    choices: dict[str, dict[str, int]] = {"JPEG": {"quality": quality}, "WEBP": {"lossless": True}}
+    Image.fromarray(levels).save(path, format=kind, **choices.get(kind, {}))
 
 
 def check_picture_ending(target: Path) -> None:

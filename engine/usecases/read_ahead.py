@@ -34,4 +34,4 @@ class Ahead(Generic[T]):
         self._thread.join()
         if self._error is not None:
             raise self._error
-        return self._answer.pop()
+        return self._answer[0]

@@ -1,10 +1,12 @@
 """The claim: what a verification answers, and the numbered steps that lead to it (DESIGN 4.9)."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +15,8 @@ from engine.errors import InputError
 from engine.model import Float64
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
-from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import Moments, moments
 from engine.watermark.rates import AppliedRate
-from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import (
     CHANCE_RATE,
     DISHONEST_CLAIMANT_RATE,
@@ -29,6 +29,10 @@ from engine.watermark.statistics import (
     weighted_evidence,
     z_threshold,
 )
+
+if TYPE_CHECKING:
+    from engine.watermark.model_evidence import Evidence
+    from engine.watermark.spreading import Spreading
 
 SCATTERED = "_by_scatter"
 """What follows the names of `layers.LAYERS` in a claim where pictures were read by their scatter."""
@@ -64,7 +68,7 @@ class ClaimConfig:
     doubt_rate: float = 1e-3
 
     @classmethod
-    def at(cls, rate: AppliedRate) -> "ClaimConfig":
+    def at(cls, rate: AppliedRate) -> ClaimConfig:
         """The usual demands, at the rate that applies."""
         return cls(false_claim_rate=rate.rate, rate_basis=rate.basis, rate_if_attested=rate.if_attested)
 

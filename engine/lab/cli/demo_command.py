@@ -16,9 +16,9 @@ from engine.cli.embed import size
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json
-from engine.cli.verify import claim_report
 from engine.errors import InputError, WrongKeyError
 from engine.usecases.files import check_target, whole_file, write_picture, write_secret
+from engine.usecases.verify import VerifyReport
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding
@@ -156,7 +156,7 @@ def _mark(work: _Work, scene: Path) -> tuple[GaussianModel, Embedding, OpenedRec
 
 def _trials(
     work: _Work, original: GaussianModel, marked: GaussianModel, opened: OpenedRecord
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Mapping[str, Any]]:
     """Steal the marked model in three ways, and try the unmarked original."""
     import numpy as np
 
@@ -209,9 +209,9 @@ def _trials(
             lambda: verify_model(original, opened, config, work.progress),
         ),
     }
-    outcomes = {}
+    outcomes: dict[str, Mapping[str, Any]] = {}
     for name, (text, check) in steps.items():
-        report = claim_report(check(), opened)
+        report = VerifyReport.of(check(), opened)
         outcomes[name] = report
         work.console.say(f"   {text:<50} {_summary(report)}")
     return outcomes
