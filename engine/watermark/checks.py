@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from engine.errors import RecordError, WrongKeyError
+from engine.numerics.plain import Json
 from engine.watermark.numerals import TYPOGRAPHIC
 from engine.watermark.wording import derivation_text
 
@@ -18,7 +19,7 @@ CHECKS = {
 
 OUTCOMES = {True: "holds", False: "does not hold", None: "not decided"}
 
-Check = dict[str, Any]
+Check = Json
 """`code` for machines, `text` for people, and `ok`: null where it could not be checked or came to no answer."""
 
 NO_RECORD: Check = {"code": "evidence", "ok": False, "text": "There is no registered asset to compare with."}

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float64
+from engine.numerics.plain import Json
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.power import Moments, moments
@@ -141,7 +142,7 @@ class Claim:
         """Share of the reference found in the suspect; None where the route does not measure it."""
         return self.derivation.share
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain dict of JSON values."""
         plain = asdict(self) | {"derived": self.derivation.derived, "derived_fraction": self.derived_fraction}
         plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))

@@ -17,7 +17,7 @@ from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster import RasterSettings, View, draw, prepare_view
 from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_pictures import GrainView
-from engine.watermark.image_evidence import PictureEvidence, gather_image_evidence
+from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
 from engine.watermark.spreading import public_signs
 
 PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
@@ -72,7 +72,7 @@ class ReferenceView:
     def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
         """Evidence of a picture that lies in this view's pixels."""
         seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
-        return gather_image_evidence(*seen, self.mark, self.of.signs, through, self.geometry)
+        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs), through, self.geometry)
 
 
 def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:

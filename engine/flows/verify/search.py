@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
@@ -25,6 +24,7 @@ from engine.flows.verify.derived_share import derivation_of_model, derivation_of
 from engine.flows.verify.suspect_evidence import read_gaussians, read_pictures, read_renders
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.plain import Json
 from engine.registration.registration_search import register
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.layers import LAYERS
@@ -73,7 +73,7 @@ class Verification:
     cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
     reading: Reading | None = None  # that reading: where it was found, and by what
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Json:
         """Plain values for `verify --json`."""
         return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
