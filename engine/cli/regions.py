@@ -25,8 +25,8 @@ def write_regions(
     """
     import numpy as np
 
-    from engine.flows.regions.region_maps import draw_report
     from engine.flows.regions.region_search import describe
+    from engine.present.region_maps import draw_report
     from engine.watermark.regions import State
 
     with whole_folder(folder) as part:

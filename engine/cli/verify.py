@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
 from engine.cli.kernel_progress import prepare_kernels
@@ -19,6 +18,7 @@ from engine.cli.options import Json, Key, SpzFrame
 from engine.cli.regions import region_lines, write_regions
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
+from engine.present.claim_text import claim_lines
 from engine.usecases.files import check_folder, read_bytes
 from engine.usecases.read_ahead import Ahead
 from engine.usecases.suspect import SuspectFiles
@@ -118,11 +118,11 @@ def verify(
             raise InputError("--regions needs a scene that stands still: leave --original out")
 
     from engine.flows.verify.verification import VerifyConfig
+    from engine.present.numerals import PLAIN
+    from engine.present.wording import words_of
     from engine.usecases.verify import VerifyReport, VerifyRequest
     from engine.usecases.verify import verify as verify_records
-    from engine.watermark.numerals import PLAIN
     from engine.watermark.regions import RegionConfig
-    from engine.watermark.wording import words_of
 
     located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
     kept = _Record.of(record, key, attestation or (), read_trust(tsa_certificates, jwks))

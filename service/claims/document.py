@@ -6,10 +6,10 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from engine.watermark.checks import named
+from engine.present.checks import named
+from engine.present.numerals import TYPOGRAPHIC, Form
+from engine.present.wording import Words, words_of
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.numerals import TYPOGRAPHIC, Form
-from engine.watermark.wording import Words, words_of
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument
 from service.clock import LOG
 

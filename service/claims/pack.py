@@ -14,8 +14,8 @@ from typing import Any
 from jinja2 import Environment
 from PIL import Image, ImageDraw, ImageFont
 
-from engine.flows.html_pages import templates
-from engine.watermark.numerals import PLAIN, when
+from engine.present.html_pages import templates
+from engine.present.numerals import PLAIN, when
 from service.claims.document import document_words
 from service.claims.report import captions_of, timeline
 from service.claims.told import Told

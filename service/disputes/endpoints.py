@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from engine.flows.dispute.dispute_text import dispute_page, dispute_words
+from engine.present.dispute_text import dispute_page, dispute_words
 from service.core import Service
 from service.db.schema import assets, jobs
 from service.disputes.consent import agreed

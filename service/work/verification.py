@@ -11,9 +11,9 @@ from pathlib import Path
 from engine.flows.trace.candidates import Outcome
 from engine.flows.verify.search import Suspect
 from engine.flows.verify.verification import VerifyConfig
+from engine.present.checks import NO_RECORD, checks_of
 from engine.usecases.suspect import ReadSuspect
 from engine.usecases.verify import VerifyAnswer, VerifyRequest, verify
-from engine.watermark.checks import NO_RECORD, checks_of
 from engine.watermark.messages import message_hex
 from engine.watermark.regions import RegionConfig
 from service.problems import Problem

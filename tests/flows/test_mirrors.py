@@ -16,9 +16,9 @@ from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
+from engine.present.numerals import PLAIN
+from engine.present.wording import words_of
 from engine.raster import render
-from engine.watermark.numerals import PLAIN
-from engine.watermark.wording import words_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.embed import size
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json
 from engine.errors import InputError, WrongKeyError
+from engine.present.claim_text import claim_lines
 from engine.usecases.files import check_target, whole_file, write_picture, write_secret
 from engine.usecases.verify import VerifyReport
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord
     from engine.flows.verify.verification import Verification
     from engine.model import Camera, GaussianModel
+    from engine.present.wording import Words
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.wording import Words
 
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
@@ -63,8 +63,8 @@ def demo(
 
       mark3dgs demo --out demo-out
     """
-    from engine.watermark.numerals import PLAIN
-    from engine.watermark.wording import words_of
+    from engine.present.numerals import PLAIN
+    from engine.present.wording import words_of
 
     console = Console(json)
     began = time.perf_counter()
@@ -218,7 +218,7 @@ def _trials(
 
 
 def _summary(report: Mapping[str, Any]) -> str:
-    from engine.watermark.numerals import PLAIN, surely
+    from engine.present.numerals import PLAIN, surely
 
     verdict = report["verdict"].replace("_", " ")
     bits = f"{report['matching_bits']}/{report['bits']} bits"

@@ -2,10 +2,10 @@
 
 import pytest
 
-from engine.cli.claim_text import WIDTH, claim_lines
-from engine.watermark.numerals import PLAIN
-from engine.watermark.wording import words_of
-from tests.watermark.test_wording import report
+from engine.present.claim_text import WIDTH, claim_lines
+from engine.present.numerals import PLAIN
+from engine.present.wording import words_of
+from tests.present.test_wording import report
 
 
 @pytest.mark.parametrize("verdict", ["marked", "not_marked", "inconclusive"])

@@ -8,8 +8,8 @@ from typing import Any
 
 from jinja2 import Template
 
-from engine.flows.html_pages import templates
-from engine.watermark.numerals import TYPOGRAPHIC, Form, percent, when
+from engine.present.html_pages import templates
+from engine.present.numerals import TYPOGRAPHIC, Form, percent, when
 
 __all__ = ["DEEDS", "DisputeWords", "dispute_page", "dispute_words"]
 

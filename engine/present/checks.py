@@ -5,8 +5,8 @@ from typing import Any
 
 from engine.errors import RecordError, WrongKeyError
 from engine.numerics.plain import Json
-from engine.watermark.numerals import TYPOGRAPHIC
-from engine.watermark.wording import derivation_text
+from engine.present.numerals import TYPOGRAPHIC
+from engine.present.wording import derivation_text
 
 CHECKS = {
     "record_intact": "Record",

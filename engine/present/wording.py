@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from engine.present.numerals import Form, percent, surely, when
 from engine.watermark.claim import SCATTERED
-from engine.watermark.numerals import Form, percent, surely, when
 from engine.watermark.rates import BASES
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 

@@ -3,10 +3,10 @@
 import pytest
 
 from engine.errors import MalformedRecordError, WrongKeyError
-from engine.watermark.checks import CHECKS, checks_of, named
-from engine.watermark.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
+from engine.present.checks import CHECKS, checks_of, named
+from engine.present.numerals import PLAIN, TYPOGRAPHIC, percent, surely, when
+from engine.present.wording import Words, words_of
 from engine.watermark.rates import BASES
-from engine.watermark.wording import Words, words_of
 
 
 def report(verdict: str, **changes: object) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""A claim as lines of a terminal; what they say is in `engine.watermark.wording`."""
+"""A claim as lines of a terminal; what they say is in `engine.present.wording`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from engine.watermark.wording import Words
+    from engine.present.wording import Words
 
 WIDTH = 96
 _LABEL = 16
