@@ -10,8 +10,8 @@ import pytest
 
 from engine.flows.dispute.dispute import Dispute, Party, settle
 from engine.flows.embed.embedding import embed
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile
-from engine.flows.embed.strength_search import add_dc
 from engine.flows.records.opened_record import open_record
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel

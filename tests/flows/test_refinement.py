@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from engine.flows.embed import refinement
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import RefineConfig
 from engine.flows.embed.refinement import Codes, Tint, refine
-from engine.flows.embed.strength_search import add_dc
 from engine.numerics.wavelet import dwt2
 from engine.raster import prepare_view, render, sh_colors
 from engine.watermark.statistics import bit_sums, weighted_evidence

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.flows.embed.strength_search import add_dc
+from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
 from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, gather_image_evidence

@@ -1,16 +1,17 @@
 """Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark one bad picture still shows.
 
 A scene is rehearsed (`rehearsal`). Where the owner allows a loss (a pruning budget), every way of spending it
-(`delivery_budget`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
+(`ways`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
 pareto`, which holds every promise against what was measured.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from engine.flows.embed.delivery import Delivery, deliver
-from engine.flows.embed.delivery_budget import ways
 from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.rehearsal import Rehearsal, Rehearsing
@@ -22,7 +23,14 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
-__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
+__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z", "ways"]
+
+
+def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
+    """Settings that spend an allowance on a model of this degree: pruned as it is, or cut to fewer harmonics first."""
+    for degree in range(sh_degree + 1):
+        yield replace(config, prune=replace(config.prune, budget_db=allowed_db, sh_degree=degree))
+
 
 MARGIN = 1.15
 """Promised over needed z: with other chips z is one more or less, in other views a little, too."""
@@ -84,7 +92,7 @@ class Choice:
         """
         return self.rehearsal.predicted_z >= self.wanted_z
 
-    def report(self) -> "ChoiceReport":
+    def report(self) -> ChoiceReport:
         """The choice in plain values."""
         config, found = self.config, self.rehearsal
         return ChoiceReport(

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from engine.flows.embed.layer_strengths import Settled, measure
-from engine.flows.embed.strength_search import Fidelity, add_dc
+from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
 from engine.flows.records.opened_record import OpenedRecord, PlanParts, draw_spreading, plan_of
 from engine.flows.views.view_set import ViewSet

@@ -22,10 +22,9 @@ from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import Committed, Copy, make_mark
 from engine.flows.embed.delivery import Pruned, deliver
-from engine.flows.embed.layer_strengths import settle
+from engine.flows.embed.layer_strengths import Fidelity, settle
 from engine.flows.embed.planning_basis import lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
-from engine.flows.embed.strength_search import Fidelity
 from engine.flows.embed.terms import MarkOptions, MarkTerms
 from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress

@@ -22,9 +22,8 @@ from engine.compress.impact import uncertainty
 from engine.flows.embed.asset import Asset
 from engine.flows.embed.copy_mark import Mark
 from engine.flows.embed.distortions import draw
-from engine.flows.embed.layer_strengths import measure
+from engine.flows.embed.layer_strengths import Fidelity, add_dc, measure, solve_strength
 from engine.flows.embed.profiles import RefineConfig
-from engine.flows.embed.strength_search import Fidelity, add_dc, solve_strength
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import coefficient_detail, dwt2

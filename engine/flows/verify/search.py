@@ -20,8 +20,14 @@ from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import Reading, VerifyConfig, judge
-from engine.flows.verify.derived_share import derivation_of_model, derivation_of_pictures, derivation_of_sight
-from engine.flows.verify.suspect_evidence import read_gaussians, read_pictures, read_renders
+from engine.flows.verify.suspect_evidence import (
+    derivation_of_model,
+    derivation_of_pictures,
+    derivation_of_sight,
+    read_gaussians,
+    read_pictures,
+    read_renders,
+)
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
 from engine.numerics.plain import Json
