@@ -4,16 +4,14 @@ Compiling is work for one core at a time, so the first kernel that is found to b
 each compile steps of `engine.flows.warmup.warmup_steps` and keep what they made, which this process then loads.
 """
 
-import os
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 
 from engine.flows.warmup.warmup_steps import Step, Work, steps_of
-from engine.kernels.machine import usable_cores
+from engine.kernels.kernel_cache import folder
+from engine.kernels.machine import module_command, usable_cores
 from engine.kernels.machine_code import on_compiling
 
 __all__ = ["Work", "expected_seconds", "warm_up"]
@@ -21,8 +19,6 @@ __all__ = ["Work", "expected_seconds", "warm_up"]
 MOST_PROCESSES = 4
 """That compile at a time: each is a Python of its own with a compiler in it, and longer than the longest step nobody
 gains."""
-
-_ROOT = Path(__file__).parents[2]
 
 
 def warm_up(
@@ -33,8 +29,9 @@ def warm_up(
     enough: Callable[[], bool] = lambda: False,
 ) -> None:
     """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
-    compile, and `compiler` is called once where a kernel is not there yet. `processes`, as many as there are cores by
-    default, at most compile side by side. As long as kernels are only loaded, it ends as soon as that is `enough`."""
+    compile, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are cores by
+    default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only loaded,
+    it ends as soon as that is `enough`."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
     begun = False
@@ -43,7 +40,7 @@ def warm_up(
         nonlocal begun
         begun = True
         compiling()
-        _call_helpers(plan, (processes or _cores()) - 1)
+        _call_helpers(plan, (processes or _cores()) - 1 if folder() else 0)
 
     with _at_first_compilation(begin):
         mine = set()
@@ -129,13 +126,11 @@ def _call_helpers(plan: _Plan, count: int) -> None:
 def _help(plan: _Plan) -> None:
     """Take steps and have them compiled by a process of its own, one for all of them: half of a small step's time is a
     Python's start."""
-    paths = os.pathsep.join(filter(None, [str(_ROOT), os.environ.get("PYTHONPATH")]))
     program: subprocess.Popen[bytes] | None = None
     while (name := plan.take()) is not None:
         try:
             program = program or subprocess.Popen(
-                [sys.executable, "-m", "engine.flows.warmup.warmup_steps"],
-                env={**os.environ, "PYTHONPATH": paths},
+                module_command("engine.flows.warmup.warmup_steps"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
