@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.errors import InputError
+from engine.errors import Mark3DGSError
 from engine.kernels import kernel_cache, machine_code
 from engine.kernels.deferred import resolved
 from engine.kernels.jit import FLOAT_FLAGS, share_of
@@ -32,10 +32,10 @@ SECONDS = 300.0
 @cache
 def calls_native() -> bool:
     """Whether kernels are called as machine code. The environment variable MARK3DGS_KERNELS is `auto`, which is the
-    default: where it gives what numba gives; or `numba`: never. InputError where it is something else."""
+    default: where it gives what numba gives; or `numba`: never. Mark3DGSError where it is something else."""
     asked = os.environ.get("MARK3DGS_KERNELS") or "auto"
     if asked not in ("auto", "numba"):
-        raise InputError(f"MARK3DGS_KERNELS is {asked!r}: it can be 'auto' or 'numba'")
+        raise Mark3DGSError(f"MARK3DGS_KERNELS is {asked!r}: it can be 'auto' or 'numba'")
     wrong = "" if asked == "numba" else verdict()
     if wrong:
         kernel_cache.warn_once("KERNELS", f"kernels start more slowly, by numba alone: {wrong}")

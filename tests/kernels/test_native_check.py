@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from engine.errors import InputError
+from engine.errors import Mark3DGSError
 from engine.kernels import compiler, kernel_cache, machine_code, native_check
 from engine.kernels.jit import kernel
 from engine.kernels.native_check import calls_native, difference
@@ -146,7 +146,7 @@ def test_the_variable_switches_it_off(monkeypatch: pytest.MonkeyPatch, caplog: p
 
 def test_another_value_of_the_variable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MARK3DGS_KERNELS", "natvie")
-    with pytest.raises(InputError, match=r"MARK3DGS_KERNELS.*'natvie'.*'auto'.*'numba'"):
+    with pytest.raises(Mark3DGSError, match=r"MARK3DGS_KERNELS.*'natvie'.*'auto'.*'numba'"):
         kernel(lambda x: x)(1)
 
 
