@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
@@ -30,7 +31,7 @@ def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setenv(name, "")  # so that it is as before afterwards
         monkeypatch.delenv(name)
     for name in ("folders", "folder", "remove_unused"):
-        monkeypatch.setattr(kernel_cache, name, __import__("functools").cache(getattr(kernel_cache, name).__wrapped__))
+        monkeypatch.setattr(kernel_cache, name, functools.cache(getattr(kernel_cache, name).__wrapped__))
     return tmp_path
 
 

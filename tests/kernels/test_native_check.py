@@ -6,6 +6,7 @@ import ctypes
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,14 @@ import pytest
 from engine.errors import Mark3DGSError
 from engine.kernels import compiler, kernel_cache, machine_code, native_check
 from engine.kernels.jit import kernel
-from engine.kernels.native_check import calls_native, difference
+from engine.kernels.native_check import calls_native
+from engine.kernels.native_probe import difference
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
-def _machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A machine on which nothing was compared yet."""
     monkeypatch.setattr(kernel_cache, "folders", lambda: (tmp_path,))
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
@@ -103,9 +105,18 @@ def test_where_they_differ_numba_runs_every_kernel_and_it_is_told_once(
     assert len(caplog.records) == 1
 
 
-def test_a_check_that_cannot_run_is_a_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native_check, "module_command", lambda name: [os.devnull + "/nothing"])
-    run_by_numba()
+@pytest.mark.parametrize(
+    "command", [[os.devnull + "/nothing"], [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]]
+)
+def test_a_check_that_could_not_end_is_made_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: list[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(native_check, "module_command", lambda name: command)
+        run_by_numba()
+    assert not list(tmp_path.glob("*.verdict"))
+    calls_native.cache_clear()
+    assert calls_native()
 
 
 PROGRAM = """
@@ -118,7 +129,7 @@ sys.modules["numba.core.event"] = None
 
 
 def test_without_numbas_internals_numba_runs_every_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    check = PROGRAM.format("import runpy; runpy.run_module('engine.kernels.native_check', run_name='__main__')")
+    check = PROGRAM.format("import runpy; runpy.run_module('engine.kernels.native_probe', run_name='__main__')")
     monkeypatch.setattr(native_check, "module_command", lambda name: [sys.executable, "-c", check])
     monkeypatch.chdir(ROOT)
     assert "internals" in native_check.verdict()
