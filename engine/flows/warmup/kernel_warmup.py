@@ -6,8 +6,7 @@ each compile steps of `engine.flows.warmup.warmup_steps` and keep what they made
 
 import subprocess
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 
 from engine.flows.warmup.warmup_steps import Step, Work, steps_of
 from engine.kernels.kernel_cache import folder
@@ -38,11 +37,14 @@ def warm_up(
 
     def begin() -> None:
         nonlocal begun
-        begun = True
-        compiling()
-        _call_helpers(plan, (processes or _cores()) - 1 if folder() else 0)
+        if not begun:
+            begun = True
+            compiling()
+            for _ in range((processes or _cores()) - 1 if folder() else 0):
+                threading.Thread(target=_help, args=(plan,), daemon=True).start()
 
-    with _at_first_compilation(begin):
+    on_compiling.append(begin)
+    try:
         mine = set()
         while (name := plan.take()) is not None:
             steps[name].run()
@@ -51,9 +53,10 @@ def warm_up(
             if not begun and enough():
                 return
         plan.wait()
-        for name in steps:
-            if name not in mine:
-                steps[name].run()  # from the cache; where a helper has failed, compiled after all
+        for name in [each for each in steps if each not in mine]:
+            steps[name].run()  # from the cache; where a helper has failed, compiled after all
+    finally:
+        on_compiling.remove(begin)
     plan.progress(1.0)
 
 
@@ -100,27 +103,6 @@ class _Plan:
         """Until every step is done."""
         with self._changed:
             self._changed.wait_for(lambda: len(self._done) == len(self._steps))
-
-
-@contextmanager
-def _at_first_compilation(then: Callable[[], None]) -> Iterator[None]:
-    """Call this once, when a kernel is compiled that was not kept."""
-    left = [then]
-
-    def tell() -> None:
-        if left:
-            left.pop()()
-
-    on_compiling.append(tell)
-    try:
-        yield
-    finally:
-        on_compiling.remove(tell)
-
-
-def _call_helpers(plan: _Plan, count: int) -> None:
-    for _ in range(count):
-        threading.Thread(target=_help, args=(plan,), daemon=True).start()
 
 
 def _help(plan: _Plan) -> None:

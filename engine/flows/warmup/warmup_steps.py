@@ -51,7 +51,7 @@ Work = Literal["embed", "model", "pictures", "main", "everything"]
 class Step:
     """Kernels that are compiled together."""
 
-    run: Callable[[], None]
+    run: Callable[[], object]
     seconds: float  # of one core, to compile them (EPYC of 2022, after the steps before): a weight, and an estimate
     works: tuple[Work, ...]
     after: tuple[str, ...] = ()  # steps with some of the same kernels: theirs are then loaded, not compiled twice
@@ -141,10 +141,6 @@ def _alignment() -> None:
     GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
 
 
-def _geometry() -> None:
-    raster.prepare_view(*_scene())
-
-
 def _colors() -> None:
     model, _ = _scene()
     raster.sh_colors_backward(raster.sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3))
@@ -155,11 +151,6 @@ def _pictures() -> None:
     raster.render(model, camera)
     raster.render_depth(model, camera)
     raster.prepare_view(model, camera).render(_one_channel(model))
-
-
-def _color_gradients() -> None:
-    view = raster.prepare_view(*_scene())
-    _pull_back(view)
 
 
 def _all_gradients() -> None:
@@ -201,11 +192,13 @@ def _scene() -> tuple[GaussianModel, Camera]:
 STEPS: dict[str, Step] = {
     "files": Step(_files, 2.5, ("embed", "model", "pictures")),
     "registration": Step(_registration, 6.5, ("model",)),
-    "geometry": Step(_geometry, 3.5, ("embed", "pictures")),
+    "geometry": Step(lambda: raster.prepare_view(*_scene()), 3.5, ("embed", "pictures")),
     "cells": Step(_embedding, 3.5, ("embed",)),
     "colors": Step(_colors, 1.5, ("embed", "pictures")),
     "pictures": Step(_pictures, 4.0, ("embed", "pictures"), ("geometry", "colors")),
-    "color gradients": Step(_color_gradients, 4.0, ("embed", "pictures"), ("geometry",)),
+    "color gradients": Step(
+        lambda: _pull_back(raster.prepare_view(*_scene())), 4.0, ("embed", "pictures"), ("geometry",)
+    ),
     "all gradients": Step(_all_gradients, 4.5, ("pictures",), ("pictures", "color gradients")),
     "warps": Step(_warps, 5.0, ("pictures",)),
     "alignment": Step(_alignment, 5.0, ("pictures",), ("pictures", "registration", "cells", "all gradients")),
