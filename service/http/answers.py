@@ -13,8 +13,8 @@ from pydantic import BaseModel, BeforeValidator, Field
 from service.core import Service
 from service.http import idempotency
 from service.http.failures import responses
+from service.http.progress import course
 from service.http.results import Failure, Result, Time, TimeOrNot
-from service.jobs.course import course
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
 from service.trust.api_keys import Caller

@@ -20,7 +20,7 @@ from service.app import make_app
 from service.assets import conversions
 from service.core import Service
 from service.db.schema import assets
-from service.jobs.turns import Turns
+from service.processes import Turns
 from service.settings import Settings
 from service.uploads import store, taking
 from service.uploads.quota import stored_bytes

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from service.db import Database
-from service.jobs.durable import DurableJobs
+from service.jobs.engine import DurableJobs
 from service.jobs.port import Run, Step
 from service.jobs.worker import Worker
 from service.problems import Problem

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 import os
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -20,7 +22,6 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.jobs.port import Cancelled
-from service.jobs.turns import Turns
 from service.problems import KINDS, Problem
 from service.settings import Settings
 
@@ -30,7 +31,7 @@ SECONDS_BETWEEN_LOOKS = 0.35
 """How often the job's row is looked at and written while a task runs: a cancelled task dies within this time."""
 
 AT_ONCE = 2
-"""Tasks for handlers that run beside the workers' on the same cores: few at a time, tenants take turns."""
+"""Tasks for handlers that run next to the workers' on the same cores: few at a time, tenants take turns."""
 
 MAX_LINE_BYTES = 64 << 20
 _GOODBYE_SECONDS = 5.0
@@ -39,7 +40,6 @@ _GOODBYE_SECONDS = 5.0
 _ENVIRONMENT = {"HOME", "LANG", "LD_LIBRARY_PATH", "MPLCONFIGDIR", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV"}
 _PREFIXES = ("CUDA_", "KMP_", "LC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TORCH", "XDG_")
 
-_turns = Turns(AT_ONCE)
 _log = logging.getLogger(__name__)
 
 
@@ -199,6 +199,42 @@ class Children:
             env=environment,
             start_new_session=True,  # a group of its own, killed as one
         )
+
+
+class Turns:
+    """`at_once` callers at a time, whose tenant has the fewest at work first; the others wait in their threads."""
+
+    def __init__(self, at_once: int) -> None:
+        self._at_once = at_once
+        self._numbers = itertools.count()
+        self._waiting: set[tuple[int, str]] = set()  # number of coming, tenant
+        self._at_work: Counter[str] = Counter()
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def of(self, tenant: str) -> Iterator[None]:
+        """Wait for a turn of this tenant's, and have it."""
+        me = (next(self._numbers), tenant)
+        with self._changed:
+            self._waiting.add(me)
+            self._changed.wait_for(lambda: self._next() == me)
+            self._waiting.remove(me)
+            self._at_work[tenant] += 1
+            self._changed.notify_all()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._at_work -= Counter([tenant])  # drops who has none left
+                self._changed.notify_all()
+
+    def _next(self) -> tuple[int, str] | None:
+        if self._at_work.total() >= self._at_once:
+            return None
+        return min(self._waiting, key=lambda each: (self._at_work[each[1]], each[0]))
+
+
+_turns = Turns(AT_ONCE)
 
 
 class _Single(Children):
