@@ -18,9 +18,10 @@ import sqlalchemy as sa
 from service.clock import ago
 from service.db import Database
 from service.db.database import POSTGRES_CONNECT
+from service.db.schema import jobs
 from service.jobs.port import Job, State
 from service.jobs.presence import Presence
-from service.jobs.rows import Attempt, Rows
+from service.jobs.rows import Rows
 from service.problems import Problem
 
 if TYPE_CHECKING:
@@ -60,12 +61,12 @@ class DurableJobs(Rows):
             self._advance(known.tenant)
         return known
 
-    def begin(self, job_id: str, worker: str) -> Attempt | None:
+    def begin(self, job_id: str, worker: str) -> Job | None:
         """As of the row; the next job of its tenant takes its place in the queue."""
-        attempt = super().begin(job_id, worker)
-        if attempt is not None:
-            self._advance(attempt.job.tenant)
-        return attempt
+        job = super().begin(job_id, worker)
+        if job is not None:
+            self._advance(job.tenant)
+        return job
 
     def cancel(self, tenant: str, job_id: str) -> Job | None:
         """As of the row; a job that no worker has begun leaves the queue, so that it costs no worker a turn.
@@ -88,18 +89,19 @@ class DurableJobs(Rows):
         does not judge itself: that is `but`.
         """
         try:
-            silent = self.presence.silent(set(self._pending().values()), silent_seconds)
+            silent = self.presence.silent(set(self.taken().values()), silent_seconds)
         except Exception:
             self.presence.start_over()
             raise
         silent = [worker for worker in silent if worker != but and self.presence.strike_off(worker)]
         for worker in silent:  # should we die here, its jobs have an owner without a row, who is silent as well
-            self.requeue(self.held(worker))
+            self.requeue([job_id for job_id, owner in self.taken().items() if owner == worker])
         return silent
 
-    def held(self, worker: str) -> set[str]:
-        """Jobs that a worker has taken from the queue and not ended."""
-        return {job_id for job_id, owner in self._pending().items() if owner == worker}
+    def taken(self) -> dict[str, str]:
+        """Jobs that a worker has taken from the queue and not ended, and whose they are."""
+        pending = self.client().list_workflows(status="PENDING", load_input=False, load_output=False)
+        return {workflow.workflow_id: workflow.executor_id or "" for workflow in pending}
 
     def requeue(self, job_ids: Collection[str]) -> None:
         """Put jobs back in the queue. They go on at their last finished step; DBOS lets one who lost a job record no
@@ -127,8 +129,10 @@ class DurableJobs(Rows):
         """Forget jobs that ended so long ago, here and in the engine's tables; how many."""
         old = self.ended_before(ago(hours))
         for start in range(0, len(old), _PAGE):
-            self.client().delete_workflows(list(old[start : start + _PAGE]))
-            self.remove(old[start : start + _PAGE])
+            page = list(old[start : start + _PAGE])
+            self.client().delete_workflows(page)
+            with self._db.write() as connection:
+                connection.execute(sa.delete(jobs).where(jobs.c.id.in_(page)))
         return len(old)
 
     def close(self) -> None:
@@ -171,11 +175,6 @@ class DurableJobs(Rows):
         """Once for each id; jobs of one priority run in their order of coming."""
         options: Any = {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job_id, "priority": 1 + at_work}
         self.client().enqueue(options, job_id)
-
-    def _pending(self) -> dict[str, str]:
-        """Owners of the jobs that were taken from the queue."""
-        pending = self.client().list_workflows(status="PENDING", load_input=False, load_output=False)
-        return {workflow.workflow_id: workflow.executor_id or "" for workflow in pending}
 
 
 def configuration(url: str, executor: str) -> DBOSConfig:

@@ -37,6 +37,8 @@ class Job:
     problem: Mapping[str, Any] | None = None  # once failed, as in RFC 9457
     revision: int = 0  # grows with every change; the ETag
     cancelling: bool = False  # cancellation was asked for
+    attempts: int = 0  # begun so often; a worker that holds an older number has lost the job
+    tries: int = 0  # of these, at the present step; those that a shut-down ended do not count
     created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two
     started_at: str = ""
     finished_at: str = ""

@@ -7,7 +7,7 @@ a job's end, since the messages to webhooks are written by the same transaction.
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import sqlalchemy as sa
@@ -23,15 +23,6 @@ _QUEUED = jobs.c.state == State.QUEUED.value
 _RUNNING = jobs.c.state == State.RUNNING.value
 _ORDER = (jobs.c.created_at, jobs.c.id)
 _CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """A job that a worker has begun."""
-
-    job: Job
-    number: int  # from 1; once another worker has begun the job, this attempt can change it no more
-    tries: int  # at the present step, this one included; those that a shut-down ended do not count
 
 
 class Rows:
@@ -97,7 +88,7 @@ class Rows:
             connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
         return self.get(tenant, job_id)
 
-    def begin(self, job_id: str, worker: str) -> Attempt | None:
+    def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do."""
         begun = {
             "state": State.RUNNING.value,
@@ -110,13 +101,12 @@ class Rows:
         with self._db.write() as connection:
             if not connection.execute(sa.update(jobs).where(this & _OPEN).values(begun | _CHANGED)).rowcount:
                 return None
-            row = connection.execute(sa.select(jobs).where(this)).one()
-        return Attempt(job_of(row), row.attempts, row.tries)
+            return job_of(connection.execute(sa.select(jobs).where(this)).one())
 
-    def progress(self, job_id: str, stage: str, fraction: float, attempt: Attempt | None = None) -> bool:
+    def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
         """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
-        mine = _held(attempt) if attempt else jobs.c.id == job_id
-        going_on = mine & _RUNNING & sa.not_(jobs.c.cancelling)
+        held = jobs.c.attempts == attempt if attempt is not None else sa.true()
+        going_on = (jobs.c.id == job_id) & held & _RUNNING & sa.not_(jobs.c.cancelling)
         with self._db.read() as connection:
             row = connection.execute(sa.select(jobs.c.stage, jobs.c.fraction).where(going_on)).first()
         if row is None or row == (stage, fraction):
@@ -139,10 +129,11 @@ class Rows:
             if connection.execute(sa.update(jobs).where(this).values(ended | _CHANGED)).rowcount:
                 _announce(connection, job_id)
 
-    def settled(self, attempt: Attempt) -> None:
-        """A step is done: what is tried next is another."""
+    def settled(self, job: Job) -> None:
+        """A step of a job, as it was begun, is done: what is tried next is another."""
+        held = (jobs.c.id == job.id) & (jobs.c.attempts == job.attempts)
         with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(_held(attempt)).values(tries=1))
+            connection.execute(sa.update(jobs).where(held).values(tries=1))
 
     def handed_back(self, worker: str) -> None:
         """A worker shuts down: that is no fault of the jobs it was at."""
@@ -179,11 +170,6 @@ class Rows:
         with self._db.read() as connection:
             return connection.execute(sa.select(jobs.c.id).where(old)).scalars().all()
 
-    def remove(self, job_ids: Sequence[str]) -> None:
-        """Delete rows."""
-        with self._db.write() as connection:
-            connection.execute(sa.delete(jobs).where(jobs.c.id.in_(job_ids)))
-
 
 def dumps(value: Mapping[str, Any]) -> str:
     """JSON in canonical form."""
@@ -199,10 +185,6 @@ def _announce(connection: sa.Connection, job_id: str) -> None:
 
 def _mine(tenant: str, job_id: str) -> sa.ColumnElement[bool]:
     return (jobs.c.tenant == tenant) & (jobs.c.id == job_id)
-
-
-def _held(attempt: Attempt) -> sa.ColumnElement[bool]:
-    return (jobs.c.id == attempt.job.id) & (jobs.c.attempts == attempt.number)
 
 
 def job_of(row: sa.Row[Any]) -> Job:

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from service.jobs.engine import QUEUE, WORKFLOW, DurableJobs, configuration
-from service.jobs.port import Cancelled, Flow, Run, State, Step
-from service.jobs.rows import Attempt
+from service.jobs.port import Cancelled, Flow, Job, Run, State, Step
 from service.problems import Problem
 from service.processes import COMMAND, Children, Limits, Stopped
 from service.settings import Settings
@@ -66,11 +65,11 @@ class Runner:
         """The workflow: returns once the job's row is final. What it raises, DBOS would take for an end."""
         self.active.add(job_id)
         try:
-            attempt = self._patiently(lambda: self._jobs.begin(job_id, self._worker), _OUT_OF_REACH)
-            if attempt is None:
+            job = self._patiently(lambda: self._jobs.begin(job_id, self._worker), _OUT_OF_REACH)
+            if job is None:
                 return
             try:
-                state, value = self._steps(attempt)
+                state, value = self._steps(job)
             except Exception:
                 _log.exception("job %s failed", job_id)
                 state, value = State.FAILED, _internal()
@@ -79,16 +78,15 @@ class Runner:
         finally:
             self.active.discard(job_id)
 
-    def _steps(self, attempt: Attempt) -> tuple[State, Mapping[str, Any]]:
+    def _steps(self, job: Job) -> tuple[State, Mapping[str, Any]]:
         from dbos import DBOS
 
-        job = attempt.job
-        if attempt.tries > MAX_TRIES:
+        if job.tries > MAX_TRIES:
             _log.error("job %s is given up: it was begun %s times in vain", job.id, MAX_TRIES)
             return State.FAILED, Problem("engine-limit", f"the work was ended {MAX_TRIES} times").to_json()
         results: dict[str, Any] = {}
         for step in self._flows[job.kind]:
-            outcome = DBOS.run_step({"name": step.name}, self._step, attempt, step, results)
+            outcome = DBOS.run_step({"name": step.name}, self._step, job, step, results)
             if "problem" in outcome:
                 return State.FAILED, outcome["problem"]
             if "cancelled" in outcome:
@@ -97,26 +95,26 @@ class Runner:
         last = results[step.name]
         return State(last["state"]), last["result"]
 
-    def _step(self, attempt: Attempt, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
+    def _step(self, job: Job, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
         """What is kept of a step. How it failed is kept as a value too: it would fail again."""
         try:
-            kept = self._patiently(lambda: self._do(attempt, step, results))
-            self._patiently(lambda: self._jobs.settled(attempt))
+            kept = self._patiently(lambda: self._do(job, step, results))
+            self._patiently(lambda: self._jobs.settled(job))
         except Cancelled:
             return {"cancelled": True}
         except Problem as problem:
             return {"problem": problem.to_json()}
         except Exception:
-            _log.exception("job %s failed in step %s", attempt.job.id, step.name)
+            _log.exception("job %s failed in step %s", job.id, step.name)
             return {"problem": _internal()}
         return {"kept": kept}
 
-    def _do(self, attempt: Attempt, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
-        folder = self._scratch / f"{attempt.job.id}-{secrets.token_hex(4)}"
+    def _do(self, job: Job, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
+        folder = self._scratch / f"{job.id}-{secrets.token_hex(4)}"
 
         def go_on(stage: str, fraction: float) -> bool:
             try:
-                return self._jobs.progress(attempt.job.id, stage or step.name, fraction, attempt)
+                return self._jobs.progress(job.id, stage or step.name, fraction, job.attempts)
             except Problem as problem:
                 if problem.kind not in _OUT_OF_REACH:
                     raise
@@ -129,14 +127,14 @@ class Runner:
                 except Problem as problem:
                     if problem.extra.get("signal") != "SIGKILL":
                         raise
-                    _log.warning("job %s: the process of task %s was killed; once more", attempt.job.id, task)
+                    _log.warning("job %s: the process of task %s was killed; once more", job.id, task)
             return self._children.run(task, request, folder, go_on)
 
         folder.mkdir(parents=True)
         try:
             if not go_on(step.name, 0.0):
                 raise Cancelled
-            return step.do(Run(attempt.job, dict(results), folder, work))
+            return step.do(Run(job, dict(results), folder, work))
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -260,7 +258,8 @@ class Worker:
                 shutil.rmtree(_scratch(self._settings, silent), ignore_errors=True)
             self._jobs.reconcile()
             # DBOS forgets a job that it took from the queue in the moment the database went away.
-            idle = self._jobs.held(self.name) - self._runner.active
+            mine = {job_id for job_id, owner in self._jobs.taken().items() if owner == self.name}
+            idle = mine - self._runner.active
             self._jobs.requeue(idle & self._idle)
             self._idle = idle
         except Exception as error:

@@ -4,33 +4,32 @@ from __future__ import annotations
 
 from service.jobs.engine import DurableJobs
 from service.jobs.port import Job, State
-from service.jobs.rows import Attempt
 
 
-def begun(jobs: DurableJobs, worker: str = "one") -> Attempt:
+def begun(jobs: DurableJobs, worker: str = "one") -> Job:
     jobs.submit(Job("a", "t", "key", "three", State.QUEUED, {}))
-    attempt = jobs.begin("a", worker)
-    assert attempt is not None
-    return attempt
+    job = jobs.begin("a", worker)
+    assert job is not None
+    return job
 
 
 def test_who_lost_a_job_can_change_it_no_more(jobs: DurableJobs) -> None:
     first, second = begun(jobs), begun(jobs, "two")
-    assert jobs.progress("a", "mark", 0.5, second)
+    assert jobs.progress("a", "mark", 0.5, second.attempts)
     before = jobs.get("t", "a")
-    assert not jobs.progress("a", "read", 0.1, first)
-    assert not jobs.progress("a", "mark", 0.5, first), "nor where it would change nothing"
+    assert not jobs.progress("a", "read", 0.1, first.attempts)
+    assert not jobs.progress("a", "mark", 0.5, first.attempts), "nor where it would change nothing"
     assert jobs.get("t", "a") == before
     jobs.settled(first)
     assert begun(jobs).tries == 3, "a step that it did does not count as the other's"
 
 
 def test_cancelling_is_seen_while_progress_stands_still(jobs: DurableJobs) -> None:
-    attempt = begun(jobs)
-    assert jobs.progress("a", "mark", 0.5, attempt)
-    assert jobs.progress("a", "mark", 0.5, attempt)
+    job = begun(jobs)
+    assert jobs.progress("a", "mark", 0.5, job.attempts)
+    assert jobs.progress("a", "mark", 0.5, job.attempts)
     jobs.cancel("t", "a")
-    assert not jobs.progress("a", "mark", 0.5, attempt)
+    assert not jobs.progress("a", "mark", 0.5, job.attempts)
 
 
 def test_workers_lost_at_one_step_are_counted(jobs: DurableJobs) -> None:

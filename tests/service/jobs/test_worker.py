@@ -305,6 +305,12 @@ def test_who_lost_a_job_stops_within_its_step(workshop: Workshop, tmp_path: Path
     workshop.task("a", "nap", pid_file=str(pid_file), seconds=600)
     workshop.start("one")
     pid = pid_in(pid_file)
-    assert workshop.jobs.begin("a", "two") is not None
+    workshop.start("two")
+    workshop.wait(lambda: "worker two is ready" in workshop.log.read_text())
+    workshop.jobs.requeue(["a"])
+    workshop.wait(lambda: pid_in(pid_file) != pid)
     assert gone_within(pid, 10.0)
+    time.sleep(1.0)
     assert workshop.job("a").state == State.RUNNING, "it is the other's now"
+    workshop.jobs.cancel("tenant", "a")
+    assert workshop.ended("a").state == State.CANCELLED
