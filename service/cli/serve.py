@@ -48,7 +48,7 @@ def serve(
 
     from engine.credentials.native import require
     from service.app import make_app
-    from service.assets.credentials import signer_of
+    from service.assets.content_credentials import signer_of
 
     console = Console(machine=False)
     _check_free(host, port)

@@ -13,9 +13,9 @@ from service.core import Service
 from service.db.schema import assets, jobs
 from service.disputes.consent import agreed
 from service.http.access import Core, Reader, Verifier
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
-from service.http.failures import OF_OWN
+from service.http.error_responses import OF_OWN
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust.api_keys import OPERATOR, Caller

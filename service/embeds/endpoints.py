@@ -11,15 +11,15 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
 from service.http.forms import WHOLE, Files, form_schema, read_form
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import list_keys, open_key, store
+from service.uploads.ingest import gather
 from service.uploads.quota import check_quota
-from service.uploads.taking import gather
 
 router = APIRouter(prefix="/v1", tags=["embed"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]

@@ -7,12 +7,12 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.asset_screening import screen
 from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Flow, Job, Run, State, Step
-from service.screening import screen
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key

@@ -12,13 +12,13 @@ from service.core import Service
 from service.db import own
 from service.db.schema import assets
 from service.http.access import Core, Verifier
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
 from service.http.forms import Files, form_schema, read_form
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
-from service.uploads.taking import gather
+from service.uploads.ingest import gather
 from service.verifications.flow import spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])

@@ -4,6 +4,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from service.asset_screening import screen
 from service.claims.document import of_what_was_found
 from service.claims.issuing import issue
 from service.core import Service
@@ -11,7 +12,6 @@ from service.db.schema import assets
 from service.http.budgets import spend
 from service.jobs.port import Flow, Run, State, Step
 from service.problems import Problem
-from service.screening import screen
 
 
 def verify_flow(service: Service) -> Flow:

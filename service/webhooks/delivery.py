@@ -23,9 +23,9 @@ from service.clock import ago, now
 from service.core import Service
 from service.db import Database
 from service.db.schema import deliveries, jobs, webhooks
-from service.http.answers import view
+from service.http.job_responses import view
 from service.jobs.rows import job_of
-from service.trust.webhooks import secret_of
+from service.trust.webhook_secrets import secret_of
 from service.webhooks.sending import DELIVERED, send
 
 EVENT = "job.ended"

@@ -16,7 +16,7 @@ from service.db.schema import assets, claims, jobs
 from service.jobs.port import Job, State
 from service.settings import Settings
 from service.trust.commitments import commit_asset
-from service.uploads.sweeping import sweep
+from service.uploads.retention import sweep
 from tests.service.api.conftest import SMALL, Api, _api
 
 TENANT = "tenant of deleting"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from service.jobs.port import Job, State
-from service.jobs.worker import MAX_TRIES
+from service.jobs.runner import MAX_TRIES
 from service.problems import Problem
 from service.settings import DATABASE, JOBS_DATABASE
 from tests.service.jobs.conftest import Workshop, new_settings, opened

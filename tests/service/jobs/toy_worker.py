@@ -12,7 +12,7 @@ from typing import Any
 from service.db import Database
 from service.jobs.engine import DurableJobs
 from service.jobs.port import Run, Step
-from service.jobs.worker import Worker
+from service.jobs.runner import Worker
 from service.problems import Problem
 from service.settings import Settings
 

@@ -20,7 +20,7 @@ from service.db.schema import deliveries, webhooks
 from service.jobs.port import Job, State
 from service.jobs.rows import Rows
 from service.settings import Settings
-from service.trust import webhooks as registry
+from service.trust import webhook_secrets as registry
 from service.trust.master import MasterKey
 from service.webhooks import delivery
 from tests.service.webhooks.conftest import Receivers

@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 
 from service.blobs import blob_name
 from service.core import Service
-from service.http.failures import responses
+from service.http.error_responses import responses
 from service.problems import Problem
 
 MODEL_TYPE = "application/octet-stream"

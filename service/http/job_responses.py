@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from service.core import Service
 from service.http import idempotency
-from service.http.failures import responses
+from service.http.error_responses import responses
 from service.http.progress import course
 from service.http.results import Failure, Result, Time, TimeOrNot
 from service.jobs.port import FINAL, Job, State
