@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from service.jobs.port import Cancelled
+from service.jobs.port import Cancelled, Reply
 from service.problems import KINDS, Problem
 from service.settings import Settings
 
@@ -92,7 +92,7 @@ class Children:
         request: Mapping[str, Any],
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
-    ) -> dict[str, Any]:
+    ) -> Reply:
         """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
         `go_on` is told stage and fraction about three times a second, changed or not; False ends the task with
@@ -137,7 +137,7 @@ class Children:
                     return process  # it died of itself; `_follow` says of what
                 # The spare had died while it waited, which is nobody's fault; take a new one.
 
-    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> dict[str, Any]:
+    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> Reply:
         lines: queue.Queue[bytes] = queue.Queue()
         threading.Thread(target=_read, args=(process, lines), daemon=True).start()
         started = looked = time.monotonic()
@@ -255,7 +255,7 @@ def task_folder(settings: Settings) -> Iterator[Path]:
 
 def run_once(
     settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float, tenant: str
-) -> dict[str, Any] | None:
+) -> Reply | None:
     """The reply of a task, for a handler that must answer soon, or None where it took longer than `seconds`.
 
     How long it waits for its turn does not count: what is judged then would depend on what others do.

@@ -190,6 +190,10 @@ class Audit(_Part):
     )
 
 
+Document = dict[str, Any]
+"""A claim as it is signed: JSON of the form of `ClaimDocument`, or of an earlier version of it, member for member."""
+
+
 class ClaimDocument(_Part):
     """The answer of one verification, as it is signed."""
 

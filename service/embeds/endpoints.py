@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
@@ -111,7 +112,7 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
         raise Problem("invalid-request", "body.upload_id: a model is needed, as an upload or as the file 'model'")
     unnamed = body.model_dump(exclude={"upload_id", "cameras_upload_id"})
 
-    def make() -> dict[str, Any]:
+    def make() -> Mapping[str, object]:
         key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
         check_quota(core, tenant, 0)

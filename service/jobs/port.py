@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 
 class State(StrEnum):
@@ -44,6 +44,10 @@ class Job:
     finished_at: str = ""
 
 
+Reply = dict[str, Any]
+"""What a task of `service.work` replies: JSON values, by names that the task's docstring has."""
+
+
 @dataclass
 class Run:
     """What a step of a flow is handed.
@@ -54,9 +58,9 @@ class Run:
     """
 
     job: Job
-    results: dict[str, Any] = field(default_factory=dict)  # of the steps before, by name
+    results: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the steps before, by name
     folder: Path = Path()  # scratch of this step, empty, removed after it
-    work: Callable[[str, Mapping[str, Any]], dict[str, Any]] = lambda task, request: {}
+    work: Callable[[str, Mapping[str, Any]], Reply] = lambda task, request: {}
 
 
 class Cancelled(Exception):
@@ -68,8 +72,15 @@ class Step:
     """One step of a flow: its name, and what it does. Its result (JSON values) is kept: it never runs again."""
 
     name: str
-    do: Callable[[Run], dict[str, Any]]
+    do: Callable[[Run], Mapping[str, Any]]
+
+
+class Ending(TypedDict):
+    """Result of a flow's last step, which has committed what the job made."""
+
+    state: State
+    result: Mapping[str, Any]
 
 
 Flow = tuple[Step, ...]
-"""The last step's result must hold `state` (of State) and `result`; it has committed what the job made."""
+"""The last step's result is an `Ending`."""

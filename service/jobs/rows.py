@@ -22,7 +22,7 @@ _OPEN = jobs.c.state.not_in([state.value for state in FINAL])
 _QUEUED = jobs.c.state == State.QUEUED.value
 _RUNNING = jobs.c.state == State.RUNNING.value
 _ORDER = (jobs.c.created_at, jobs.c.id)
-_CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
+_CHANGED: dict[str, object] = {"revision": jobs.c.revision + 1}
 
 
 class Rows:
@@ -119,7 +119,7 @@ class Rows:
         """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
         if state not in FINAL:
             raise ValueError(f"{state} is no final state")
-        ended: dict[str, Any] = {"state": state.value, "finished_at": now()}
+        ended: dict[str, object] = {"state": state.value, "finished_at": now()}
         if state in (State.SUCCEEDED, State.DISPUTED):
             ended |= {"result": dumps(value), "fraction": 1.0}
         elif state == State.FAILED:

@@ -11,10 +11,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypedDict, TypeVar
 
 from service.jobs.engine import QUEUE, WORKFLOW, DurableJobs, configuration
-from service.jobs.port import Cancelled, Flow, Job, Run, State, Step
+from service.jobs.port import Cancelled, Flow, Job, Reply, Run, State, Step
 from service.problems import Problem
 from service.processes import COMMAND, Children, Limits, Stopped
 from service.settings import Settings
@@ -43,6 +43,14 @@ _LAST_WORDS_SECONDS = 2.0
 
 _log = logging.getLogger(__name__)
 T = TypeVar("T")
+
+
+class Outcome(TypedDict, total=False):
+    """What is kept of a step: one of the three."""
+
+    kept: Mapping[str, Any]  # its result
+    problem: Mapping[str, Any]  # as in RFC 9457
+    cancelled: bool
 
 
 class Runner:
@@ -84,7 +92,7 @@ class Runner:
         if job.tries > MAX_TRIES:
             _log.error("job %s is given up: it was begun %s times in vain", job.id, MAX_TRIES)
             return State.FAILED, Problem("engine-limit", f"the work was ended {MAX_TRIES} times").to_json()
-        results: dict[str, Any] = {}
+        results: dict[str, Mapping[str, Any]] = {}
         for step in self._flows[job.kind]:
             outcome = DBOS.run_step({"name": step.name}, self._step, job, step, results)
             if "problem" in outcome:
@@ -95,7 +103,7 @@ class Runner:
         last = results[step.name]
         return State(last["state"]), last["result"]
 
-    def _step(self, job: Job, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
+    def _step(self, job: Job, step: Step, results: Mapping[str, Mapping[str, Any]]) -> Outcome:
         """What is kept of a step. How it failed is kept as a value too: it would fail again."""
         try:
             kept = self._patiently(lambda: self._do(job, step, results))
@@ -109,7 +117,7 @@ class Runner:
             return {"problem": _internal()}
         return {"kept": kept}
 
-    def _do(self, job: Job, step: Step, results: Mapping[str, Any]) -> dict[str, Any]:
+    def _do(self, job: Job, step: Step, results: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
         folder = self._scratch / f"{job.id}-{secrets.token_hex(4)}"
 
         def go_on(stage: str, fraction: float) -> bool:
@@ -120,7 +128,7 @@ class Runner:
                     raise
                 return True  # nobody can see how far it is, or ask it to stop, and the work goes on
 
-        def work(task: str, request: Mapping[str, Any]) -> dict[str, Any]:
+        def work(task: str, request: Mapping[str, Any]) -> Reply:
             for _ in range(MAX_KILLED - 1):
                 try:
                     return self._children.run(task, request, folder, go_on)
@@ -161,7 +169,7 @@ def _stand_still() -> NoReturn:
         time.sleep(3600)
 
 
-def _internal() -> dict[str, Any]:
+def _internal() -> Mapping[str, Any]:
     return Problem("internal", "the work failed by a fault of this service").to_json()
 
 

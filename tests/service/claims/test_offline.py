@@ -115,7 +115,12 @@ def test_a_page_with_other_words_or_pictures_fails(registry: Registry) -> None:
 
 def test_a_summary_that_says_something_else_fails(registry: Registry) -> None:
     claim = registry.issue()
-    whole = {"document": claim.document, "jws": claim.jws, "timestamp": None, "summary": summary_of(claim.document)}
+    whole = {
+        "document": claim.document,
+        "jws": claim.jws,
+        "timestamp": None,
+        "summary": summary_of(claim.document).model_dump(),
+    }
     found = verify_report(json.dumps(whole).encode(), registry.jwks)
     assert found.valid
     assert [check.code for check in found.checks][-2:] == ["document", "summary"]
