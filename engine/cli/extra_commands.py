@@ -22,9 +22,9 @@ def add_extra_commands(app: typer.Typer) -> None:
         for entry in sorted(found, key=_position):
             if missing:
                 context = {"allow_extra_args": True, "ignore_unknown_options": True}
-                app.command(entry.name, help=f"Needs mark3dgs[{extra}].", context_settings=context, add_help_option=False)(
-                    _refusal(entry.name, extra, missing)
-                )
+                app.command(
+                    entry.name, help=f"Needs mark3dgs[{extra}].", context_settings=context, add_help_option=False
+                )(_refusal(entry.name, extra, missing))
                 continue
             command = entry.load()
             if isinstance(command, typer.Typer):

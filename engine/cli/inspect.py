@@ -27,7 +27,7 @@ DRAWN = {
 
 HOLDS = {
     "Trusted": "hold, and the signer is one you trust",
-    "Valid": "hold; the signer is nobody you named",
+    "Valid": "valid; the signer is not one that you trust",
     "Invalid": "DO NOT HOLD: altered, or of another file",
     "Unread": "could not be read",
 }
@@ -119,7 +119,7 @@ def _say_credentials(console: Console, found: Credentials) -> None:
     console.say(f"  credentials {found.place}: {HOLDS[found.state]}{f' ({why})' if why else ''}")
     if found.state not in ("Trusted", "Valid"):  # what it says is not to be put down to whoever it names
         return
-    when = f", {found.signed_at}" if found.signed_at else ", at a time that nobody attests"
+    when = f", {found.signed_at}" if found.signed_at else ", at a time without attestation"
     console.say(f"  signed by   {found.signer} ({found.issuer}), {found.algorithm}{when}")
     console.say(f"  says        {found.generator}: {', '.join(found.actions)}")
     for alg, value in found.bindings:

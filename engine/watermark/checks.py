@@ -51,7 +51,10 @@ def checks_of(claim: Mapping[str, Any] | None, error: RecordError | None) -> lis
         (True, "The owner's key opens the record."),
         (derived, f"Derived from the asset: {derivation_text(derivation)}."),
         _mark(claim),
-        (not undecided, f"The evidence does not decide: {claim['missing']}." if undecided else "The evidence decides."),
+        (
+            not undecided,
+            f"The evidence is not sufficient: {claim['missing']}." if undecided else "The evidence is sufficient.",
+        ),
     )
 
 
@@ -69,9 +72,12 @@ def _checks(*found: tuple[bool | None, str]) -> list[Check]:
 
 def _mark(claim: Mapping[str, Any]) -> tuple[bool | None, str]:
     if claim["verdict"] == "marked":
-        bits = f"{claim['matching_bits']} of {claim['bits']} bits agree"
+        bits = f"{claim['matching_bits']}/{claim['bits']} bits match"
         odds = TYPOGRAPHIC.odds(claim["log10_false_claim"])
-        return True, f"The mark is there: {bits}, and the chance of a false claim is {odds}, all tries counted."
+        return (
+            True,
+            f"The watermark was found: {bits}; the false-claim probability is {odds}, corrected for all hypotheses.",
+        )
     if claim["verdict"] == "inconclusive":
-        return None, "Neither shown nor ruled out."
-    return False, "This copy's mark is absent or was taken out; that the suspect is derived from the asset stands."
+        return None, "Neither found nor excluded."
+    return False, "This copy's watermark was not detected: it is absent or was removed."

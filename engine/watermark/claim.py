@@ -207,9 +207,9 @@ def decide(
         if doubtful and z == loudest:  # the evidence itself says what a mark would give
             missing = _more((threshold / z) ** 2)
         elif not expected > 0:
-            missing = "nothing of the asset could be measured in this evidence"
+            missing = "no part of the asset could be measured in the suspect"
         elif not derivation.derived:
-            missing = "too little of the asset was recognised in the suspect"
+            missing = "too little of the asset was recognized in the suspect"
         elif strength >= config.power or doubtful:
             missing = _COVERED
         else:
@@ -260,12 +260,12 @@ def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], 
 
 
 _COVERED = (
-    "the suspect differs from the original by more than a small part of what a mark moves: another mark lies there, or"
-    " this one was covered or taken out"
+    "the suspect deviates from the original too much to exclude a watermark: it may carry another one, or this one was"
+    " covered or removed"
 )
 
 
 def _more(times: float) -> str:
     if times > 1000:
-        return "more than 1000x as much evidence of this kind is needed"
-    return f"about {max(times, 1.1):.1f}x as much evidence of this kind is needed"
+        return "more than 1,000 times as much evidence of this kind is needed"
+    return f"about {max(times, 1.1):.1f} times as much evidence of this kind is needed"

@@ -45,7 +45,7 @@ SUBKEY_BYTES = 32  # what ChaCha20 takes
 
 _SALT = b"mark3dgs/1"  # HKDF salt: keeps our sub-keys apart from those of any other program
 _FILE_HEADER = "mark3dgs-owner-key 1"
-_FILE_COMMENT = "# SECRET. Whoever has this file can claim, and remove, your marks. Keep a backup offline."
+_FILE_COMMENT = "# SECRET. Everyone who has this file can claim, and remove, your watermarks. Keep a backup offline."
 _MAX_FILE_BYTES = 16 * 1024
 
 Int8 = npt.NDArray[np.int8]

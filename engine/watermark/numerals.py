@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SMALLEST = 300
+"""Of smaller probabilities no exponent is written: it says nothing to a person."""
 _CERTAIN = 0.9999
 """No measured probability is said to be larger."""
 
@@ -24,8 +26,10 @@ class Form:
         return f"“{text}”" if self.raised else repr(text)
 
     def odds(self, log10_probability: float) -> str:
-        """A bound on a probability as "at most 1 in 10^N", rounded so that nothing is overstated."""
+        """A bound on a probability as "at most 1 in 10^N", or "below 10^-300"; never overstated."""
         exponent = math.floor(-log10_probability + 1e-9)
+        if exponent > SMALLEST:
+            return f"below {self.power(10, -SMALLEST)}"
         if exponent >= 1:
             return f"at most 1 in {self.power(10, exponent)}"
         hundredths = math.ceil(100.0 * 10.0**log10_probability)

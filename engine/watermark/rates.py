@@ -15,9 +15,9 @@ from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 BASES = {
     "attested": "the registration is attested, and older than the suspect",
-    "drawn": "the registration is attested, by somebody who drew a part of what the chips follow from",
-    "self_declared": "nobody but the owner says when the record was made",
-    "undated": "the registration is attested, but nobody said since when the suspect is known",
+    "drawn": "the registration is attested, and the attesting service contributed randomness to the watermark",
+    "self_declared": "the registration date is self-declared",
+    "undated": "the registration is attested, but the date since when the suspect is known is missing",
     "younger": "the suspect was known before the attested registration",
 }
 """Why a rate applies."""

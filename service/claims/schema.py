@@ -42,7 +42,7 @@ class Issuer(_Part):
 class Owner(_Part):
     """Who asked; the log's entries name the tenant."""
 
-    name: str = Field(description="Display name of the tenant, as whoever runs the service entered it.")
+    name: str = Field(description="Display name of the tenant, as the operator entered it.")
 
 
 class Searched(_Part):
@@ -91,7 +91,7 @@ class Evidence(_Part):
     unmarked_z: float = Field(description="What is expected without a mark, with a standard deviation of 1.")
     expected_z: float = Field(description="What is expected of the mark at full strength.")
     power: float = Field(
-        description="Least chance that a mark worn to half strength would be seen, had nobody worked against it."
+        description="Detection power: least probability of finding a watermark at half strength, removal aside."
     )
     change: float | None = Field(None, description="Size of what was measured, in sizes of the mark.")
 

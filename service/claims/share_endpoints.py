@@ -39,7 +39,7 @@ class Share(BaseModel):
 class MadeShare(Share):
     """One just made."""
 
-    url: str = Field(description="To send. It is never shown again: whoever has it sees the report.")
+    url: str = Field(description="Link to send. It is shown only once; everyone who has it can read the report.")
 
 
 class ShareList(BaseModel):

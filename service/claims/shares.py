@@ -31,7 +31,7 @@ def share(service: Service, caller: Caller, claim: Any, days: int) -> tuple[str,
 
     pictures = json.loads(claim.pictures)
     if set(shown_in_pack(pictures)) != set(pictures):
-        text = "the report of this claim shows the unmarked original, which is nobody else's: check the suspect again"
+        text = "the report of this claim shows the unmarked original and cannot be shared; check the suspect again"
         raise Problem("conflict", text)
     token, share_id = secrets.token_urlsafe(TOKEN_BYTES), f"sh_{secrets.token_hex(12)}"
     until = (datetime.now(UTC) + timedelta(days=days)).isoformat(timespec="microseconds")

@@ -154,7 +154,7 @@ def page(
         last = sa.select(moment, key).where((key == after) & (table.c.tenant == tenant))
         found = connection.execute(last).first()
         if found is None:  # another tenant's, too
-            raise Problem("invalid-request", f"after: {after!r} is on no page of this list")
+            raise Problem("invalid-request", f"after: {after!r} is not a valid cursor of this list")
         query = query.where((moment < found[0]) | ((moment == found[0]) & (key < found[1])))
     rows = list(connection.execute(query))
     return rows[:limit], rows[limit - 1].id if len(rows) > limit else None

@@ -53,7 +53,7 @@ def install(app: FastAPI) -> None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return answer(Problem("storage-full", "the disk is full; nothing was kept of this request"), request)
         log.exception("request %s failed", request.scope.get("request_id"), exc_info=error)
-        return answer(Problem("internal", "the fault is ours; the request id names it in our log"), request)
+        return answer(Problem("internal", "internal server error; quote request_id when reporting it"), request)
 
 
 def _methods(app: FastAPI, request: Request) -> set[str]:

@@ -30,11 +30,11 @@ class JobView(BaseModel):
     id: str
     kind: Literal["embed", "verify", "dispute"]
     state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
-    name: str = Field(description="What it is about: the label, or the names of the files; empty where nobody said.")
+    name: str = Field(description="Subject: the label, or the names of the files; empty if none was given.")
     stage: str = Field(description="What it is doing.")
     fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
     fraction_total: float | None = Field(
-        ge=0, le=1, description="How far the whole job is, by the time that its stages take; null where nobody knows."
+        ge=0, le=1, description="Progress of the whole job, by the usual time of its stages; null if unknown."
     )
     cancelling: bool
     position: int | None = Field(

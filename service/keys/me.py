@@ -43,7 +43,7 @@ class Me(BaseModel):
     """Who asks."""
 
     tenant: str
-    name: str = Field(description="What people call the tenant; its id where nobody said.")
+    name: str = Field(description="Display name of the tenant; its id if none was entered.")
     key: Self
     limits: Limits
 

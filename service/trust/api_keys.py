@@ -72,7 +72,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
     expected = row.digest if row is not None else ""
     right = master.recognises(expected, PURPOSE, key_id, secret)
     if row is None or not right or row.revoked_at is not None:
-        raise Problem("unauthorized", "this API key is not known here", headers={"WWW-Authenticate": "Bearer"})
+        raise Problem("unauthorized", "this API key is not valid", headers={"WWW-Authenticate": "Bearer"})
     return Caller(row.tenant, row.id, frozenset(row.scopes.split()))
 
 

@@ -97,7 +97,7 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     if bool(models or model_files) == bool(body.image_upload_ids or image_files):
         raise Problem("invalid-request", "give one suspect: a model, or pictures of one")
     if len(models) + len(model_files) > 1 or len(cameras) + len(camera_files) > 1:
-        raise Problem("invalid-request", "give one model, and cameras once")
+        raise Problem("invalid-request", "provide exactly one model, and cameras at most once")
     if len(body.image_upload_ids) + len(image_files) > 64:
         raise Problem("invalid-request", "at most 64 pictures are read together")
     if (cameras or camera_files) and (models or model_files):

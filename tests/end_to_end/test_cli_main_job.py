@@ -101,7 +101,7 @@ def test_the_claim_in_words(marked: Marked, capsys: Capsys) -> None:
     args = ["verify", str(marked.model), "--record", str(marked.record), "--key", str(marked.key)]
     assert run(args) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "Mark found." in text
+    assert "Watermark found." in text
     assert "1 in 10^" in text
     assert "It does not say" in text
 

@@ -17,24 +17,26 @@ PARTIES = {"a": "Party A", "b": "Party B"}
 HEADLINES = {
     "a": "Party A came first",
     "b": "Party B came first",
-    "both": "Undecided: each mark is in the other's original",
-    "neither": "Undecided: neither mark is in the other's original",
+    "both": "Inconclusive: each watermark is in the other party's original",
+    "neither": "Inconclusive: neither watermark is in the other party's original",
 }
 DEEDS = {
     "copying": (
-        "Copying: the original of {thief} is the marked model of {owner}, Gaussian by Gaussian and colour by colour."
+        "Copying: the original of {thief} equals the marked model of {owner} in every Gaussian and every color."
     ),
     "re-marking": (
-        "Re-marking: {thief} marked a model that carried the mark of {owner}. That is why {thief} has a true mark, too;"
-        " it proves nothing about who was first."
+        "Re-marking: {thief} marked a model that already carried the watermark of {owner}. So {thief} has a true"
+        " watermark, too; it proves nothing about who was first."
     ),
-    "overwriting": ("Overwriting: the model of {thief} carries both marks, that of {thief} laid over that of {owner}."),
+    "overwriting": "Overwriting: the model of {thief} carries both watermarks, one over the other.",
     "inversion": (
-        "Inversion: the mark of {thief} is not in the model that {thief} published, and the original of {thief} carries"
-        " the mark of {owner}: it was computed out of the marked model, not kept from before."
+        "Inversion: the watermark of {thief} is not in the model that {thief} published, and the original of {thief}"
+        " carries the watermark of {owner}. This original was computed from the marked model."
     ),
-    "back-dating": "Back-dating: {thief} declares an earlier date, which nobody attests and the marks contradict.",
-    "same original": "Both records hold the very same original: somebody had it from the other.",
+    "back-dating": (
+        "Back-dating: {thief} declares an earlier date. No third party attests it, and the watermarks contradict it."
+    ),
+    "same original": "Both records hold the same original: one party got it from the other.",
 }
 """What was done, in words; names of the parties are filled in."""
 
@@ -60,8 +62,8 @@ def dispute_words(found: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Dispute
         tuple((PARTIES[one["mark_of"]], _place(one), _answer(one, form)) for one in found["looks"]),
         tuple((PARTIES[name], _date(date)) for name, date in found["dates"].items()),
         (
-            "It rests on what the two parties brought: a record that was kept back was not looked at.",
-            "It does not say who published what, nor who may; nor that anybody else was not before both.",
+            "It rests on the records that the two parties brought; no other record was examined.",
+            "It does not say who published which model, who had the right to, or whether a third party was first.",
         ),
     )
 
@@ -80,22 +82,20 @@ def _finding(found: Mapping[str, Any]) -> str:
     if found["first"] in PARTIES:
         owner, thief = _names(found).values()
         return (
-            f"The mark of {owner} is in the original of {thief}, and that of {thief} is not in the original of {owner}."
-            f" So {thief} made that original from a model that {owner} had marked before."
+            f"The watermark of {owner} is in the original of {thief}; the watermark of {thief} is not in the original"
+            f" of {owner}. So {thief} made this original from a model that {owner} had marked before."
         )
     if found["first"] == "both":
         return (
-            "Each party's mark is in the other's original, so neither original is an unmarked one: the marks do not"
-            " tell who was first."
+            "Each party's watermark is in the other party's original, so both originals are marked models. The"
+            " watermarks do not tell who was first."
         )
     if found["same_original"]:
         return (
-            "Both originals show the same asset, and neither carries the other's mark: both marked an unmarked model,"
-            " or one took the other's mark out. The marks do not tell who was first."
+            "Both originals show the same asset, and neither carries the other party's watermark. Either both parties"
+            " marked an unmarked model, or one removed the other's watermark. The watermarks do not tell who was first."
         )
-    return (
-        "The two originals have nothing in common that was recognised: each party may have marked a model of its own."
-    )
+    return "No common part of the two originals was recognized: each party may have marked a model of its own."
 
 
 def _reasons(found: Mapping[str, Any]) -> list[str]:
@@ -103,15 +103,15 @@ def _reasons(found: Mapping[str, Any]) -> list[str]:
     reasons = [DEEDS[deed].format(**names) for deed, _ in found["seen"]]
     earlier = found["registered_first"]
     if not earlier:
-        reasons.append("The dates do not tell who registered first: not both are attested by somebody else.")
+        reasons.append("The dates do not tell who registered first, because a third party does not attest both.")
     elif found["first"] not in PARTIES:
         reasons.append(f"By the attested times, {PARTIES[earlier]} registered first.")
     elif earlier == found["first"]:
-        reasons.append(f"The attested times say the same: {PARTIES[earlier]} registered first.")
+        reasons.append(f"The attested times agree: {PARTIES[earlier]} registered first.")
     else:
         reasons.append(
-            f"{PARTIES[earlier]} registered first, by the attested times, but an original that carries the other's mark"
-            " was made after that mark, whenever either was registered."
+            f"By the attested times, {PARTIES[earlier]} registered first. But an original that carries the other"
+            " party's watermark was made after this watermark, whatever the dates of registration."
         )
     return reasons
 
@@ -124,10 +124,10 @@ def _place(look: Mapping[str, Any]) -> str:
 def _answer(look: Mapping[str, Any], form: Form) -> str:
     odds = form.odds(look["log10_false_claim"])
     if look["marked"]:
-        return f"there (z = {look['z']:.1f}, {look['z_threshold']:.1f} needed; a false claim: {odds})"
+        return f"found (z {look['z']:.3g}, required {look['z_threshold']:.3g}; false-claim probability {odds})"
     share = look["derivation"]["share"] or 0.0
-    found = f"; {percent(share)} of that party's asset is in it" if look["derivation"]["derived"] and share else ""
-    return f"not shown (z = {look['z']:.1f}, {look['z_threshold']:.1f} needed){found}"
+    found = f"; {percent(share)} of this party's asset is in it" if look["derivation"]["derived"] and share else ""
+    return f"not found (z {look['z']:.3g}, required {look['z_threshold']:.3g}){found}"
 
 
 def _date(date: Mapping[str, str]) -> str:

@@ -19,21 +19,21 @@ export function assetView(asset, { title, made = {}, again } = {}) {
   const element = h("div", { class: "result" },
     h("div", { class: "result-head" }, heading,
       again ? h("button", { type: "button", class: "quiet", onclick: again }, "Mark another") : null),
-    made.already_carries?.length ? h("p", { class: "hint" }, "It carried a mark of yours before. Both can be read.") : null,
+    made.already_carries?.length ? h("p", { class: "hint" }, "It already carried one of your watermarks. Both can be read.") : null,
     made.not_screened ? h("p", { class: "hint" },
-      `It resembles more registered copies than were looked for: ${count(made.not_screened)} were not.`) : null,
+      `It resembles more registered copies than were checked: ${count(made.not_screened)} were not checked.`) : null,
     h("dl", { class: "facts" },
       fact("Fidelity", `${report.psnr_worst_view.toFixed(1)} dB`, h("small", {}, "PSNR, worst view")),
       fact("Structure", report.ssim_worst_view.toFixed(4), h("small", {}, "SSIM, worst view")),
       fact("Gaussians", count(asset.gaussians),
         h("small", {}, report.gaussians_in === asset.gaussians ? "all kept" : `of ${count(report.gaussians_in)}`)),
       fact("Message", h("code", {}, asset.message), h("small", {}, `${report.bits} bits`)),
-      fact("Copy for", asset.copy_name || "nobody in particular"),
+      fact("Recipient", asset.copy_name || "none"),
       fact("Registered", when(asset.registered_at), h("small", {}, "attested by the log of this service"))),
     files(asset),
     h("h2", {}, "Original and marked"), viewer.element,
     h("h2", {}, "Preview"), preview,
-    h("h2", {}, "Ids and digests"),
+    h("h2", {}, "IDs and digests"),
     h("dl", { class: "facts texts" },
       fact("asset", copyable(asset.id, "asset id")),
       fact("record", copyable(asset.record_id, "record id")),
@@ -85,13 +85,13 @@ function files(asset) {
   model.addEventListener("click", get(model, () => `/v1/assets/${asset.id}/model?format=${format.value}`, () => `${stem}.${format.value}`));
   record.addEventListener("click", get(record, () => `/v1/assets/${asset.id}/record`, () => `${stem}.record`));
   return h("div", { class: "files" }, h("div", { class: "row" }, format, model, record),
-    h("p", { class: "help" }, "Publish the marked model only. Keep the original to yourself."), problem);
+    h("p", { class: "help" }, "Publish only the marked model. Keep the original private."), problem);
 }
 
 async function showPreview(figure, asset) {
   try {
     const url = URL.createObjectURL(await getBlob(`/v1/assets/${asset.id}/preview.png`));
-    const image = h("img", { src: url, alt: "Render of the original, of the marked model, and twenty times their difference" });
+    const image = h("img", { src: url, alt: "Renders of the original and of the marked model, and their difference times 20" });
     image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
     figure.replaceChildren(image);
   } catch (error) {

@@ -23,7 +23,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
       h("p", {}, claim.meaning.says));
   const element = h("div", { class: "result" },
     pictures.element ? h("div", { class: "evidence" }, verdict, pictures.element) : verdict,
-    claim.threshold ? section("sure", "How sure", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
+    claim.threshold ? section("sure", "False-claim probability", summary, "false claim", (said) => scale(claim.log10_false_claim, summary.limits, said)) : null,
     h("p", { class: "help" }, claim.meaning.record_time),
     claim.message ? section("message", "Message", summary, "message read", (said) => bits(claim.message, said)) : null,
     h("dl", { class: "facts texts" },
@@ -32,7 +32,7 @@ export function claimView({ document: claim, summary }, { again } = {}) {
       summary.facts.filter(({ label }) => !DRAWN.has(label)).map(({ label, text }) => fact(label, text)),
       fact("checked", when(claim.created_at)),
       fact("claim", copyable(claim.claim_id, "claim id")), digests(claim.subject.sha256)),
-    h("h2", {}, "What was checked"),
+    h("h2", {}, "Checks"),
     h("ul", { class: "checks" }, summary.checks.map(check)),
     h("p", { class: "help" }, claim.meaning.does_not_say),
     files(claim), packForm(claim), share.element);

@@ -57,7 +57,7 @@ export function startEmbed() {
     event.preventDefault();
     fill(problem);
     if ($("#mark-key").disabled || !$("#mark-key").value) {
-      showProblem(problem, { title: "A key is needed first", detail: "Make an owner key, or go back and choose one." });
+      showProblem(problem, { title: "No owner key selected", detail: "Create an owner key, or go back and choose one." });
       return;
     }
     run();

@@ -5,7 +5,7 @@ import { Pace, leftWords, turnWords } from "./pace.js";
 import { TONES, assetName, claimNames, stageWords, took, when } from "./words.js";
 
 const KINDS = { embed: "Mark", verify: "Check", dispute: "Dispute" };
-const ENDS = { succeeded: "Done", disputed: "Not marked: it carries another's mark", failed: "Failed", cancelled: "Cancelled" };
+const ENDS = { succeeded: "Done", disputed: "Not marked: it carries another owner's watermark", failed: "Failed", cancelled: "Cancelled" };
 const DOTS = { succeeded: "good", disputed: "open", failed: "bad", cancelled: "plain" };
 
 /** What a job is called. */

@@ -28,13 +28,13 @@ export function startLibrary() {
   };
 }
 
-const NONE = { assets: ["Nothing is marked yet.", "#mark", "Mark a model"], claims: ["Nothing was checked yet.", "#check", "Check a suspect"] };
+const NONE = { assets: ["No marked models yet.", "#mark", "Mark a model"], claims: ["No checks yet.", "#check", "Check a suspect"] };
 
 /** One of the two lists; returns what fills it. */
 function entries(name, line, asked) {
   const list = $(`#${name}`);
   const none = () => {
-    if (Object.values(asked()).some(Boolean)) return h("li", { class: "none" }, "Nothing like that.");
+    if (Object.values(asked()).some(Boolean)) return h("li", { class: "none" }, "No results.");
     const [said, way, words] = NONE[name];
     return h("li", { class: "none" }, h("p", {}, said, " ", h("a", { href: way }, words)));
   };

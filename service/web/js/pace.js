@@ -36,6 +36,6 @@ export function leftWords(left) {
 
 /** Where a waiting job stands in the queue. */
 export function turnWords({ position }) {
-  if (!position) return "Waiting for its turn";
-  return position === 1 ? "Waiting: it is next" : `Waiting: ${position - 1} before it`;
+  if (!position) return "Queued";
+  return position === 1 ? "Queued: next" : `Queued: ${position - 1} before it`;
 }

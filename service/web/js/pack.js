@@ -25,11 +25,11 @@ export function packForm(claim) {
   };
   const optional = () => h("span", { class: "optional" }, "optional");
   return h("details", { class: "card more" },
-    h("summary", {}, "Ask a platform to take it down"),
+    h("summary", {}, "Request a takedown from a platform"),
     h("form", { onsubmit: send },
-      h("label", { for: copiesId }, "Where the copy is ", optional()), copies,
-      h("p", { class: "help", id: helpId }, "One address a line. What you write here goes into the pack and is kept nowhere."),
-      h("label", { for: originalId }, "Where you published it ", optional()), original,
-      h("label", { for: noteId }, "In your own words ", optional()), note,
+      h("label", { for: copiesId }, "Address of the copy ", optional()), copies,
+      h("p", { class: "help", id: helpId }, "One address per line. Your text goes into the pack and is not stored."),
+      h("label", { for: originalId }, "Address where you published the original ", optional()), original,
+      h("label", { for: noteId }, "Your statement ", optional()), note,
       problem, button));
 }

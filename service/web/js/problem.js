@@ -17,7 +17,7 @@ function reference({ requestId, job }) {
 
 /** Show a problem in a place, and bring the reader to it. */
 export function showProblem(place, error) {
-  const box = problemBox(error.title ? error : { title: "A fault of this page", detail: String(error.message ?? error) });
+  const box = problemBox(error.title ? error : { title: "Error in this page", detail: String(error.message ?? error) });
   place.replaceChildren(box);
   focusOn(box);
 }

@@ -6,7 +6,7 @@ import { nameJob } from "./session.js";
 import { upload } from "./upload.js";
 import { bytes, stageWords } from "./words.js";
 
-const LOST = "Connection lost. Going on as soon as it is back";
+const LOST = "Connection lost. Reconnecting";
 const WORTH_SAYING = 0.2; // seconds a step takes to be listed
 
 /** Thrown when the user cancelled. */
@@ -27,7 +27,7 @@ export class Progress {
     this.side = h("span", { class: "progress-side", "aria-hidden": "true" });
     this.done = h("ol", { class: "progress-done" });
     this.button = h("button", { type: "button", class: "quiet", onclick: () => this.cancel() }, "Cancel");
-    this.away = h("p", { class: "help", hidden: true }, "It goes on without this page; ", h("a", { href: "#jobs" }, "Jobs"), " has it.");
+    this.away = h("p", { class: "help", hidden: true }, "You can close this page; the job continues under ", h("a", { href: "#jobs" }, "Jobs"), ".");
     const heading = h("h2", { tabindex: "-1" }, title);
     place.replaceChildren(h("div", { class: "card progress" }, heading, this.done,
       h("div", { class: "progress-line" }, this.now, this.side), this.bar, this.away, this.button));
@@ -54,7 +54,7 @@ export class Progress {
 
   /** Start a job with `begin(signal)`, called `name` in the list of jobs, and follow it to its end. */
   async run(begin, name) {
-    this.#show("Waiting for its turn", null);
+    this.#show("Queued", null);
     this.#begins = true;
     const job = await this.#stoppable(begin(this.#stop.signal));
     this.#job = job.id;

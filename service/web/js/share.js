@@ -13,9 +13,9 @@ export function shareForm(claim) {
   const [daysId, urlId] = [fresh("share-days"), fresh("share-url")];
   const days = h("select", { id: daysId }, DAYS.map((many) => h("option", { value: many }, `${many} days`)));
   days.value = 14;
-  const button = h("button", {}, "Make an address");
+  const button = h("button", {}, "Create a link");
   const [made, problem] = [h("div"), h("div")];
-  const list = h("ul", { class: "shares", "aria-label": "Addresses of this report" });
+  const list = h("ul", { class: "shares", "aria-label": "Links to this report" });
 
   const fails = (error) => fill(problem, problemBox(error));
   const refresh = async () => {
@@ -37,9 +37,9 @@ export function shareForm(claim) {
       const address = new URL(url, window.location.href).href;
       const field = h("input", { id: urlId, readonly: true, value: address, onfocus: () => field.select() });
       made.dataset.share = id;
-      fill(made, h("label", { for: urlId }, "Address of the report"),
+      fill(made, h("label", { for: urlId }, "Link to the report"),
         h("div", { class: "with-button" }, field, copyButton(() => address, "the report's address")),
-        h("p", { class: "help" }, `Shown this once. Whoever has it reads the report, the signed claim and the pack until ${when(until)}.`));
+        h("p", { class: "help" }, `Shown only now. Everyone with this link can read the report, the signed claim and the pack until ${when(until)}.`));
       field.focus();
       await refresh();
     } catch (error) {
@@ -51,8 +51,8 @@ export function shareForm(claim) {
   const element = h("details", { class: "card more", hidden: true },
     h("summary", {}, "Share the report"),
     h("form", { onsubmit: make },
-      h("p", { class: "help" }, "A platform or a lawyer reads it without an account here."),
-      h("label", { for: daysId }, "For how long"), days, problem, made, button, list));
+      h("p", { class: "help" }, "A platform or a lawyer can read the report without an API key."),
+      h("label", { for: daysId }, "Valid for"), days, problem, made, button, list));
   const opened = async () => {
     try {
       await refresh();

@@ -21,7 +21,7 @@ export async function upload(file, tell, signal) {
     try {
       const piece = file.slice(offset, offset + PIECE);
       slot = await put(path, piece, offset, (sent) => tell(offset + sent, false), signal);
-      if (slot.offset <= offset) throw new Problem({ title: LOST, detail: "The bytes sent do not arrive." });
+      if (slot.offset <= offset) throw new Problem({ title: LOST, detail: "The server did not receive the bytes." });
       failures = 0;
     } catch (error) {
       if (!passing(error) || failures >= PATIENCE) throw error;

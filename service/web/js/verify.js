@@ -60,7 +60,7 @@ export function startVerify() {
     const files = [...$("#check-files").files];
     const pictures = files.every((file) => PICTURE.test(file.name));
     if (!pictures && files.length > 1) {
-      showProblem(problem, { title: "One suspect at a time", detail: "Choose one model, or only pictures of one scene." });
+      showProblem(problem, { title: "More than one suspect", detail: "Choose one model, or only pictures of one scene." });
       return;
     }
     run(files, pictures);
@@ -79,7 +79,7 @@ export function startVerify() {
   };
 }
 
-const ALL = () => h("option", { value: "" }, "All of mine");
+const ALL = () => h("option", { value: "" }, "All my marked models");
 
 /** The models to choose from, the newest hundred and more as asked; returns what lists them. What was chosen stays. */
 function assetChoice(failed) {

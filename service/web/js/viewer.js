@@ -35,14 +35,14 @@ export class Viewer {
     this.status = h("p", { class: "viewer-status", role: "status" });
     this.panes = [pane("Original"), pane("Marked")];
     this.stage = h("div", { class: "viewer-stage", tabindex: "0", role: "application",
-      "aria-label": "Original and marked model in 3D. Arrow keys turn, plus and minus zoom, Home resets." },
+      "aria-label": "Original and marked model in 3D. Arrow keys rotate, plus and minus zoom, Home resets." },
       this.panes);
     this.controls = h("div", { class: "viewer-controls", role: "group", "aria-label": "Camera" });
     this.element = h("div", { class: "viewer" }, this.stage, this.controls, this.status);
   }
 
   async load() {
-    this.status.textContent = "Fetching both models…";
+    this.status.textContent = "Loading both models…";
     try {
       const path = (version) => `/v1/assets/${this.asset.id}/model?format=${FORMAT}&version=${version}`;
       const [code, ...blobs] = await Promise.all([
@@ -55,7 +55,7 @@ export class Viewer {
       this.#handles = await Promise.all(blobs.map((blob, k) => this.#show(code, blob, this.panes[k])));
       this.orbit.listen(this.stage);
       this.#makeControls();
-      this.status.textContent = "Drag to turn, wheel or pinch to zoom. Both views move together.";
+      this.status.textContent = "Drag to rotate, wheel or pinch to zoom. Both views move together.";
       this.stage.dataset.ready = "yes";
     } catch (error) {
       if (error.name === "AbortError") return;
@@ -101,7 +101,7 @@ export class Viewer {
     const { orbit } = this;
     const button = (text, label, click) =>
       h("button", { type: "button", class: "small", "aria-label": label, title: label, onclick: click }, text);
-    const flip = h("button", { type: "button", class: "small wide", "aria-pressed": "false" }, "Flip in place");
+    const flip = h("button", { type: "button", class: "small wide", "aria-pressed": "false" }, "Switch original / marked");
     flip.addEventListener("click", () => this.#flip(flip));
     fill(this.controls,
       button("←", "Turn left", () => orbit.turn(-15, 0)), button("→", "Turn right", () => orbit.turn(15, 0)),
@@ -116,7 +116,7 @@ export class Viewer {
     if (next === undefined) delete this.stage.dataset.alone;
     else this.stage.dataset.alone = next;
     button.setAttribute("aria-pressed", String(next !== undefined));
-    button.textContent = { undefined: "Flip in place", 0: "Show marked", 1: "Side by side" }[next];
+    button.textContent = { undefined: "Switch original / marked", 0: "Show marked", 1: "Side by side" }[next];
   }
 }
 

@@ -1,32 +1,32 @@
 // Numbers and codes in plain words.
 
 const STAGES = {
-  "": "Waiting for its turn",
-  screen: "Looking whether it already carries a mark",
-  inspect: "Looking whether it already carries a mark",
-  compile: "Making the kernels ready",
+  "": "Queued",
+  screen: "Searching for an existing watermark",
+  inspect: "Searching for an existing watermark",
+  compile: "Compiling kernels",
   read: "Reading the model",
-  look: "Looking at the model from all sides",
-  choose: "Trying what this scene needs",
-  prune: "Leaving out what nobody sees",
-  quantize: "Learning the code book",
-  landmarks: "Noting landmarks, to recognise screenshots later",
-  plan: "Planning a mark that nobody sees",
-  embed: "Getting the model ready",
-  refine: "Refining the mark",
+  look: "Rendering the key views",
+  choose: "Choosing the settings",
+  prune: "Pruning invisible Gaussians",
+  quantize: "Learning the codebook",
+  landmarks: "Building the landmark database",
+  plan: "Planning the watermark",
+  embed: "Embedding the watermark",
+  refine: "Refining the watermark",
   record: "Sealing the record",
   write: "Writing the marked model",
-  preview: "Drawing the preview",
+  preview: "Rendering the preview",
   "open record": "Opening the records",
-  verify: "Holding the suspect against your records",
-  register: "Finding how the suspect was moved and cut",
-  "find camera": "Finding where the pictures were taken from",
-  "read picture": "Reading the mark from the pictures",
-  decide: "Weighing the evidence",
-  model: "Reading the mark from the model",
-  render: "Reading the mark from renders",
-  image: "Reading the mark from the pictures",
-  commit: "Writing it down",
+  verify: "Comparing the suspect with your records",
+  register: "Registering the suspect",
+  "find camera": "Finding the cameras of the pictures",
+  "read picture": "Extracting bits from the pictures",
+  decide: "Evaluating the evidence",
+  model: "Extracting bits from the model",
+  render: "Extracting bits from renders",
+  image: "Extracting bits from the pictures",
+  commit: "Saving the result",
 };
 
 /** What a stage of a job does, and how many of how many where it says so ("record 3 of 20"). */
@@ -75,7 +75,7 @@ export function suspectName({ suspects: [first, ...others] = [] }) {
 
 /** Whom a claim of a list is about: the suspect, and the model that it was held to be. */
 export function claimNames(claim) {
-  const label = claim.asset_label === null ? "a model deleted since" : claim.asset_label;
+  const label = claim.asset_label === null ? "a deleted model" : claim.asset_label;
   const asset = claim.asset_id && label !== undefined && assetName({ id: claim.asset_id, label, copy_name: claim.copy_name });
   return [suspectName(claim), asset].filter(Boolean).join(" against ");
 }

@@ -50,7 +50,7 @@ def test_both_layers_of_the_evidence_are_signed(registry: Registry) -> None:
     document = registry.issue(found).document
     assert document["layers"] == found["claim"]["layers"]
     words = [fact.text for fact in document_words(document).facts]
-    assert "in colours z 8.2, in centres and sizes z 31.5, together 32.0" in words
+    assert "color z 8.2, geometry z 31.5, combined z 32.0" in words
 
 
 def test_one_job_has_one_claim(registry: Registry) -> None:

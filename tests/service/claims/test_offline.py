@@ -101,7 +101,7 @@ def test_no_character_around_it_can_be_changed(registry: Registry, form: str) ->
 def test_a_page_with_other_words_or_pictures_fails(registry: Registry) -> None:
     page = carriers(registry)["html"]
     for old, new, codes in (
-        (b"Mark found", b"Mark faked", ["page"]),
+        (b"Watermark found", b"Watermark faked", ["page"]),
         (b"Studio Nord", b"Studio West", ["page"]),
         (base64.b64encode(PICTURES["suspect"]), base64.b64encode(PICTURES["heatmap"]), ["pictures"]),
         (b"</main>", b"<p>This is void.</p></main>", ["page"]),

@@ -90,18 +90,18 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
             assert "| Taken from my shop." in text
             assert "ab" * 32 in text
         assert "attested by the log" in finding
-        assert "Nobody but the issuer attests these dates" in finding
+        assert "Only the issuer attests these dates" in finding
         assert "as_1" in notice
         assert "cd" * 16 in notice
         assert "12" * 32 in notice
         assert "original since: " in notice
         assert "[your signature]" in notice
-    assert marked[0].startswith("MARK FOUND")
+    assert marked[0].startswith("WATERMARK FOUND")
     for text in marked:
         assert "It does not say who published the suspect" in text
-    assert "where the hidden mark" not in not_marked[1]
+    assert "where the watermark" not in not_marked[1]
     assert "where.png" in marked[1]
-    assert "It does not acquit anybody" in not_marked[0]
+    assert "It acquits nobody" in not_marked[0]
     assert "Of 1 pictures" not in undecided[0]
 
 
@@ -109,8 +109,8 @@ def test_blanks_stay_where_the_owner_said_nothing(registry: Registry) -> None:
     finding, notice = texts(pack(registry, told=OwnerStatement()))
     assert "Found at: [links to the copy]" in notice
     assert "[link to the original, or: it is not published]" in notice
-    assert "What the owner adds" not in notice
-    assert "[not told]" in finding
+    assert "Statement of the owner" not in notice
+    assert "[not stated]" in finding
 
 
 def test_the_issuer_is_where_the_keys_are(registry: Registry) -> None:
@@ -124,7 +124,7 @@ def test_the_issuer_is_where_the_keys_are(registry: Registry) -> None:
 def test_a_stamp_comes_along(registry: Registry) -> None:
     data = pack(registry, timestamp=b"no token at all")
     assert opened(data)["claim.jws.tst"] == b"no token at all"
-    assert "Nobody but the issuer" not in texts(data)[0]
+    assert "Only the issuer" not in texts(data)[0]
 
 
 def test_no_unmarked_picture_is_ever_packed(registry: Registry) -> None:
@@ -142,7 +142,7 @@ def test_no_unmarked_picture_is_ever_packed(registry: Registry) -> None:
 def test_another_camera_is_said(registry: Registry) -> None:
     alone = {name: data for name, data in PICTURES.items() if name != "difference"}
     finding, notice = texts(pack(registry, pictures=alone))
-    assert "from a camera of its own" in finding
+    assert "from another camera" in finding
     assert "from the same camera" not in finding + notice
 
 

@@ -34,19 +34,18 @@ def test_the_same_claim_gives_the_same_page(registry: Registry) -> None:
 
 def test_each_verdict_has_its_words(registry: Registry) -> None:
     marked, not_marked, undecided = (page(registry, reply(kind), f"job_{kind}") for kind in KINDS)
-    assert "<h1>Mark found</h1>" in marked
-    assert "32 of 32" in marked
-    assert "<h1>Derived, without this mark</h1>" in not_marked
-    assert "derived from your asset; this copy&#39;s mark is absent or was taken out" in not_marked
-    assert "It does not acquit anybody" in not_marked
-    assert "coins would give about 16" in not_marked
-    assert "<h1>Undecided</h1>" in undecided
+    assert "<h1>Watermark found</h1>" in marked
+    assert "32/32" in marked
+    assert "<h1>Derived from your asset, watermark not detected</h1>" in not_marked
+    assert "It acquits nobody" in not_marked
+    assert "chance gives about 16" in not_marked
+    assert "<h1>Inconclusive</h1>" in undecided
     assert "derived from your asset" in undecided
     assert "no view of this asset was recognised" in undecided
     for text in (marked, not_marked, undecided):
         assert "1 in 2¹²⁸" in text
         assert "mark3dgs verify-report claim.jws --jwks jwks.json" in text
-        assert "needed here: 1 in 10⁹" in text
+        assert "required here: 1 in 10⁹" in text
         assert "attested by the log of this service" in text
 
 

@@ -51,8 +51,8 @@ def test_of_all_one_that_was_not_recognised_is_not_named(registry: Registry) -> 
     expected = {"scope": "all", "assets": 41, "compared": 2, "unreadable": 0, "recognised": False}
     assert document["searched"] == expected
     words = document_words(document)
-    assert words.headline == "Not recognised"
-    assert words.finding == "None of your 41 registered assets was recognised in the picture."
+    assert words.headline == "Not recognized"
+    assert words.finding == "None of your 41 registered assets was recognized in the picture."
     assert "as_1" not in json.dumps(document)
     assert verify_report(claim.jws.encode(), registry.jwks).valid
 
@@ -68,7 +68,7 @@ def test_the_asset_that_was_named_is_spoken_of(registry: Registry) -> None:
     document = issued(registry, unrelated(searched={"scope": "one", "assets": 1})).document
     assert document["asset"] == "as_1"
     words = document_words(document)
-    assert (words.headline, words.finding) == ("Not recognised", "Nothing of your asset was recognised in the picture.")
+    assert (words.headline, words.finding) == ("Not recognized", "Nothing of your asset was recognized in the picture.")
 
 
 @pytest.mark.parametrize("kind", ["marked", "not_marked", "inconclusive"])

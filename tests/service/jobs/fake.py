@@ -36,7 +36,7 @@ class FakeJobs:
         if after:
             places = [number for number, job in enumerate(mine) if job.id == after]
             if not places:
-                raise Problem("invalid-request", f"after: {after!r} is on no page of this list")
+                raise Problem("invalid-request", f"after: {after!r} is not a valid cursor of this list")
             mine = mine[places[0] + 1 :]
         return mine[:limit]
 

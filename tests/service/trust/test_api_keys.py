@@ -43,7 +43,7 @@ def test_refusals_cannot_be_told_apart(db: Database, master: MasterKey) -> None:
         with pytest.raises(Problem) as caught:
             api_keys.check(db, master, bad)
         said.add((caught.value.kind, caught.value.detail, str(caught.value.headers)))
-    assert said == {("unauthorized", "this API key is not known here", "{'WWW-Authenticate': 'Bearer'}")}
+    assert said == {("unauthorized", "this API key is not valid", "{'WWW-Authenticate': 'Bearer'}")}
     assert api_keys.check(db, master, token).tenant == "acme"
     other = MasterKey(bytes(range(32)))
     with pytest.raises(Problem):

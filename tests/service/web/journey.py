@@ -21,11 +21,11 @@ LONG = 240_000
 def make_key(page: Page, label: str) -> str:
     """Make an owner key with a copy; what the copy holds."""
     page.locator("#key-choice:visible, #key-make:visible").wait_for()
-    if page.get_by_role("button", name="Make a new key").is_visible():
-        page.get_by_role("button", name="Make a new key").click()
+    if page.get_by_role("button", name="Create a new key").is_visible():
+        page.get_by_role("button", name="Create a new key").click()
     page.get_by_label("Name of the new key").fill(label)
     with page.expect_download() as download:
-        page.get_by_role("button", name="Make the key", exact=True).click()
+        page.get_by_role("button", name="Create the key", exact=True).click()
     assert download.value.suggested_filename.endswith(".key")
     return Path(download.value.path()).read_text()
 
@@ -34,7 +34,7 @@ def embed(page: Page, file: Path, label: str, copy: str = "") -> None:
     """Fill in the form and send it off."""
     page.get_by_label("Model file").set_input_files(file)
     page.get_by_label("Name optional").fill(label)
-    page.get_by_label("Copy for").fill(copy)
+    page.get_by_label("Recipient").fill(copy)
     page.get_by_label("Fast").check()
     page.get_by_role("button", name="Mark the model").click()
 

@@ -80,7 +80,7 @@ def test_a_broken_upload_goes_on_where_it_stopped_and_a_job_can_be_cancelled(pag
     make_key(page, "Interrupted")
     embed(page, PLANT, "Interrupted")
     page.get_by_text("Connection lost").wait_for()
-    page.get_by_text("Waiting for its turn").or_(page.get_by_text("Looking")).first.wait_for(timeout=LONG)
+    page.get_by_text("Queued").or_(page.get_by_text("Searching")).first.wait_for(timeout=LONG)
     assert offsets == [0, half]
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Mark the model").wait_for(timeout=LONG)
@@ -117,8 +117,8 @@ def test_the_whole_form_works_from_the_keyboard(watched: Watched, served: Served
     press("Space")
     page.locator("#mark-drop").get_by_text("plant.splat").wait_for()
     page.locator("#key-choice:visible, #key-make:visible").wait_for()
-    if page.get_by_role("button", name="Make a new key").is_visible():
-        tab_to("Make a new key")
+    if page.get_by_role("button", name="Create a new key").is_visible():
+        tab_to("Create a new key")
         press("Enter")
     else:
         tab_to("Name of the new key")

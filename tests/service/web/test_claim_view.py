@@ -109,7 +109,7 @@ def test_a_report_is_shared_and_no_longer(page: Page, served: Served) -> None:
     claim_of(page, served)
     page.get_by_text("Share the report").click()
     page.get_by_label("For how long").select_option("30 days")
-    page.get_by_role("button", name="Make an address").click()
+    page.get_by_role("button", name="Create a link").click()
     address = page.get_by_label("Address of the report")
     address.wait_for()
     assert address.input_value() == f"{served.address}/shared/secret1"

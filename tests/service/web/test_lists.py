@@ -76,7 +76,7 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
     page.get_by_label("Find a marked model").press("Tab")
     page.locator("#check-asset:not(:has(option:nth-child(20)))").wait_for()
     texts = choice.locator("option").all_inner_texts()
-    assert texts[:2] == ["All of mine", "Model 7"], "what was chosen stays"
+    assert texts[:2] == ["All my marked models", "Model 7"], "what was chosen stays"
     assert {"Model 12", "Model 120"} <= set(texts)
     assert choice.evaluate("select => select.selectedOptions[0].textContent") == "Model 7"
 
@@ -84,7 +84,7 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
 def test_search_and_verdict_ask_the_service(page: Page) -> None:
     found = [an_asset(3), an_asset(2, label="Garden", copy_name="Acme"), an_asset(1)]
     told = {"asset_id": found[1]["id"], "asset_label": "Garden", "copy_name": "Acme", "suspects": ["stolen.ply"]}
-    claims = [a_claim(3, verdict="marked", headline="Mark found", **told), a_claim(2), a_claim(1)]
+    claims = [a_claim(3, verdict="marked", headline="Watermark found", **told), a_claim(2), a_claim(1)]
     asked = lists(page, assets=found, claims=claims)
     library(page)
     first = page.locator("#claims li").first
@@ -97,10 +97,10 @@ def test_search_and_verdict_ask_the_service(page: Page) -> None:
     assert {query["path"][0] for query in asked if query.get("q") == ["acme"]} == {"/v1/assets", "/v1/claims"}
     page.get_by_label("Find", exact=True).fill("nowhere")
     page.locator("#assets .none").wait_for()
-    assert page.locator("#claims").inner_text() == "Nothing like that."
+    assert page.locator("#claims").inner_text() == "No results."
     page.get_by_label("Find", exact=True).fill("")
     page.locator("#claims li").nth(2).wait_for()
-    page.get_by_label("Verdict of the claims").select_option("Mark found")
+    page.get_by_label("Verdict of the claims").select_option("Watermark found")
     page.locator("#claims li:only-child").wait_for()
     assert asked[-1]["verdict"] == ["marked"]
 

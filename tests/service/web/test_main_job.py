@@ -70,12 +70,12 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     turned, stolen = tmp_path / "turned.ply", tmp_path / "stolen.spz"
     assert run(["attack", "similarity", str(marked), str(turned), "--seed", "3"]) == 0
     assert run(["attack", "crop", str(turned), str(stolen), "--strength", "0.25", "--seed", "3"]) == 0
-    assert check(page, stolen) == "Mark found"
+    assert check(page, stolen) == "Watermark found"
     result = page.locator("#check-result")
     assert "copy made for “Acme”" in result.inner_text()
     assert "32 of 32 bits" in result.inner_text().replace("\n", " ")
     assert result.locator(".scale.met").count() == 1
-    assert page.evaluate("document.activeElement.textContent") == "Mark found"
+    assert page.evaluate("document.activeElement.textContent") == "Watermark found"
     result.locator("figcaption", has_text="Suspect").get_by_text("stolen.spz").wait_for()
     shoot(page, "claim")
 
@@ -116,7 +116,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert "all kept" in page.locator("#view-item").inner_text()
     page.go_back()
     page.locator("#claims a").first.click()
-    page.get_by_role("heading", name="Mark found").wait_for()
+    page.get_by_role("heading", name="Watermark found").wait_for()
 
     # 7. an original that was never marked
     assert check(page, plant) == "Derived, without this mark"
@@ -128,4 +128,4 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     page.get_by_role("link", name="Library").click()
     shot = tmp_path / "shot.png"
     assert run(["render", str(marked), str(shot)]) == 0
-    assert check(page, shot) == "Mark found", json.dumps(page.locator("#check-result").inner_text())
+    assert check(page, shot) == "Watermark found", json.dumps(page.locator("#check-result").inner_text())

@@ -53,7 +53,7 @@ def walk(folder: Path) -> dict[str, float]:
             model = read_model(folder / "marked.splat").model
             shot, posted = render(model, make_rig(model, 1, 1200, 800)[0]), folder / "posted.jpg"
             write_picture(np.clip(shot, 0.0, 1.0), posted, posted, 85)
-            assert check(page, posted) == "Mark found"
+            assert check(page, posted) == "Watermark found"
             step("screenshot checked")
             page.get_by_text("Ask a platform to take it down").click()
             page.get_by_label("Where the copy is").fill("https://example.com/stolen/1")
