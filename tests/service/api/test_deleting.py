@@ -106,5 +106,5 @@ def test_rows_of_ended_jobs_are_forgotten(own: Service) -> None:
     assert own.jobs.prune(24) == 2
     with own.db.read() as connection:
         assert set(connection.execute(sa.select(jobs.c.id)).scalars()) == {"young", "open", "dispute"}
-    engine = {each.workflow_id for each in own.jobs._client().list_workflows()}
+    engine = {each.workflow_id for each in own.jobs.client().list_workflows()}
     assert engine == {"young", "open", "dispute"}, "the engine's tables do not grow either"
