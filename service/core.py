@@ -14,8 +14,9 @@ from engine.errors import InputError
 from service.blobs import Blobs
 from service.db import Database
 from service.jobs.engine import DurableJobs
-from service.jobs.port import Reply, Run
+from service.jobs.port import Run
 from service.problems import Problem
+from service.processes import Reply
 from service.settings import Settings
 from service.trust.commitments import registration_of
 from service.trust.master import MasterKey

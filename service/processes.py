@@ -21,7 +21,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from service.jobs.port import Cancelled, Reply
 from service.problems import KINDS, Problem
 from service.settings import Settings
 
@@ -60,6 +59,14 @@ class Limits:
     def seconds(self) -> int:
         """By the clock: a task that neither works nor answers for that long hangs."""
         return 2 * self.cpu_seconds + 60
+
+
+Reply = dict[str, Any]
+"""What a task of `service.work` replies: JSON values, by names that the task's docstring has."""
+
+
+class Cancelled(Exception):
+    """The task was not to go on; its process was ended."""
 
 
 class Stopped(Exception):

@@ -14,7 +14,6 @@ from engine.watermark.numerals import TYPOGRAPHIC, Form
 from engine.watermark.wording import Words, words_of
 from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
-from service.jobs.port import Reply
 
 
 class Fact(BaseModel):
@@ -51,7 +50,7 @@ class Summary(BaseModel):
     checks: list[NamedCheck]
 
 
-def of_what_was_found(reply: Mapping[str, Any]) -> Reply:
+def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
     """The reply of the task `verify` with what was `searched` told in full; of all of an owner's assets, it speaks of
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]

@@ -9,7 +9,8 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words
-from service.claims.presentation import PAGE, ZIP, OwnerStatement, SignedClaim, pack_file, report_page, signed
+from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.schema import OwnerStatement
 from service.db import holding, page
 from service.db.schema import assets, claims
 from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Reader, Words, visible

@@ -17,8 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 from engine.flows.html_pages import templates
 from engine.watermark.numerals import PLAIN, when
 from service.claims.document import document_words
-from service.claims.presentation import OwnerStatement
 from service.claims.report import captions_of, timeline
+from service.claims.schema import OwnerStatement
 from service.problems import Problem
 from service.trust.tenants import FIRST_TENANT
 

@@ -2,12 +2,13 @@
 
 import base64
 import json
-from typing import Annotated, Any
+from typing import Any
 
 from fastapi import Response
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, UrlConstraints
+from pydantic import BaseModel, Field
 
 from service.claims.document import Summary, summary_of
+from service.claims.schema import OwnerStatement
 from service.core import Service
 from service.http.error_responses import Responses
 
@@ -19,26 +20,6 @@ ZIP: Responses = {
     200: {"content": {PACK_TYPE: {"schema": {"type": "string", "format": "binary"}}}, "description": "A ZIP"}
 }
 """OpenAPI of the two files."""
-
-
-def _without_password(url: HttpUrl) -> HttpUrl:
-    if url.username or url.password:
-        raise ValueError("leave user name and password out of the address")
-    return url
-
-
-# All of it goes into the line of one GET: at most 14 kB where every letter of the note takes nine, of the server's 16.
-Url = Annotated[HttpUrl, UrlConstraints(max_length=400), AfterValidator(_without_password)]
-Note = Annotated[str, StringConstraints(max_length=1000)]
-
-
-class OwnerStatement(BaseModel):
-    """What only the owner knows. It is put into the pack as the owner's word, and kept nowhere."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    copy_url: list[Url] = Field([], max_length=10, description="Where the copy was found; give it once for each place.")
-    original_url: Url | None = Field(None, description="Where the original is published.")
-    note: Note = Field("", description="Your own words; set off from what was found.")
 
 
 class SignedClaim(BaseModel):

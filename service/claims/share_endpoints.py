@@ -6,7 +6,8 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.claims import shares
-from service.claims.presentation import PAGE, ZIP, OwnerStatement, SignedClaim, pack_file, report_page, signed
+from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.schema import OwnerStatement
 from service.db import own, schema
 from service.http.access import Core, Follower, Verifier, visible
 from service.http.error_responses import OF_OWN, responses

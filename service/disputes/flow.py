@@ -11,8 +11,9 @@ from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets
-from service.jobs.port import Ending, Flow, Reply, Run, State, Step
+from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
+from service.processes import Reply
 from service.trust import audit
 from service.trust.canonical import canonical, digest
 from service.trust.signing import sign

@@ -12,7 +12,8 @@ from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets
-from service.jobs.port import Ending, Flow, Job, Reply, Run, State, Step
+from service.jobs.port import Ending, Flow, Job, Run, State, Step
+from service.processes import Reply
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key

@@ -1,10 +1,12 @@
-"""Jobs, their states, and the steps that do them, whatever the engine behind (`durable`: DBOS)."""
+"""Jobs, their states, and the steps that do them, whatever the engine behind (`engine`: DBOS)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypedDict
+
+from service.processes import Reply
 
 
 class State(StrEnum):
@@ -44,10 +46,6 @@ class Job:
     finished_at: str = ""
 
 
-Reply = dict[str, Any]
-"""What a task of `service.work` replies: JSON values, by names that the task's docstring has."""
-
-
 @dataclass
 class Run:
     """What a step of a flow is handed.
@@ -61,10 +59,6 @@ class Run:
     results: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the steps before, by name
     folder: Path = Path()  # scratch of this step, empty, removed after it
     work: Callable[[str, Mapping[str, Any]], Reply] = lambda task, request: {}
-
-
-class Cancelled(Exception):
-    """The job was cancelled while it ran."""
 
 
 @dataclass(frozen=True)

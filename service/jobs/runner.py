@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, NoReturn, TypedDict, TypeVar
 
 from service.jobs.engine import QUEUE, WORKFLOW, DurableJobs, configuration
-from service.jobs.port import Cancelled, Flow, Job, Reply, Run, State, Step
+from service.jobs.port import Flow, Job, Run, State, Step
 from service.problems import Problem
-from service.processes import COMMAND, Children, Limits, Stopped
+from service.processes import COMMAND, Cancelled, Children, Limits, Reply, Stopped
 from service.settings import Settings
 
 BEAT_SECONDS = 2.0

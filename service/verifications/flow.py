@@ -8,8 +8,9 @@ from service.claims.issuing import issue
 from service.core import Service
 from service.db.schema import assets
 from service.http.budgets import spend
-from service.jobs.port import Ending, Flow, Reply, Run, State, Step
+from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
+from service.processes import Reply
 
 
 def verify_flow(service: Service) -> Flow:

@@ -6,7 +6,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field, HttpUrl, JsonValue
 
-from service.claims.presentation import Url
+from service.claims.schema import Url
 from service.core import Service
 from service.db.schema import deliveries, webhooks
 from service.http.access import Admin, Core

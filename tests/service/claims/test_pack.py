@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from service.claims.offline import verify_report
 from service.claims.pack import make_pack, shown_in_pack
-from service.claims.presentation import OwnerStatement
+from service.claims.schema import OwnerStatement
 from service.problems import Problem
 from tests.service.claims.cases import KINDS, PICTURES, nothing, picture, reply
 from tests.service.claims.conftest import Registry

@@ -14,9 +14,8 @@ from typing import Any
 
 import pytest
 
-from service.jobs.port import Cancelled
 from service.problems import Problem
-from service.processes import SECONDS_BETWEEN_LOOKS, Children, Limits, Stopped
+from service.processes import SECONDS_BETWEEN_LOOKS, Cancelled, Children, Limits, Stopped
 from tests.service.jobs.toy_worker import CHILD
 
 LIMITS = Limits(memory_bytes=1 << 30, cpu_seconds=1, file_bytes=1 << 20)
