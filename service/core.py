@@ -13,7 +13,7 @@ from typing import Any, TypedDict
 from engine.errors import InputError
 from service.blobs import Blobs
 from service.db import Database
-from service.jobs.engine import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run
 from service.problems import Problem
 from service.processes import Reply

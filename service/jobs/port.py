@@ -1,4 +1,4 @@
-"""Jobs, their states, and the steps that do them, whatever the engine behind (`engine`: DBOS)."""
+"""Jobs, their states, and the steps that do them, whatever the engine behind (`durable_jobs`: DBOS)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypedDict, TypeVar
 
-from service.jobs.engine import QUEUE, WORKFLOW, DurableJobs, configuration
+from service.jobs.durable_jobs import QUEUE, WORKFLOW, DurableJobs, configuration
 from service.jobs.port import Flow, Job, Run, State, Step
 from service.problems import Problem
 from service.processes import COMMAND, Cancelled, Children, Limits, Reply, Stopped

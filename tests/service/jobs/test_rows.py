@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.jobs.engine import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, State
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.jobs.engine import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from tests.service.jobs.conftest import Workshop
 

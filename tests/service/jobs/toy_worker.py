@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from service.db import Database
-from service.jobs.engine import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run, Step
 from service.jobs.runner import Worker
 from service.problems import Problem
