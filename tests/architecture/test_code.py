@@ -50,6 +50,7 @@ MOST_PARAMETERS = 8
 KERNELS = {"kernel", "parallel_kernel", "inlined"}
 """Decorators of compiled functions, which take arrays and numbers."""
 WIDE = {
+    "engine/kernels/native_probe.py": ["_probe"],
     "engine/lab/evaluate/cost/measuring.py": ["measure_size"],
     "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
     "engine/lab/sim/variants/measuring.py": ["_row"],
