@@ -19,7 +19,8 @@ UNKNOWN = "not recorded"
 
 HEAD = """# Results
 Current numbers only. This page is written by `python -m engine.lab.evaluate.results_page docs/results docs/RESULTS.md`
-from the files in [results](results); edit those. What earlier versions measured is in [history](history).
+from the files in [results](results); edit those. What earlier versions measured is in [history](history), the paper's
+numbers beside ours in [PAPER.md](PAPER.md).
 
 Detection is **informed** throughout: it uses the owner's record, which holds the unmarked original. Blind methods solve a
 harder problem. z is the detection score: a claim needs z 6.7 at 1 in 10^9 and z 13.6 at 1 in 2^128, up to the number of
@@ -102,7 +103,7 @@ def _read(path: Path) -> Result:
 
 
 def draw_page(results: list[Result]) -> str:
-    """The page in Markdown: misses, bars that are met, then each table."""
+    """The page in Markdown: all misses, then each table with the bars that it meets."""
     every = [(result, bar) for result in results for bar in result.bars]
     missed = [(result, bar) for result, bar in every if not bar.met]
     lines = [HEAD, f"## Misses: {len(missed)} of {len(every)} bars", *_bars(missed), ""]
@@ -122,9 +123,9 @@ def _section(result: Result) -> list[str]:
     by = result.command if " " not in result.command or result.command == "script not kept" else f"`{result.command}`"
     lines = [f"## {result.what}", "; ".join([by, *known]) + ".", ""]
     lines += [*_table(result.columns, result.rows), ""]
-    lines += [f"- **{'Met' if bar.met else 'Missed'}**: {bar.bar}: {bar.measured}." for bar in result.bars]
-    lines += [f"- {note}" for note in result.notes]
-    return [*lines, ""]
+    met = "; ".join(f"{bar.bar}: {bar.measured}" for bar in result.bars if bar.met)
+    said = [*([f"Bars met: {met}."] if met else []), *result.notes]
+    return [*lines, *([" ".join(said), ""] if said else [])]
 
 
 def _table(columns: tuple[str, ...], rows: Any) -> list[str]:
