@@ -20,10 +20,7 @@ ENTRY: dict[str, Any] = {
     "commit": "abc1234",
     "columns": ["kept", "z"],
     "rows": [["10 %", "225"]],
-    "bars": [
-        {"bar": "every bit", "measured": "100 %", "met": True},
-        {"bar": "z 300", "measured": "225", "met": False},
-    ],
+    "bars": [{"bar": "every bit", "measured": "100 %", "met": True}, {"bar": "z 300", "measured": "225", "met": False}],
 }
 
 
