@@ -49,8 +49,10 @@ class Result:
         The title of the table.
     command : str
         What measured it, or "script not kept".
-    seed, machine, commit : str
+    seed, machine : str
         `UNKNOWN` where it was not written down.
+    commit : str
+        The one that was measured or, for older numbers, the first that holds them; or `UNKNOWN`.
     columns : tuple of str
     rows : tuple of tuple of str
         Each as long as `columns`.
