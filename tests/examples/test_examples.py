@@ -1,4 +1,4 @@
-"""The programs of docs/examples, run as written on small models."""
+"""The programs of docs/examples, and that of README.md, run as written on a small model."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PROGRAMS = ROOT / "docs" / "examples"
 PATH = f"{ROOT}{os.pathsep}{ROOT / 'service' / 'installed'}"
 
 
-def run(program: str, *arguments: str | Path, api_key: str = "") -> str:
-    """What the program prints; the test fails with its messages if it does."""
+def run(program: str, *arguments: str | Path, api_key: str = "", folder: Path = PROGRAMS) -> str:
+    """What a program prints that lies in the folder, its working directory; the test fails if the program does."""
     environment = os.environ | {"PYTHONPATH": PATH, "MARK3DGS_API_KEY": api_key}
-    command = [sys.executable, str(PROGRAMS / program), *map(str, arguments)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, str(folder / program), *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -55,6 +55,15 @@ def test_a_piece_is_found_and_the_original_is_not(plant: Path, tmp_path: Path) -
 @pytest.mark.usefixtures("installed")
 def test_the_copy_that_leaked_is_named_alone(plant: Path) -> None:
     assert run("trace_copies.py", plant) == "named: bolt\n"
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_program_of_the_readme_runs(plant: Path, tmp_path: Path) -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "tests" / "data").mkdir(parents=True)
+    (tmp_path / "tests" / "data" / "plant.splat").symlink_to(plant)
+    (tmp_path / "program.py").write_text(program)
+    assert run("program.py", folder=tmp_path).startswith("marked -")
 
 
 def test_the_service_finds_the_copy_it_marked(plant: Path, tmp_path: Path) -> None:
