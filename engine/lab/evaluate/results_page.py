@@ -126,7 +126,7 @@ def _section(result: Result) -> list[str]:
     by = result.command if " " not in result.command or result.command == "script not kept" else f"`{result.command}`"
     lines = [f"## {result.what}", "; ".join([by, *known]) + ".", ""]
     lines += [*_table(result.columns, result.rows), ""]
-    met = "; ".join(f"{bar.bar}: {bar.measured}" for bar in result.bars if bar.met)
+    met = "; ".join(f"{bar.bar} ({bar.measured})" for bar in result.bars if bar.met)
     said = [*([f"Bars met: {met}."] if met else []), *result.notes]
     return [*lines, *([" ".join(said), ""] if said else [])]
 

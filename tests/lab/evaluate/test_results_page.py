@@ -31,7 +31,7 @@ def write(folder: Path, **changes: Any) -> Path:
 
 def test_misses_stand_above_all_tables(tmp_path: Path) -> None:
     page = draw_page(read_results(write(tmp_path)))
-    assert page.index("| z 300 | 225 |") < page.index("| 10 % | 225 |") < page.index("every bit: 100 %")
+    assert page.index("| z 300 | 225 |") < page.index("| 10 % | 225 |") < page.index("every bit (100 %)")
 
 
 def test_what_was_not_written_down_is_not_shown(tmp_path: Path) -> None:
