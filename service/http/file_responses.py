@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import obstore
 from fastapi import Depends, Header, Request, Response
@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 
 from service.blobs import blob_name
 from service.core import Service
-from service.http.failures import responses
+from service.http.error_responses import Responses, responses
 from service.problems import Problem
 
 MODEL_TYPE = "application/octet-stream"
@@ -90,7 +90,7 @@ def _one_range(text: str, size: int) -> tuple[int, int] | None:
     return (first, last) if first <= last else None
 
 
-def file_responses(media_type: str, *also: str) -> dict[int | str, dict[str, Any]]:
+def file_responses(media_type: str, *also: str) -> Responses:
     """OpenAPI of a file of one's own, whole or in part, and of the problems instead of it."""
     content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
     return {

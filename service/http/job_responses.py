@@ -12,9 +12,9 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from service.core import Service
 from service.http import idempotency
-from service.http.failures import responses
+from service.http.error_responses import Responses, responses
+from service.http.progress import course
 from service.http.results import Failure, Result, Time, TimeOrNot
-from service.jobs.course import course
 from service.jobs.port import FINAL, Job, State
 from service.problems import Problem, from_json
 from service.trust.api_keys import Caller
@@ -51,7 +51,7 @@ class JobView(BaseModel):
 
 Prefer = Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")]
 RetryKey = Annotated[str | None, Header(min_length=1, max_length=128)]
-JOB_RESPONSES: dict[int | str, dict[str, Any]] = {
+JOB_RESPONSES: Responses = {
     200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
     **responses(
         "malformed-request",

@@ -14,8 +14,8 @@ from starlette.requests import ClientDisconnect
 
 from service.blobs import digest_of
 from service.core import Service
-from service.jobs.child import run_once, task_folder
 from service.problems import Problem
+from service.processes import run_once, task_folder
 from service.uploads import store
 from service.uploads.quota import check_quota
 

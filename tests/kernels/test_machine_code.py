@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.kernels import kernel_cache
 from engine.kernels import machine_code as native
 from engine.kernels.deferred import text_of
 from engine.kernels.jit import inlined, kernel, parallel_kernel, share_of
@@ -20,8 +21,11 @@ SCALE = 2.0
 
 @pytest.fixture
 def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(native, "store", lambda: tmp_path / "kernels")
-    return tmp_path / "kernels"
+    place = tmp_path / "kernels"
+    place.mkdir()
+    monkeypatch.setattr(kernel_cache, "folders", lambda: (place,))
+    monkeypatch.setattr(kernel_cache, "folder", lambda: place)
+    return place
 
 
 @pytest.fixture
@@ -132,15 +136,10 @@ def test_code_is_kept_and_found_and_a_broken_file_is_made_anew(store: Path, comp
         assert [path.name for path in store.iterdir()] == [file.name]
 
 
-def test_where_nothing_can_be_written_kernels_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(native, "store", lambda: tmp_path / "file" / "kernels")
-    assert kernel(lambda x: x + 1)(1) == 2
-
-
 def test_code_that_calls_what_is_not_there_is_not_loaded() -> None:
     """LLVM would end the process."""
     assert native.load(native.Code("f", [], [], False, ["no_such_function_anywhere"], b"")) is None
+    assert native.load(native.Code("f", ["<4 x float>"], [], False, [], b"")) is None
 
 
 def _uses(piece, constant):  # type: ignore[no-untyped-def]
@@ -181,31 +180,6 @@ def test_a_parallel_kernel_runs_every_turn() -> None:
         out = np.full(101, np.nan, np.float32)
         halves(x, out, turns=turns)
         np.testing.assert_array_equal(out, 0.5 * x)
-
-
-def test_other_facts_are_other_files(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def path() -> Path:
-        return native._path("a.b", b"text", "<f8")
-
-    first = path()
-    assert first == path()
-    assert len({first, native._path("a.b", b"other", "<f8"), native._path("a.b", b"text", "<f4")}) == 3
-    for name, other in (("processor", lambda: ("other", "+avx")), ("compiler", lambda: ["0"])):
-        with monkeypatch.context() as patch:
-            patch.setattr(native, name, other)
-            assert path() != first
-    assert first.parent == store
-
-
-def test_the_store_is_where_numba_was_told_or_beside_the_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    find = native.store.__wrapped__
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert find() == tmp_path / "kernels"
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    assert find().parent.name == "__pycache__"
-    monkeypatch.setattr("os.access", lambda path, mode: False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
-    assert find() == tmp_path / "own" / "mark3dgs" / "kernels"
 
 
 WORK = """

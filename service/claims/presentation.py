@@ -7,52 +7,19 @@ from typing import Any
 from fastapi import Response
 from pydantic import BaseModel, Field
 
-from service.claims.document import summary_of
-from service.claims.told import Told
+from service.claims.document import Summary, summary_of
+from service.claims.schema import OwnerStatement
 from service.core import Service
+from service.http.error_responses import Responses
 
 PACK_TYPE = "application/zip"
-PAGE: dict[int | str, dict[str, Any]] = {
+PAGE: Responses = {
     200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "One page, all in it"}
 }
-ZIP: dict[int | str, dict[str, Any]] = {
+ZIP: Responses = {
     200: {"content": {PACK_TYPE: {"schema": {"type": "string", "format": "binary"}}}, "description": "A ZIP"}
 }
 """OpenAPI of the two files."""
-
-
-class Fact(BaseModel):
-    """Something that was found."""
-
-    label: str
-    text: str
-
-
-class Bar(BaseModel):
-    """What a bound is held against."""
-
-    log10: float
-    text: str
-
-
-class NamedCheck(BaseModel):
-    """A check of the document, with its name and outcome for people."""
-
-    code: str
-    ok: bool | None
-    text: str
-    name: str
-    outcome: str
-
-
-class Summary(BaseModel):
-    """The claim in words; they follow from the document, and are not signed themselves."""
-
-    headline: str
-    finding: str = Field(description="The verdict in one sentence.")
-    facts: list[Fact]
-    limits: list[Bar]
-    checks: list[NamedCheck]
 
 
 class SignedClaim(BaseModel):
@@ -68,7 +35,7 @@ def signed(row: Any) -> SignedClaim:
     """The claim of a row of the table `claims`."""
     stamp = base64.b64encode(row.timestamp).decode() if row.timestamp else None
     document = json.loads(row.document)
-    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=Summary(**summary_of(document)))
+    return SignedClaim(document=document, jws=row.jws, timestamp=stamp, summary=summary_of(document))
 
 
 def report_page(service: Service, row: Any) -> Response:
@@ -79,7 +46,7 @@ def report_page(service: Service, row: Any) -> Response:
     return Response(report_html(json.loads(row.document), row.jws, pictures, row.timestamp), media_type="text/html")
 
 
-def pack_file(service: Service, row: Any, told: Told) -> Response:
+def pack_file(service: Service, row: Any, told: OwnerStatement) -> Response:
     """The claim's pack; conflict where it recognised nothing."""
     from service.claims.pack import make_pack, shown_in_pack
 

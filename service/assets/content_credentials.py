@@ -19,8 +19,8 @@ from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets, manifests
-from service.jobs.child import run_once, task_folder
 from service.problems import Problem
+from service.processes import run_once, task_folder
 from service.settings import Settings
 
 SIGNED = ("sog", "glb")

@@ -76,7 +76,11 @@ def invalid(errors: list[Any]) -> Problem:
     return Problem("malformed-request" if broken else "invalid-request", detail, errors=places)
 
 
-def responses(*kinds: str) -> dict[int | str, dict[str, Any]]:
+Responses = dict[int | str, dict[str, Any]]
+"""OpenAPI of the answers of a route, by status, as FastAPI takes it."""
+
+
+def responses(*kinds: str) -> Responses:
     """OpenAPI of the problems that a route may answer with; those that any route can are added."""
     found: dict[int, list[str]] = {}
     for kind in (*kinds, "internal", "unavailable", "storage-full"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 import os
@@ -13,14 +14,13 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from service.jobs.port import Cancelled
-from service.jobs.turns import Turns
 from service.problems import KINDS, Problem
 from service.settings import Settings
 
@@ -30,7 +30,7 @@ SECONDS_BETWEEN_LOOKS = 0.35
 """How often the job's row is looked at and written while a task runs: a cancelled task dies within this time."""
 
 AT_ONCE = 2
-"""Tasks for handlers that run beside the workers' on the same cores: few at a time, tenants take turns."""
+"""Tasks for handlers that run next to the workers' on the same cores: few at a time, tenants take turns."""
 
 MAX_LINE_BYTES = 64 << 20
 _GOODBYE_SECONDS = 5.0
@@ -39,7 +39,6 @@ _GOODBYE_SECONDS = 5.0
 _ENVIRONMENT = {"HOME", "LANG", "LD_LIBRARY_PATH", "MPLCONFIGDIR", "PATH", "TMPDIR", "TZ", "VIRTUAL_ENV"}
 _PREFIXES = ("CUDA_", "KMP_", "LC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TORCH", "XDG_")
 
-_turns = Turns(AT_ONCE)
 _log = logging.getLogger(__name__)
 
 
@@ -60,6 +59,14 @@ class Limits:
     def seconds(self) -> int:
         """By the clock: a task that neither works nor answers for that long hangs."""
         return 2 * self.cpu_seconds + 60
+
+
+Reply = dict[str, Any]
+"""What a task of `service.work` replies: JSON values, by names that the task's docstring has."""
+
+
+class Cancelled(Exception):
+    """The task was not to go on; its process was ended."""
 
 
 class Stopped(Exception):
@@ -92,7 +99,7 @@ class Children:
         request: Mapping[str, Any],
         folder: Path,
         go_on: Callable[[str, float], bool] = lambda stage, fraction: True,
-    ) -> dict[str, Any]:
+    ) -> Reply:
         """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
         `go_on` is told stage and fraction about three times a second, changed or not; False ends the task with
@@ -137,7 +144,7 @@ class Children:
                     return process  # it died of itself; `_follow` says of what
                 # The spare had died while it waited, which is nobody's fault; take a new one.
 
-    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> dict[str, Any]:
+    def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> Reply:
         lines: queue.Queue[bytes] = queue.Queue()
         threading.Thread(target=_read, args=(process, lines), daemon=True).start()
         started = looked = time.monotonic()
@@ -201,6 +208,42 @@ class Children:
         )
 
 
+class Turns:
+    """`at_once` callers at a time, whose tenant has the fewest at work first; the others wait in their threads."""
+
+    def __init__(self, at_once: int) -> None:
+        self._at_once = at_once
+        self._numbers = itertools.count()
+        self._waiting: set[tuple[int, str]] = set()  # number of coming, tenant
+        self._at_work: Counter[str] = Counter()
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def of(self, tenant: str) -> Iterator[None]:
+        """Wait for a turn of this tenant's, and have it."""
+        me = (next(self._numbers), tenant)
+        with self._changed:
+            self._waiting.add(me)
+            self._changed.wait_for(lambda: self._next() == me)
+            self._waiting.remove(me)
+            self._at_work[tenant] += 1
+            self._changed.notify_all()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._at_work -= Counter([tenant])  # drops who has none left
+                self._changed.notify_all()
+
+    def _next(self) -> tuple[int, str] | None:
+        if self._at_work.total() >= self._at_once:
+            return None
+        return min(self._waiting, key=lambda each: (self._at_work[each[1]], each[0]))
+
+
+_turns = Turns(AT_ONCE)
+
+
 class _Single(Children):
     def prepare(self) -> None:
         """Nothing is kept ready: an API process stays small."""
@@ -219,7 +262,7 @@ def task_folder(settings: Settings) -> Iterator[Path]:
 
 def run_once(
     settings: Settings, task: str, request: Mapping[str, Any], folder: Path, seconds: float, tenant: str
-) -> dict[str, Any] | None:
+) -> Reply | None:
     """The reply of a task, for a handler that must answer soon, or None where it took longer than `seconds`.
 
     How long it waits for its turn does not count: what is judged then would depend on what others do.
