@@ -30,7 +30,7 @@ COPY = "{copy}"
 
 def embed(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL", help="Model, clip or codebook folder to mark; see the README.")
+        Path, typer.Argument(metavar="MODEL", help="Model, clip or codebook folder to mark; see docs/FORMATS.md.")
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")],
     key: Key,
