@@ -46,7 +46,7 @@ full: $(STAMP)
 
 quick: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels
-	$(PYTEST) -m 'not docker and not slow and not long' $(addprefix tests/,$(UNITS))
+	$(PYTEST) -m 'not docker and not lab and not slow and not long' $(addprefix tests/,$(UNITS))
 
 mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)

@@ -22,7 +22,7 @@ from service.core import Service
 from service.disputes.endpoints import router as disputes
 from service.embeds.endpoints import router as embeds
 from service.health.endpoints import router as health
-from service.http.failures import install
+from service.http.error_responses import install
 from service.http.middleware import BodyLimit, SafeHeaders
 from service.keys.endpoints import router as keys
 from service.keys.me import router as me

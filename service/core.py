@@ -8,14 +8,15 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from engine.errors import InputError
 from service.blobs import Blobs
 from service.db import Database
-from service.jobs.durable import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run
 from service.problems import Problem
+from service.processes import Reply
 from service.settings import Settings
 from service.trust.commitments import registration_of
 from service.trust.master import MasterKey
@@ -25,6 +26,16 @@ RESTORING = "restoring"
 """Folder in the data folder in which a backup is laid out before it takes its place."""
 
 _log = logging.getLogger(__name__)
+
+
+class Candidate(TypedDict):
+    """An asset that a suspect may derive from, as tasks take it."""
+
+    asset: str  # its id
+    original: str  # SHA-256
+    record: str  # path; "" where it is gone
+    key: str  # secret owner key, hex
+    logged: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -47,7 +58,7 @@ class Service:
         blobs = Blobs(settings.blob_url, settings.data_dir / "blobs", settings.scratch)
         return cls(settings, db, blobs, MasterKey.open(settings, db), DurableJobs(db, settings.jobs_database()))
 
-    def do_task(self, run: Run, task: str, request: Mapping[str, Any]) -> dict[str, Any]:
+    def do_task(self, run: Run, task: str, request: Mapping[str, Any]) -> Reply:
         """Do a task of `service.work` in a step; its reply, with `kept` (name -> SHA-256) in place of its `files`."""
         reply = run.work(task, request)
         files: dict[str, str] = reply.pop("files", {})
@@ -66,12 +77,13 @@ class Service:
                 raise
             return ""
 
-    def candidates(self, rows: Iterable[Any], run: Run) -> list[dict[str, Any]]:
+    def candidates(self, rows: Iterable[Any], run: Run) -> list[Candidate]:
         """Rows of the table `assets` as tasks take them; their owner keys go through a pipe only.
 
         An asset whose owner key was erased cannot be looked for: it is left out.
         """
-        rows, found = list(rows), []
+        rows = list(rows)
+        found: list[Candidate] = []
         logged = self._logged([row.id for row in rows])
         for row in rows:
             try:

@@ -10,8 +10,8 @@ from service.core import Service
 from service.disputes.flow import dispute_flow
 from service.embeds.flow import embed_flow
 from service.http.budgets import forget
-from service.jobs.worker import Worker
-from service.uploads.sweeping import sweep
+from service.jobs.runner import Worker
+from service.uploads.retention import sweep
 from service.verifications.flow import verify_flow
 from service.webhooks.delivery import deliver_for_ever
 

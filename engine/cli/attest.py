@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
+from engine.usecases.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 
 
 def attest(

@@ -16,7 +16,7 @@ LONG_STAGE_SECONDS = 2.0
 
 STAGES = {
     "read": "reading the model",
-    "compile": "compiling kernels, once per machine",
+    "compile": "compiling kernels",
     "look": "looking at the model from the key views",
     "prune": "pruning to the quality budget",
     "quantize": "grouping Gaussians into code vectors",

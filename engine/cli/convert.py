@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from engine.cli.console import Console, Progress
-from engine.cli.files import check_folder, check_target, refuse_same, whole_file, whole_folder
 from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
+from engine.usecases.files import check_folder, check_target, refuse_same, whole_file, whole_folder
 
 if TYPE_CHECKING:
     from engine.model import GaussianModel

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
+from engine.usecases.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 
 app = typer.Typer(
     no_args_is_help=True, help="Content Credentials (C2PA) of a marked model; 'mark3dgs inspect' shows them."

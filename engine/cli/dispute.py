@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from engine.cli.claim_text import WIDTH
 from engine.cli.console import Console
 from engine.cli.failures import INCONCLUSIVE, OK
-from engine.cli.files import check_target, read_bytes, whole_file
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import load_suspect
+from engine.cli.models import say_repairs
 from engine.cli.options import Json
 from engine.cli.trust_options import Jwks, TsaCertificates, read_trust
 from engine.errors import InputError
+from engine.present.claim_text import WIDTH
+from engine.usecases.files import check_target, read_bytes, whole_file
+from engine.usecases.suspect import SuspectFiles
 
 if TYPE_CHECKING:
-    from engine.flows.dispute.dispute_text import DisputeWords
+    from engine.present.dispute_text import DisputeWords
 
 
 def dispute(
@@ -54,10 +55,10 @@ def dispute(
         check_target(report)
 
     from engine.flows.dispute.dispute import Party, settle
-    from engine.flows.dispute.dispute_text import dispute_page, dispute_words
     from engine.flows.records.attested_record import open_attested
+    from engine.present.dispute_text import dispute_page, dispute_words
+    from engine.present.numerals import PLAIN
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.numerals import PLAIN
 
     trust = read_trust(tsa_certificates, jwks)
     with console.progress() as progress:
@@ -67,7 +68,10 @@ def dispute(
             opened, notes = open_attested(read_bytes(files[0], "record"), OwnerKey.read(files[1]), trust)
             for note in notes:
                 console.note(f"{files[0]}: {note}")
-            published = load_suspect(console, [files[2]], None, progress)[0].model
+            progress("read", 0.0)
+            read = SuspectFiles((files[2],), pictures=False).read()
+            say_repairs(console, read.repairs)
+            published = read.suspect.model
             assert published is not None  # a dispute is about models
             parties.append(Party(opened, published))
         prepare_kernels(console, progress, "model")

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import check_target, read_bytes, refuse_same, whole_file, write_secret
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import check_output, format_for, say_repairs, whole_output
-from engine.cli.options import Json, Key, Knobs, SpzFrame
-from engine.cli.read_ahead import Ahead
+from engine.cli.models import format_for, say_repairs
+from engine.cli.options import Json as AsJson
+from engine.cli.options import Key, Knobs, SpzFrame
 from engine.errors import InputError
+from engine.numerics.plain import Json, Report
+from engine.usecases.files import read_bytes
+
+if TYPE_CHECKING:
+    from engine.flows.embed.auto_profile import Spent
+    from engine.scenes.scene_files import Loaded
+    from engine.usecases.mark import MarkOutput, MarkReport
 
 COPY = "{copy}"
 """In the name of a file: the recipient's name."""
@@ -24,7 +30,7 @@ COPY = "{copy}"
 
 def embed(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL", help="Model, clip or codebook folder to mark; see the README.")
+        Path, typer.Argument(metavar="MODEL", help="Model, clip or codebook folder to mark; see docs/FORMATS.md.")
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Marked model to write; its ending names the format.")],
     key: Key,
@@ -76,7 +82,7 @@ def embed(
     knobs: Knobs = None,
     spz_frame: SpzFrame = "auto",
     force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
-    json: Json = False,
+    json: AsJson = False,
 ) -> int:
     """Hide a mark in a model.
 
@@ -107,100 +113,80 @@ def embed(
     """
     console = Console(json)
     began = time.perf_counter()
-    targets, kind = _targets(copy or [""], out, record), format_for(out, model)
-    for marked, kept in targets.values():
-        refuse_same(model, marked)
-        check_output(marked, kind)
-        check_target(kept, overwrite=force)
-        if marked.absolute() == kept.absolute():
-            raise InputError("the marked model and the record need different names")
     if message is not None and bits is not None:
         raise InputError("give --message or --bits, not both: a message has a length of its own")
-    from engine.scenes.scene_files import read_scene
 
-    reading = Ahead(read_scene, model, spz_frame=spz_frame)
-
-    from engine.flows.embed.embedding import embed_copies
-    from engine.flows.embed.profiles import compose, delivered_as
+    from engine.flows.embed.profiles import compose
     from engine.formats import read_cameras
-    from engine.model import GaussianModel
     from engine.records.record import Record
-    from engine.scenes.scene_files import notes_of, write_scene, written_as
-    from engine.scenes.scene_marking import embed_variant
+    from engine.usecases.mark import MarkRequest, mark
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.messages import check_bits, message_signs
+    from engine.watermark.messages import message_signs
 
-    config = compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ())
-    signs = message_signs(message) if message is not None else None
-    check_bits(bits or 32)
     owner = OwnerKey.read(key)
-    when = datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at
-    views = read_cameras(cameras) if cameras is not None else None
-    before = Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None
-
+    request = MarkRequest(
+        model=model,
+        key=owner,
+        outputs=_outputs(copy or [""], out, record),
+        config=compose(profile, psnr_db=psnr, output=output, budget_db=_decibels(budget), knobs=knobs or ()),
+        profile=profile,
+        format=format_for(out, model),
+        message=message_signs(message) if message is not None else None,
+        bits=bits or 32,
+        cameras=read_cameras(cameras) if cameras is not None else None,
+        registered_at=datetime.now(UTC).isoformat(timespec="seconds") if registered_at == "now" else registered_at,
+        earlier=Record.from_bytes(read_bytes(earlier, "record"), owner) if earlier is not None else None,
+        spz_frame=spz_frame,
+        overwrite=force,
+    )
+    reports: list[CopyReport] = []
+    compiling = 0.0
     with console.progress() as progress:
-        started = time.perf_counter()
-        progress("read", 0.0)
-        loaded = reading.result()
-        kind = written_as(loaded, kind)
-        read_seconds = time.perf_counter() - started
-        compile_seconds = prepare_kernels(console, progress)
-        request: dict[str, Any] = {
-            "original_sha256": loaded.sha256,
-            "message": signs,
-            "bits": bits or 32,
-            "config": delivered_as(config, kind),
-            "cameras": views,
-            "registered_at": when,
-            "progress": progress,
-            "earlier": before,
-        }
-        marks = (
-            ((made.model, made) for made in embed_copies(loaded.scene, owner, list(targets), **request))
-            if isinstance(loaded.scene, GaussianModel)
-            else embed_variant(loaded, owner, list(targets), **request)
-        )
-        reports: list[dict[str, Any]] = []
-        for (scene, made), (marked, kept) in zip(marks, targets.values(), strict=True):
-            started = time.perf_counter()
-            progress("write", 0.0)
-            sealed = made.record.to_bytes(owner)
-            # The record comes first: a record without its model is harmless, a marked model without it is lost.
-            with whole_output(marked, kind) as model_part:
-                bytes_out = write_scene(scene, model_part, kind)
-                with whole_file(kept, overwrite=force) as record_part:
-                    write_secret(record_part, sealed)
-            once = {"compile": compile_seconds, "read": read_seconds} if not reports else {}
+
+        def prepare(_: Loaded) -> None:
+            nonlocal compiling
+            compiling = prepare_kernels(console, progress)
+
+        for made in mark(request, progress, prepare):
+            once = {} if reports else {"compile": compiling}
             reports.append(
-                {
-                    **made.report,
-                    "out": str(marked),
-                    "record": str(kept),
-                    "bytes_in": loaded.source_bytes,
-                    "bytes_out": bytes_out,
-                    "record_bytes": len(sealed),
-                    "format_in": loaded.format,
-                    "format_out": kind,
-                    "profile": profile,
-                    "repairs": [asdict(repair) for repair in loaded.repairs],
-                    "notes": notes_of(scene, kind),
-                    "seconds": time.perf_counter() - began,
-                    "seconds_by_stage": once
-                    | made.report["seconds_by_stage"]
-                    | {"write": time.perf_counter() - started},
-                }
+                CopyReport(
+                    made.report,
+                    out=str(made.output.model),
+                    record=str(made.output.record),
+                    seconds=time.perf_counter() - began,
+                    seconds_by_stage=once | made.report.seconds_by_stage,
+                )
             )
             began = time.perf_counter()
-
-    say_repairs(console, loaded.repairs)
+    say_repairs(console, reports[0].mark.repairs)
     for report in reports:
         _say(console, report, model)
     console.emit(reports[0] if len(reports) == 1 else {"copies": reports})
     return 0
 
 
-def _targets(copies: list[str], out: Path, record: Path) -> dict[str, tuple[Path, Path]]:
+@dataclass(frozen=True, eq=False)
+class CopyReport(Report):
+    """What `embed --json` tells of one copy."""
+
+    mark: MarkReport
+    out: str
+    record: str
+    seconds: float  # of the command, its share of the first copy included
+    seconds_by_stage: dict[str, float]
+
+    def to_json(self) -> Json:
+        """Plain values, those of the mark beside the rest."""
+        found = super().to_json()
+        del found["mark"]
+        return self.mark.to_json() | found
+
+
+def _outputs(copies: list[str], out: Path, record: Path) -> dict[str, MarkOutput]:
     """Marked model and record of each copy."""
+    from engine.usecases.mark import MarkOutput
+
     places = [COPY in str(path) for path in (out, record)]
     if len(copies) > 1 and not all(places):
         raise InputError(f"several copies need {COPY} in the names of model and record, such as '{COPY}.ply'")
@@ -210,7 +196,7 @@ def _targets(copies: list[str], out: Path, record: Path) -> dict[str, tuple[Path
             raise InputError(f"copy {copy!r} is given twice")
         if any(places) and (copy in ("", "..") or Path(copy).name != copy):
             raise InputError(f"copy {copy!r} cannot stand in a file's name: name the files yourself")
-        targets[copy] = (Path(str(out).replace(COPY, copy)), Path(str(record).replace(COPY, copy)))
+        targets[copy] = MarkOutput(*(Path(str(path).replace(COPY, copy)) for path in (out, record)))
     return targets
 
 
@@ -222,46 +208,44 @@ def _decibels(budget: str) -> float | None:
         raise InputError(f"budget must be a number of dB or 'none', got {budget!r}") from None
 
 
-def _say(console: Console, report: dict[str, Any], model: Path) -> None:
-    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report["seconds_by_stage"].items())
-    fit = f"{report['picture_bits']} fit a picture, {report['capacity_bits']} a model"
+def _say(console: Console, report: CopyReport, model: Path) -> None:
+    stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report.seconds_by_stage.items())
+    made = report.mark.embedding
+    fit = f"{made.picture_bits} fit a picture, {made.capacity_bits} a model"
     lines = {
-        "message": f"{report['message']} ({report['bits']} bits; {fit})",
-        "fidelity": f"{report['psnr_worst_view']:.2f} dB, SSIM {report['ssim_worst_view']:.4f}"
-        " (mark alone, worst key view)",
-        "in total": f"{report['psnr_total_worst_view']:.2f} dB, with pruning and quantisation",
-        "Gaussians": f"{report['gaussians_in']:,} -> {report['gaussians_out']:,}",
-        "strength": f"{report['predicted_z_per_bit']:.0f} standard deviations a bit, predicted, from one bad picture",
-        "files": f"model {size(report['bytes_out'])}, record {size(report['record_bytes'])}",
-        "time": f"{report['seconds']:.1f} s: {stages}",
+        "message": f"{made.message} ({made.bits} bits; {fit})",
+        "fidelity": f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (mark alone, worst key view)",
+        "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantisation",
+        "Gaussians": f"{made.gaussians_in:,} -> {made.gaussians_out:,}",
+        "strength": f"{made.predicted_z_per_bit:.0f} standard deviations a bit, predicted, from one bad picture",
+        "files": f"model {size(report.mark.bytes_out)}, record {size(report.mark.record_bytes)}",
+        "time": f"{report.seconds:.1f} s: {stages}",
     }
-    if (choice := report["choice"]) is not None:
+    if (choice := made.choice) is not None:
         lines["chosen"] = (
-            f"{choice['views']} views of {choice['view_size']}, {choice['psnr_db']:g} dB: z of one bad picture"
-            f" {choice['predicted_z']:.0f} predicted, {choice['wanted_z']:.0f} wanted"
+            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: z of one bad picture"
+            f" {choice.predicted_z:.0f} predicted, {choice.wanted_z:.0f} wanted"
         )
-        if (spent := choice["spent"]) is not None:
-            lines["allowed"] = _spending(spent)
-    if report["psnr_total_worst_view"] > report["psnr_worst_view"] - 0.1:
+        if choice.spent is not None:
+            lines["allowed"] = _spending(choice.spent)
+    if made.psnr_total_worst_view > made.psnr_worst_view - 0.1:
         del lines["in total"]
-    console.say(f"Marked {model} -> {report['out']}")
+    console.say(f"Marked {model} -> {report.out}")
     for label, text in lines.items():
         console.say(f"  {label:<11} {text}")
-    for note in report["notes"]:
+    for note in report.mark.notes:
         console.say(f"  {'note':<11} {note}")
-    console.say(
-        f"Keep {report['record']} and your key: together they prove the mark. Keep the unmarked original private."
-    )
+    console.say(f"Keep {report.record} and your key: together they prove the mark. Keep the unmarked original private.")
 
 
-def _spending(spent: dict[str, Any]) -> str:
+def _spending(spent: Spent) -> str:
     """On what an allowance went, for people."""
-    allowed = f"{spent['allowed_db']:g} dB"
-    way = next((way for way in spent["ways"] if way["sh_degree"] == spent["sh_degree"]), None)
+    allowed = f"{spent.allowed_db:g} dB"
+    way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:
         return f"{allowed}: kept whole, since no smaller file shows the mark well enough"
-    file = f"{size(way['bytes'])} instead of {size(spent['bytes_whole'])}"
-    return f"{allowed}: pruned, harmonics to degree {way['sh_degree']}: {file}"
+    file = f"{size(way.bytes)} instead of {size(spent.bytes_whole)}"
+    return f"{allowed}: pruned, harmonics to degree {way.sh_degree}: {file}"
 
 
 def size(count: int) -> str:

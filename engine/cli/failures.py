@@ -1,8 +1,7 @@
 """What goes wrong, as one line for people, as JSON for machines, and as an exit code."""
 
-from typing import Any
-
 from engine.errors import CapacityError, FormatError, Mark3DGSError
+from engine.numerics.plain import Json
 
 MARKED = OK = 0
 FAILED = 1
@@ -26,7 +25,7 @@ def exit_code(error: BaseException) -> int:
     return FAILED
 
 
-def describe(error: BaseException) -> dict[str, Any]:
+def describe(error: BaseException) -> Json:
     """The error as plain values: `type`, `message`, and the numbers and names it carries.
 
     FormatError adds those of `file`, `element`, `row`, `property` that it knows; CapacityError adds `wanted` and
@@ -36,7 +35,7 @@ def describe(error: BaseException) -> dict[str, Any]:
         return {"type": "Interrupted", "message": "interrupted; nothing was written"}
     if _is_usage_error(error):
         return {"type": "UsageError", "message": _one_line(error.format_message())}  # type: ignore[attr-defined]  # click's, found by name
-    found: dict[str, Any] = {"type": type(error).__name__, "message": _message(error)}
+    found: Json = {"type": type(error).__name__, "message": _message(error)}
     if isinstance(error, FormatError):
         place = {"file": error.file or None, "element": error.element, "row": error.row, "property": error.prop}
         found |= {name: value for name, value in place.items() if value is not None}

@@ -3,7 +3,10 @@ engine.cli.kernel_progress` does nothing else, for all of them."""
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from engine.cli.console import Console, Progress
@@ -11,20 +14,39 @@ from engine.cli.console import Console, Progress
 if TYPE_CHECKING:
     from engine.flows.warmup.kernel_warmup import Work
 
+_ENGINE = Path(__file__).parents[1]
+
 
 def prepare_kernels(console: Console, progress: Progress, work: Work = "embed") -> float:
-    """Compile the kernels of some work where they are not there yet, in so many seconds, and say what is awaited."""
-    from engine.kernels.stamp import is_stamped, stamp
+    """Compile the kernels of some work where they are not there yet, in so many seconds, and say what is awaited.
+
+    That they are there is known by a stamp, without loading one: an empty file of this Python, these sources and this
+    processor. Who trusts a stamp that is out of date waits without having been told; nothing else goes wrong."""
+    from engine.kernels import kernel_cache
 
     began = time.perf_counter()
-    if is_stamped(work):
-        return time.perf_counter() - began
-    from engine.flows.warmup.kernel_warmup import expected_seconds, warm_up
+    if all(kernel_cache.read(_stamp(each)) is None for each in (work, "everything")):
+        from engine.flows.warmup.kernel_warmup import expected_seconds, warm_up
 
-    said = f"compiling kernels, once per machine: about {expected_seconds(work):.0f} s on free, quick cores"
-    warm_up(work, lambda fraction: progress("compile", fraction), compiling=lambda: console.note(said))
-    stamp(work)
+        often = "once per machine" if kernel_cache.folder() else "at every command, as they cannot be kept"
+        said = f"compiling kernels, {often}: about {expected_seconds(work):.0f} s on free, quick cores"
+        warm_up(work, lambda fraction: progress("compile", fraction), compiling=lambda: console.note(said))
+        if kernel_cache.folder():
+            kernel_cache.write(_stamp(work), b"")
     return time.perf_counter() - began
+
+
+def _stamp(work: str) -> str:
+    from engine.kernels.kernel_cache import path_of
+    from engine.kernels.native_check import calls_native
+
+    return path_of(work, "stamp", sys.version, f"native {calls_native()}", *_sources())
+
+
+def _sources() -> Iterator[str]:
+    for source in sorted(_ENGINE.rglob("*.py")):
+        facts = source.stat()
+        yield f"{source.relative_to(_ENGINE)} {facts.st_mtime_ns} {facts.st_size}"
 
 
 if __name__ == "__main__":

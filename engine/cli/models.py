@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from engine.cli.console import Console, Progress
-from engine.cli.files import check_folder, check_target, whole_file, whole_folder
+from engine.cli.console import Console
 from engine.errors import InputError
 
 if TYPE_CHECKING:
-    from engine.flows.verify.search import Suspect
     from engine.formats import Repair
 
 DEMO_SCENE = "plant.splat"
-
-FOLDERS = ("codebook", "frames")
-"""Formats of which a model is a folder."""
 
 
 def format_for(path: Path, source: Path | None = None) -> str:
@@ -33,53 +27,10 @@ def format_for(path: Path, source: Path | None = None) -> str:
     return kind_of(path.name).name
 
 
-def check_output(target: Path, kind: str) -> None:
-    """Refuse a model to write that cannot be written, before any work is done for it."""
-    (check_folder if kind in FOLDERS else check_target)(target)
-
-
-def whole_output(target: Path, kind: str) -> AbstractContextManager[Path]:
-    """A file, or a folder, to write to beside the target; see `whole_file`."""
-    return (whole_folder if kind in FOLDERS else whole_file)(target)
-
-
 def say_repairs(console: Console, repairs: Iterable[Repair]) -> None:
     """Tell what was mended on loading."""
     for repair in repairs:
         console.note(f"repaired: {repair.text}")
-
-
-def load_suspect(
-    console: Console, paths: list[Path], cameras: Path | None, progress: Progress, spz_frame: str = "auto"
-) -> tuple[Suspect, tuple[Repair, ...]]:
-    """`read_suspect`, told as it goes."""
-    progress("read", 0.0)
-    suspect, repairs = read_suspect(paths, cameras, spz_frame)
-    say_repairs(console, repairs)
-    return suspect, repairs
-
-
-def read_suspect(
-    paths: list[Path], cameras: Path | None, spz_frame: str = "auto"
-) -> tuple[Suspect, tuple[Repair, ...]]:
-    """What a verification or a tracing looks at, and what was mended on loading; `are_pictures` has let it pass."""
-    from engine.formats.image_files import is_picture
-
-    if is_picture(paths[0]):
-        from engine.formats import read_cameras
-        from engine.formats.image_files import read_picture
-
-        known = read_cameras(cameras) if cameras is not None else None
-        pictures = [read_picture(path) for path in paths]
-        from engine.flows.verify.search import Suspect
-
-        return Suspect(None, pictures, known), ()
-    from engine.scenes.scene_files import read_scene
-
-    loaded = read_scene(paths[0], spz_frame=spz_frame)
-    from engine.flows.verify.search import Suspect  # after the file: to import it takes as long as to read it
-
-    return Suspect(loaded.model), loaded.repairs
 
 
 def shipped_scene() -> Path:

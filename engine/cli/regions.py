@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from engine.cli.files import whole_folder
+from engine.usecases.files import whole_folder
 
 if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord
@@ -25,8 +25,8 @@ def write_regions(
     """
     import numpy as np
 
-    from engine.flows.regions.region_maps import draw_report
     from engine.flows.regions.region_search import describe
+    from engine.present.region_maps import draw_report
     from engine.watermark.regions import State
 
     with whole_folder(folder) as part:

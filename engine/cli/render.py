@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import check_picture_ending, check_target, refuse_same, whole_file, write_picture
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import say_repairs
 from engine.cli.options import Json, SpzFrame
 from engine.errors import InputError
+from engine.usecases.files import check_picture_ending, check_target, refuse_same, whole_file, write_picture
 
 if TYPE_CHECKING:
     from engine.model import Camera, GaussianModel

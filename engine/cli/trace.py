@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from engine.cli.console import Console
 from engine.cli.failures import MARKED, NOT_MARKED
-from engine.cli.files import are_pictures, pictures_within, read_bytes
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import load_suspect
+from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key
 from engine.errors import InputError
+from engine.usecases.suspect import SuspectFiles
 
 if TYPE_CHECKING:
-    from engine.flows.records.opened_record import OpenedRecord
+    from engine.flows.trace.tracing import Tracing
+    from engine.usecases.suspect import ReadSuspect
 
 SHOWN = 10
 """Copies listed beside those named."""
@@ -57,32 +57,27 @@ def trace(
     """
     console = Console(json)
     began = time.perf_counter()
-    suspects = pictures_within(suspects)
-    pictures = are_pictures(suspects, cameras)
-    files = _files(records)
+    source, files = SuspectFiles.sort_out(suspects, cameras), _files(records)
 
-    from engine.flows.records.opened_record import open_record
-    from engine.flows.trace.tracing import trace as search_for_copies
     from engine.flows.verify.verification import VerifyConfig
+    from engine.usecases.trace import TraceRequest
+    from engine.usecases.trace import trace as trace_copies
     from engine.watermark.keys import OwnerKey
 
-    config, owner = VerifyConfig(false_claim_rate=false_claim_rate), OwnerKey.read(key)
-
-    class Opened:
-        """The records, opened one at a time, as often as they are asked for."""
-
-        def __iter__(self) -> Iterator[OpenedRecord]:
-            return (open_record(read_bytes(file, "record"), owner) for file in files)
-
+    config = VerifyConfig(false_claim_rate=false_claim_rate)
+    request = TraceRequest(suspect=source, records=files, key=OwnerKey.read(key), config=config)
     with console.progress() as progress:
-        prepare_kernels(console, progress, "pictures" if pictures else "model")
-        suspect, _ = load_suspect(console, suspects, cameras, progress)
-        found = search_for_copies(suspect, Opened(), config, progress)
-    report: dict[str, Any] = found.to_json() | {
-        "suspects": [str(path) for path in suspects],
+
+        def prepare(read: ReadSuspect) -> None:
+            say_repairs(console, read.repairs)
+            prepare_kernels(console, progress, "pictures" if source.pictures else "model")
+
+        found = trace_copies(request, progress, prepare).tracing
+    report = found.to_json() | {
+        "suspects": [str(path) for path in source.paths],
         "seconds": time.perf_counter() - began,
     }
-    for line in _lines(report):
+    for line in _lines(found):
         console.say(line)
     console.emit(report)
     return MARKED if found.named else NOT_MARKED
@@ -98,23 +93,23 @@ def _files(places: list[Path]) -> list[Path]:
     return files
 
 
-def _lines(report: dict[str, Any]) -> list[str]:
-    findings, named = report["findings"], len(report["named"])
+def _lines(found: Tracing) -> list[str]:
+    findings, named = found.findings, len(found.named)
     asked = f"{len(findings)} {'copy' if len(findings) == 1 else 'copies'} asked about"
-    names = ", ".join(repr(name) for name in report["named"])
+    names = ", ".join(repr(finding.copy) for finding in found.named)
     lines = [f"NAMED: {names}; {asked}." if named else f"NOBODY NAMED; {asked}.", ""]
     lines.append(f"{'copy':<28}{'z':>8}  {'false claim':>12}  {'asset found':>11}  record")
     for finding in findings[: max(SHOWN, named)]:
-        share = finding["derived_fraction"]
+        share = finding.derived_fraction
         lines.append(
-            f"{finding['copy'][:27]:<28}{finding['z']:>8.1f}  {_bound(finding['log10_false_claim']):>12}  "
-            f"{'' if share is None else f'{100 * share:.0f} %':>11}  {finding['record_id']}"
+            f"{finding.copy[:27]:<28}{finding.z:>8.1f}  {_bound(finding.log10_false_claim):>12}  "
+            f"{'' if share is None else f'{100 * share:.0f} %':>11}  {finding.record_id}"
         )
     if len(findings) > max(SHOWN, named):
         lines.append(f"... and {len(findings) - max(SHOWN, named)} more, all below")
-    lines += ["", f"A copy is named from z = {report['z_threshold']:.2f} on: the chance that any innocent one"]
-    lines.append(f"reaches it is at most {report['false_claim_rate']:g}, all {report['tries']} tries counted.")
-    return lines + list(report["notes"])
+    lines += ["", f"A copy is named from z = {found.z_threshold:.2f} on: the chance that any innocent one"]
+    lines.append(f"reaches it is at most {found.false_claim_rate:g}, all {found.tries} tries counted.")
+    return lines + list(found.notes)
 
 
 def _bound(log10: float) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.errors import InputError
+from engine.numerics.plain import Json
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -31,7 +32,7 @@ def read_trust(certificates: Path | None, jwks: Path | None) -> Trust:
     return Trust(trusted, read_jwks(jwks)) if jwks is not None else Trust(trusted)
 
 
-def read_jwks(path: Path) -> dict[str, Any]:
+def read_jwks(path: Path) -> Json:
     """Public keys (RFC 7517), or InputError."""
     from engine.formats.guards import read_small
 
@@ -66,7 +67,7 @@ def read_attestation(path: Path) -> Attestation:
     return Attestation(LOG, text) if text.count(".") == 2 and text.isprintable() else stamp_of(data)
 
 
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _each_once(pairs: list[tuple[str, Any]]) -> Json:
     found = dict(pairs)
     if len(found) != len(pairs):
         raise ValueError("a name stands twice in one object")

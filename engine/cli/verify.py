@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console
 from engine.cli.failures import VERDICT_CODES
-from engine.cli.files import are_pictures, check_folder, pictures_within, read_bytes
 from engine.cli.kernel_progress import prepare_kernels
-from engine.cli.models import read_suspect, say_repairs
+from engine.cli.models import say_repairs
 from engine.cli.options import Json, Key, SpzFrame
-from engine.cli.read_ahead import Ahead
 from engine.cli.regions import region_lines, write_regions
 from engine.cli.trust_options import Jwks, TsaCertificates, read_attestation, read_trust
 from engine.errors import InputError
+from engine.present.claim_text import claim_lines
+from engine.usecases.files import check_folder, read_bytes
+from engine.usecases.read_ahead import Ahead
+from engine.usecases.suspect import SuspectFiles
 
 MOVING = "moving"
 """Name of a record's commitment to a clip, see `engine.scenes.clip_marking`."""
@@ -27,7 +29,8 @@ WITHOUT_ORIGINAL = "the record is of a scene that moves: give --original to look
 
 if TYPE_CHECKING:
     from engine.flows.records.opened_record import OpenedRecord
-    from engine.flows.verify.verification import Verification
+    from engine.records.attestation import Trust
+    from engine.usecases.suspect import ReadSuspect
 
 
 def verify(
@@ -108,88 +111,90 @@ def verify(
     """
     console = Console(json)
     began = time.perf_counter()
-    suspects = pictures_within(suspects)
-    pictures = are_pictures(suspects, cameras)
+    source = SuspectFiles.sort_out(suspects, cameras, spz_frame)
     if regions is not None:
         check_folder(regions)
         if original is not None:
             raise InputError("--regions needs a scene that stands still: leave --original out")
-    reading = Ahead(read_suspect, suspects, cameras, spz_frame)
 
-    from engine.flows.records.attested_record import open_attested
-    from engine.records.attestation import attach
-    from engine.watermark.keys import OwnerKey
-
-    trust, more = read_trust(tsa_certificates, jwks), [read_attestation(path) for path in attestation or ()]
-    owner, data = OwnerKey.read(key), read_bytes(record, "record")
-    opening = Ahead(open_attested, attach(data, *more) if more else data, owner, trust)
-
-    from engine.flows.verify.search import verify as search_for
     from engine.flows.verify.verification import VerifyConfig
-    from engine.scenes.clip_suspects import is_clip, verify_in_motion
-    from engine.watermark.numerals import PLAIN
+    from engine.present.numerals import PLAIN
+    from engine.present.wording import words_of
+    from engine.usecases.verify import VerifyReport, VerifyRequest
+    from engine.usecases.verify import verify as verify_records
     from engine.watermark.regions import RegionConfig
-    from engine.watermark.wording import words_of
 
-    asked = RegionConfig(false_discoveries=false_discovery_rate)
+    located = RegionConfig(false_discoveries=false_discovery_rate)  # refuses a rate that is none, asked for or not
+    kept = _Record.of(record, key, attestation or (), read_trust(tsa_certificates, jwks))
     config = VerifyConfig(false_claim_rate=false_claim_rate, suspect_seen=suspect_seen, route=route, decoder=decoder)
+    request = VerifyRequest(
+        suspect=source,
+        candidates=(kept,),
+        config=config,
+        original=original,
+        regions=located if regions is not None else None,
+    )
+    compiling = 0.0
     with console.progress() as progress:
-        started = time.perf_counter()
-        progress("open record", 0.0)
-        opened, unheard = opening.result()
-        open_seconds = time.perf_counter() - started
-        compile_seconds = prepare_kernels(console, progress, "pictures" if pictures else "model")
-        started = time.perf_counter()
-        progress("read", 0.0)
-        suspect, repairs = reading.result()
-        say_repairs(console, repairs)
-        read_seconds = time.perf_counter() - started
-        if original is not None and (pictures or not is_clip(suspects[0])):
-            found = verify_in_motion(suspect, opened, original, config)
-        else:
-            found = search_for(suspect, opened, config, progress)
-        located = None
-        if regions is not None:
-            started = time.perf_counter()
-            progress("locate", 0.0)
-            from engine.flows.regions.region_search import locate_mark
 
-            located = locate_mark(suspect, opened, found, asked)
-            write_regions(regions, located, suspect, opened, found)
-            found = replace(found, seconds_by_stage=found.seconds_by_stage | {"locate": time.perf_counter() - started})
-    report = claim_report(found, opened)
-    if located is not None:
-        report["regions"] = located.summary() | {"folder": str(regions)}
+        def prepare(read: ReadSuspect) -> None:
+            nonlocal compiling
+            say_repairs(console, read.repairs)
+            kept.open()  # a wrong key is known before kernels are compiled
+            compiling = prepare_kernels(console, progress, "pictures" if source.pictures else "model")
+
+        answer = verify_records(request, progress, prepare)
+        (outcome,) = answer.search.outcomes
+        if outcome.error is not None:
+            raise outcome.error
+        found, opened = outcome.found, outcome.opened
+        assert found is not None  # it is the best one
+        assert opened is not None
+        if regions is not None and answer.regions is not None:
+            write_regions(regions, answer.regions, answer.read.suspect, opened, found)
+    report = VerifyReport.of(found, opened).to_json()
+    if answer.regions is not None:
+        report["regions"] = answer.regions.summary() | {"folder": str(regions)}
     if original is None and MOVING in opened.commitments and report["verdict"] != "marked":
         report["notes"] += [WITHOUT_ORIGINAL]
-    report["notes"] += unheard
+    report["notes"] += kept.result()[1]
     report |= {
-        "suspects": [str(path) for path in suspects],
-        "repairs": [asdict(repair) for repair in repairs],
+        "suspects": [str(path) for path in source.paths],
+        "repairs": [asdict(repair) for repair in answer.read.repairs],
         "seconds": time.perf_counter() - began,
+        "seconds_by_stage": answer.seconds_by_stage | {"compile": compiling},
     }
-    report["seconds_by_stage"] = {
-        "open record": open_seconds,
-        "compile": compile_seconds,
-        "read": read_seconds,
-        **found.seconds_by_stage,
-    }
-    words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=len(suspects) if pictures else 0)
+    pictures = len(source.paths) if source.pictures else 0
+    words = words_of(report, PLAIN, suspect=", ".join(report["suspects"]), pictures=pictures)
     for line in claim_lines(words):
         console.say(line)
-    for line in region_lines(located, str(regions)) if located is not None else ():
+    for line in region_lines(answer.regions, str(regions)) if answer.regions is not None else ():
         console.say(line)
     console.emit(report)
     return VERDICT_CODES[report["verdict"]]
 
 
-def claim_report(found: Verification, opened: OpenedRecord) -> dict[str, Any]:
-    """Keys of `verify --json`: the claim, and the record it speaks of."""
-    header = opened.header
-    return found.report() | {
-        "record_id": header.record_id,
-        "owner": header.owner,
-        "registered_at": header.registered_at,
-        "attested": opened.attested.to_json() if opened.attested is not None else None,
-        "original_sha256": header.original_digest,
-    }
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """The record, opened once, while other things are being read."""
+
+    opening: Ahead[tuple[OpenedRecord, tuple[str, ...]]]
+    original = ""  # it is the only one: nothing is shared with others
+
+    @classmethod
+    def of(cls, record: Path, key: Path, attestations: Sequence[Path], trust: Trust) -> _Record:
+        from engine.flows.records.attested_record import open_attested
+        from engine.records.attestation import attach
+        from engine.watermark.keys import OwnerKey
+
+        more = [read_attestation(path) for path in attestations]
+        owner, data = OwnerKey.read(key), read_bytes(record, "record")
+        return cls(Ahead(open_attested, attach(data, *more) if more else data, owner, trust))
+
+    def result(self) -> tuple[OpenedRecord, tuple[str, ...]]:
+        """The record, and what is not trusted of what it holds."""
+        return self.opening.result()
+
+    def open(self) -> OpenedRecord:
+        """See `flows.trace.candidates.Candidate`."""
+        return self.result()[0]

@@ -17,8 +17,6 @@ from engine.numerics.moment_matching import merge_groups
 
 __all__ = ["merge_pairs", "merge_voxels"]
 
-_KERNEL_VERSION = 1
-
 NEIGHBOURS = 12
 """Among so many nearest Gaussians each one looks for its partner."""
 

@@ -8,10 +8,10 @@ import base64
 import binascii
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from engine.errors import InputError
 from engine.formats.sog.archive import ZipArchive
+from engine.numerics.plain import Json
 
 ALG = "io.github.mark3dgs.1"
 """Our algorithm's name for a soft binding, by the rules of the Soft Binding Algorithm List, on which it does not stand.
@@ -56,7 +56,7 @@ def bound_record(value: str) -> str:
 _STANDARD = str.maketrans("-_ ", "+/+")  # a plus sign that nobody escaped comes out of an address as a space
 
 
-def describe(record_id: str) -> dict[str, Any]:
+def describe(record_id: str) -> Json:
     """Definition of a manifest, as c2pa's builder takes it: an unmarked model was opened, and marked.
 
     Nothing of recipient, label or original is in it.

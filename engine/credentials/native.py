@@ -10,8 +10,9 @@ from types import ModuleType
 from typing import Any
 
 from engine.errors import InputError
+from engine.numerics.plain import Json
 
-SETTINGS: dict[str, Any] = {
+SETTINGS: Json = {
     # A manifest may name addresses; nobody learns from us that it is being read.
     "verify": {"remote_manifest_fetch": False, "ocsp_fetch": False, "verify_trust": True},
     "builder": {"thumbnail": {"enabled": False}},
@@ -36,7 +37,7 @@ def load() -> ModuleType:
         raise InputError(f"{MISSING} ({type(error).__name__})") from None
 
 
-def parse(model: Path, media_type: str, store: bytes, anchors: str = "") -> dict[str, Any]:
+def parse(model: Path, media_type: str, store: bytes, anchors: str = "") -> Json:
     """What a manifest store says of a model, and whether that holds.
 
     Native code reads what may be hostile: see `engine.credentials.reading`. `anchors` are certificates (PEM) whose
@@ -59,7 +60,7 @@ def parse(model: Path, media_type: str, store: bytes, anchors: str = "") -> dict
         raise InputError(f"the manifest cannot be read: {_plain(str(error))}") from None
 
 
-def _told(found: dict[str, Any]) -> dict[str, Any]:
+def _told(found: Json) -> Json:
     name = found.get("active_manifest") or ""
     manifest = found.get("manifests", {}).get(name, {})
     signature = manifest.get("signature_info") or {}
@@ -92,7 +93,7 @@ def _told(found: dict[str, Any]) -> dict[str, Any]:
     return {key: _plain(value) for key, value in told.items()}
 
 
-def _rows(data: Any, name: str) -> list[dict[str, Any]]:
+def _rows(data: Any, name: str) -> list[Json]:
     rows = data.get(name) if isinstance(data, dict) else None
     return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 

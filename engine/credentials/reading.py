@@ -11,7 +11,6 @@ import subprocess
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from engine.credentials.manifest import (
     ALG,
@@ -24,6 +23,7 @@ from engine.credentials.manifest import (
 )
 from engine.credentials.process import SECONDS
 from engine.errors import InputError
+from engine.numerics.plain import Json
 
 _COMMAND = (sys.executable, "-P", "-m", "engine.credentials.process")
 """-P: the folder that one stands in may be anybody's, too; no module is taken from there."""
@@ -52,7 +52,7 @@ class Credentials:
         found = (bound_record(value) for alg, value in self.bindings if alg == ALG)
         return [record for record in found if record]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain values."""
         return asdict(self) | {"record_ids": self.record_ids}
 
@@ -84,12 +84,12 @@ def read_credentials(path: Path, kind: str, anchors: str = "") -> Credentials | 
         return Credentials(place, "Unread", " ".join(str(error).split()))
     if "reason" in found:
         return Credentials(place, "Unread", found["reason"])
-    lists: dict[str, Any] = {name: tuple(found.pop(name)) for name in ("failures", "actions")}
+    lists: Json = {name: tuple(found.pop(name)) for name in ("failures", "actions")}
     bindings = tuple((alg, value) for alg, value in found.pop("bindings"))
     return Credentials(place, bindings=bindings, **lists, **found)
 
 
-def _ask(request: dict[str, str]) -> dict[str, Any]:
+def _ask(request: dict[str, str]) -> Json:
     """The answer of the process; InputError where it gave none."""
     try:
         done = subprocess.run(

@@ -2,12 +2,13 @@
 
 # mypy: allow-untyped-calls, disable-error-code=no-any-return
 
+import threading
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event, types
-from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import register_jitable
 
 from engine.kernels.machine_code import Code, announce
@@ -18,12 +19,21 @@ _OPTIONS: dict[str, Any] = {
     "boundscheck": False,
     "error_model": "numpy",  # no division-by-zero checks: they stop vectorization
 }
+_setting = threading.Lock()
 
 
-def dispatcher(function: Callable[..., Any], flags: frozenset[str], allocates: bool) -> Any:
-    """Numba's own callable, which it keeps in its own cache if it makes arrays. Others are put into kernels that are
-    kept by their text, and numba's cache does not know when that has changed."""
-    return numba.njit(cache=allocates, nogil=True, fastmath=set(flags), _nrt=allocates, **_OPTIONS)(function)
+def dispatcher(function: Callable[..., Any], flags: frozenset[str], allocates: bool, place: Path | None = None) -> Any:
+    """Numba's own callable, kept in such a folder where one can be made."""
+    options = {"nogil": True, "fastmath": set(flags), "_nrt": allocates, **_OPTIONS}
+    made = numba.njit(**options)(function)
+    if place is not None:
+        with _setting, suppress(RuntimeError):  # numba's, where it can keep nothing: no folder, or no source file
+            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(place)
+            try:
+                made.enable_caching()
+            finally:
+                numba.config.CACHE_DIR = before
+    return made
 
 
 def inlined_function(function: Callable[..., Any], flags: frozenset[str], allocates: bool) -> Any:
@@ -38,6 +48,9 @@ def plain_function(function: Callable[..., Any]) -> Any:
 
 def compile_kernel(function: Callable[..., Any], flags: frozenset[str], arguments: tuple[Any, ...]) -> Code | None:
     """Code of a kernel for such arguments; None where it gives back more than numbers."""
+    from numba.core import types
+    from numba.core.compiler_lock import global_compiler_lock
+
     made = numba.njit(
         nogil=True, fastmath=set(flags), _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS
     )(function)
@@ -70,12 +83,18 @@ def _c_name(declared: str) -> str:
     return name + {"f64": "", "f32": "f"}.get(kind[-1], "") if kind and name in _OF_C else ""
 
 
-class _Listener(event.Listener):  # type: ignore[misc]  # numba is untyped
-    def on_start(self, event: Any) -> None:
-        announce()
+def _announce_numbas() -> None:
+    from numba.core import event
 
-    def on_end(self, event: Any) -> None:
-        pass
+    class Listener(event.Listener):  # type: ignore[misc]  # numba is untyped
+        def on_start(self, event: Any) -> None:
+            announce()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    event.register("numba:compile", Listener())  # of what numba keeps itself
 
 
-event.register("numba:compile", _Listener())  # of what numba keeps itself
+with suppress(ImportError, AttributeError):  # numba's internals: without them a wait is not announced
+    _announce_numbas()

@@ -47,13 +47,13 @@ def _resolved_cell(cell: CellType) -> CellType:
     return CellType(held.compiled()) if isinstance(held, Deferred) else cell
 
 
-def text_of(function: Callable[..., Any]) -> bytes:
+def text_of(function: Callable[..., Any]) -> str:
     """A digest of all that the code of a function depends on: its instructions, constants and names, and the same of
     every function that it names. TypeError where it names what has no text."""
     digest = hashlib.sha256()
     for part in _parts(function, set()):
         digest.update(part.encode() + b"\0")
-    return digest.digest()
+    return digest.hexdigest()
 
 
 def _used(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -68,53 +68,55 @@ def _used(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _parts(value: Any, seen: set[int]) -> Iterator[str]:
+    """What the text of a kernel says of a value that it names; `seen`: functions that are said already."""
     if isinstance(value, Deferred):
         yield from _parts(value.facts, seen)
         value = value.function
+    if isinstance(value, dict):
+        value = list(value.items())
     if isinstance(value, FunctionType):
-        if id(value) in seen:
-            yield "again"
-            return
-        seen.add(id(value))
-        yield f"function {value.__qualname__}"
-        yield from _code(value.__code__)
-        for name, each in _used(value):
-            yield f"name {name}"
-            yield from _parts(each, seen)
-        for cell in value.__closure__ or ():
-            yield from _parts(cell.cell_contents, seen)
-        yield from _parts(value.__defaults__ or (), seen)
+        yield from ("again",) if id(value) in seen else _function(value, seen)
     elif isinstance(value, tuple | list):
         yield f"{type(value).__name__} of {len(value)}"
         for each in value:
             yield from _parts(each, seen)
-    elif isinstance(value, dict):
-        yield from _parts(list(value.items()), seen)
-    elif isinstance(value, np.ndarray):
-        yield f"array {value.dtype} {value.shape} {value.tobytes().hex()}"
-    elif isinstance(value, bool | int | float | complex | str | bytes | np.generic | None | frozenset):
-        yield f"{type(value).__name__} {sorted(map(repr, value)) if isinstance(value, frozenset) else repr(value)}"
-    elif isinstance(value, ModuleType | type | BuiltinFunctionType | MethodDescriptorType | np.ufunc):
-        yield f"{type(value).__name__} {getattr(value, '__module__', '')} {value.__name__}"
-    elif isinstance(value, slice):
-        yield repr(value)
-    elif type(value).__module__.startswith("llvmlite."):
-        yield str(value)
-    elif type(value).__module__ == "typing" or callable(value):
-        yield f"{type(value).__name__} {value!r}" if " at 0x" not in repr(value) else _refuse(value)
     else:
-        _refuse(value)
+        yield _constant(value)
+
+
+def _function(function: FunctionType, seen: set[int]) -> Iterator[str]:
+    seen.add(id(function))
+    yield f"function {function.__qualname__}"
+    yield from _code(function.__code__)
+    for name, value in _used(function):
+        yield f"name {name}"
+        yield from _parts(value, seen)
+    for cell in function.__closure__ or ():
+        yield from _parts(cell.cell_contents, seen)
+    yield from _parts(function.__defaults__ or (), seen)
 
 
 def _code(code: CodeType) -> Iterator[str]:
     yield code.co_code.hex()
     yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, code.co_argcount))
     for each in code.co_consts:
-        if isinstance(each, CodeType):
-            yield from _code(each)
-        else:
-            yield f"{type(each).__name__} {sorted(map(repr, each)) if isinstance(each, frozenset) else repr(each)}"
+        yield from _code(each) if isinstance(each, CodeType) else (_literal(each),)
 
 
-def _refuse(value: Any) -> str:
+def _constant(value: Any) -> str:
+    """One line of text for anything else that a kernel may name; TypeError where there is none."""
+    if isinstance(value, np.ndarray):
+        return f"array {value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, bool | int | float | complex | str | bytes | np.generic | None | frozenset | slice):
+        return _literal(value)
+    if isinstance(value, ModuleType | type | BuiltinFunctionType | MethodDescriptorType | np.ufunc):
+        return f"{type(value).__name__} {getattr(value, '__module__', '')} {value.__name__}"
+    if type(value).__module__.startswith("llvmlite."):
+        return str(value)
+    if (type(value).__module__ == "typing" or callable(value)) and " at 0x" not in repr(value):
+        return _literal(value)
     raise TypeError(f"a kernel names {value!r}, of which there is no text to know its code by")
+
+
+def _literal(value: Any) -> str:
+    return f"{type(value).__name__} {sorted(map(repr, value)) if isinstance(value, frozenset) else repr(value)}"

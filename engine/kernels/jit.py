@@ -8,16 +8,15 @@ Kernels make no arrays unless they say so (``allocates``): then numba counts no 
 does at every call of an inlined function (measured: half of the time of a loop that calls one). And then their machine
 code stands alone: it is kept and called without numba (`machine_code`), which is imported only to compile.
 
-Those that do make arrays are numba's to keep. Its cache looks at the date of the file that defines a kernel, not at
-what that file imports: so every file of such kernels holds a ``_KERNEL_VERSION``; raise it when something they import
-has changed.
+Those that do make arrays are numba's to keep, in folders of `kernel_cache`. All are numba's where its machine code must
+not be called (`native_check`).
 """
 
 import threading
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-from engine.kernels import machine_code
+from engine.kernels import kernel_cache, machine_code
 from engine.kernels.deferred import Deferred, resolved, text_of
 from engine.kernels.thread_crew import run_turns, thread_count, use_threads
 
@@ -47,6 +46,7 @@ class Kernel(Deferred):
     def __init__(self, function: Callable[..., Any], allocates: bool = False) -> None:
         super().__init__(function, self._make_numbas)
         self._allocates = allocates
+        self._label = f"{self.__module__}.{self.__name__}"
         self._natives: dict[str, machine_code.Native | None] = {}  # None where numba must run it
         self._lock = threading.Lock()
 
@@ -66,9 +66,7 @@ class Kernel(Deferred):
 
     def _code(self, arguments: tuple[Any, ...]) -> machine_code.Native | None:
         """Machine code for such arguments; None where numba must run it."""
-        if self._allocates:
-            return None
-        kinds = machine_code.kind_of(arguments)
+        kinds = None if self._allocates else machine_code.kind_of(arguments)
         if kinds is None:
             return None
         if kinds not in self._natives:
@@ -78,8 +76,12 @@ class Kernel(Deferred):
         return self._natives[kinds]
 
     def _made(self, kinds: str, arguments: tuple[Any, ...]) -> machine_code.Native | None:
-        label, text = f"{self.__module__}.{self.__name__}", text_of(self.function)
-        code = machine_code.find(label, text, kinds)
+        from engine.kernels.native_check import calls_native
+
+        if not calls_native():
+            return None
+        label, text = self._label, text_of(self.function)
+        code = kernel_cache.find(label, text, kinds)
         if code is None:
             machine_code.announce()
             from engine.kernels.compiler import compile_kernel
@@ -87,13 +89,16 @@ class Kernel(Deferred):
             code = compile_kernel(resolved(self.function), FLOAT_FLAGS, arguments)
             if code is None:
                 return None
-            machine_code.keep(label, text, kinds, code)
+            kernel_cache.keep(label, text, kinds, code)
         return machine_code.load(code)
 
     def _make_numbas(self) -> Any:
         from engine.kernels.compiler import dispatcher
+        from engine.kernels.native_check import calls_native
 
-        return dispatcher(resolved(self.function), FLOAT_FLAGS, self._allocates)
+        keeps = self._allocates or not calls_native()
+        place = kernel_cache.numba_folder(self._label, text_of(self.function)) if keeps else None
+        return dispatcher(resolved(self.function), FLOAT_FLAGS, self._allocates, place)
 
 
 def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = False) -> Any:

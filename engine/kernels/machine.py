@@ -6,7 +6,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["load_per_core", "machine_info", "peak_memory_mb"]
+__all__ = ["load_per_core", "machine_info", "module_command", "peak_memory_mb", "usable_cores"]
 
 _PACKAGES = ("numpy", "numba", "scipy", "opencv-python-headless", "torch", "gsplat")
 
@@ -69,6 +69,12 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def module_command(name: str) -> list[str]:
+    """How to run a module of ours as a program, with this Python and what it finds modules in."""
+    program = f"import runpy, sys; sys.path[:] = {sys.path!r}; runpy.run_module({name!r}, run_name='__main__')"
+    return [sys.executable, "-c", program]
 
 
 def _memory_gb() -> float | None:

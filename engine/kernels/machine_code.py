@@ -4,38 +4,20 @@ Numba takes a quarter of a second to import, a third to set itself up at the fir
 each that it finds in its cache; a command of a few seconds calls fifty. So what it compiled is kept as the object file
 that LLVM made, loaded by LLVM alone in a fifth of a millisecond, and called by its address. `compiler` makes it.
 
-A kernel's code depends on nothing but its own text, that of all it calls, the types of its arguments and the processor:
-a digest of these names its file, so nothing out of date is ever found.
+A kernel's code depends on nothing but its own text, that of all it calls, the types of its arguments and the
+processor, which name its file (`kernel_cache`). Before code is called this way, `native_check` compares it with numba.
 """
 
 import ctypes
-import hashlib
-import json
 import os
-import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = [
-    "Code",
-    "Native",
-    "announce",
-    "compiler",
-    "find",
-    "flatten",
-    "keep",
-    "kind_of",
-    "load",
-    "on_compiling",
-    "processor",
-    "store",
-]
+__all__ = ["Code", "Native", "announce", "flatten", "kind_of", "load", "on_compiling", "processor"]
 
 _C_TYPES: dict[str, Any] = {
     "ptr": ctypes.c_void_p,
@@ -129,60 +111,6 @@ def processor() -> tuple[str, str]:
     return name, os.environ.get("NUMBA_CPU_FEATURES") or llvm.get_host_cpu_features().flatten()
 
 
-@cache
-def store() -> Path:
-    """Where the files are: numba's own cache if it was given one, beside this package, or the user's cache."""
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(given) / "kernels"
-    beside = Path(__file__).parents[1] / "__pycache__"
-    try:
-        beside.mkdir(exist_ok=True)
-        if os.access(beside, os.W_OK):
-            return beside / "kernels"
-    except OSError:
-        pass
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mark3dgs" / "kernels"
-
-
-@cache
-def compiler() -> list[str]:
-    """By what, with which options, and in what form."""
-    sources = [Path(__file__), Path(__file__).with_name("compiler.py")]
-    return [version("numba"), version("llvmlite"), *(hashlib.sha256(each.read_bytes()).hexdigest() for each in sources)]
-
-
-def _path(label: str, text: bytes, kinds: str) -> Path:
-    facts = [*compiler(), *processor(), label, kinds]
-    digest = hashlib.sha256("\0".join(map(str, facts)).encode() + b"\0" + text).hexdigest()
-    return store() / f"{label}-{digest[:32]}.kernel"
-
-
-def find(label: str, text: bytes, kinds: str) -> Code | None:
-    """The code kept of a kernel: its name, a digest of its text, the kinds of its arguments."""
-    try:
-        head, _, machine = _path(label, text, kinds).read_bytes().partition(b"\n")
-        fields = json.loads(head)
-        digest = fields.pop("digest")
-        return Code(**fields, machine=machine) if digest == hashlib.sha256(machine).hexdigest() else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def keep(label: str, text: bytes, kinds: str, code: Code) -> None:
-    """Keep it for later runs; where nothing can be written nothing is kept."""
-    path = _path(label, text, kinds)
-    fields = code._asdict() | {"digest": hashlib.sha256(code.machine).hexdigest()}
-    machine = fields.pop("machine")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(json.dumps(fields).encode() + b"\n" + machine)
-        os.replace(part, path)
-    except OSError:
-        pass
-
-
 _lock = threading.Lock()
 
 
@@ -197,9 +125,12 @@ def _engine() -> Any:
 
 
 def load(code: Code) -> Native | None:
-    """The kernel as a function that lets go of Python's lock; None where this process lacks something it calls."""
+    """The kernel as a function that lets go of Python's lock; None where numba must run it, because this process lacks
+    something it calls or a type is passed in a way that is not known here."""
     import llvmlite.binding as llvm
 
+    if not {*code.arguments, *code.returns} <= _C_TYPES.keys():
+        return None
     with _lock:
         engine = _engine()  # which lets LLVM see what this process has loaded
         if not all(llvm.address_of_symbol(name) for name in code.symbols):

@@ -1,10 +1,34 @@
 """Values as JSON's own types."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, cast
 
-__all__ = ["plain"]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+__all__ = ["Json", "Report", "plain"]
+
+Json = dict[str, Any]
+"""A JSON object, as `json.loads` gives it: what is written out, or was read and not yet checked."""
+
+
+class Report(Mapping[str, Any]):
+    """Base of a frozen dataclass of measurements that reads as its JSON object, too: `report.z` and `report["z"]`."""
+
+    def to_json(self) -> Json:
+        """Plain values."""
+        return asdict(cast("DataclassInstance", self))
+
+    def __getitem__(self, name: str) -> Any:
+        return self.to_json()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.to_json())
+
+    def __len__(self) -> int:
+        return len(self.to_json())
 
 
 def plain(value: Any) -> Any:

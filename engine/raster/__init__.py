@@ -9,7 +9,6 @@ runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning
 
 from engine.raster.geometry import count_overlaps
 from engine.raster.gradients import Gradients, Rendering, backward, draw
-from engine.raster.kernel_set import WARM_UPS, warm_up
 from engine.raster.rendering import render, render_depth
 from engine.raster.settings import EarlyStop, RasterSettings
 from engine.raster.spherical_harmonics import sh_basis, sh_colors, sh_colors_backward
@@ -17,7 +16,6 @@ from engine.raster.view import View, prepare_view
 from engine.raster.workspace import release_memory
 
 __all__ = [
-    "WARM_UPS",
     "EarlyStop",
     "Gradients",
     "RasterSettings",
@@ -33,5 +31,4 @@ __all__ = [
     "sh_basis",
     "sh_colors",
     "sh_colors_backward",
-    "warm_up",
 ]

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import MalformedRecordError
+from engine.numerics.plain import Json
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -79,7 +80,7 @@ def packed_parts(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
         size += gap + len(blob)
 
 
-def unpack(data: bytes) -> tuple[dict[str, Any], Arrays]:
+def unpack(data: bytes) -> tuple[Json, Arrays]:
     """Meta and arrays of a container; the arrays are read-only views of `data`.
 
     MalformedRecordError if any byte is not as `pack` would have written it.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy.typing as npt
 
 from engine.errors import MalformedRecordError, WrongKeyError
+from engine.numerics.plain import Json
 from engine.records.codec import packed_parts
 from engine.watermark.keys import COPY_NAME, RECORD_CHECK, RECORD_ID, OwnerKey
 
@@ -92,7 +93,7 @@ class RecordHeader:
         """`chip_context` of this record."""
         return chip_context(bytes.fromhex(self.reference_digest), bytes.fromhex(self.record_id))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain dict of the fields."""
         return {name: getattr(self, name) for name in FIELDS}
 

@@ -13,18 +13,20 @@ geometry alone.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol, Self, TypeVar
+from typing import Protocol, Self, TypeVar, Unpack
 
 import numpy as np
 
 from engine.errors import InputError
 from engine.flows.embed.embedding import Embedding, embed
-from engine.flows.embed.profiles import EmbedConfig
+from engine.flows.embed.profiles import Auto, EmbedConfig
+from engine.flows.embed.terms import MarkOptions
 from engine.flows.embed.variant import Variant
+from engine.flows.progress import Progress
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
-from engine.flows.verify.derived_share import derivation_of_model
 from engine.flows.verify.search import count_tries
+from engine.flows.verify.suspect_evidence import derivation_of_model
 from engine.flows.verify.verification import Verification, verify_images, verify_model
 from engine.flows.views.camera_rig import GOLDEN_ANGLE, LANDMARK_SIZE, make_rig
 from engine.model import Camera, Float32, GaussianModel, Int64
@@ -92,16 +94,26 @@ def key_times(moving: Moving, count: int) -> list[float]:
 
 
 def embed_moving(
-    moving: M, key: OwnerKey, *, original_sha256: str | None = None, config: EmbedConfig | None = None, **request: Any
+    moving: M,
+    key: OwnerKey,
+    *,
+    original_sha256: str | None = None,
+    copy: str = "",
+    progress: Progress | None = None,
+    **options: Unpack[MarkOptions],
 ) -> tuple[M, Embedding]:
     """Mark a dynamic scene, whose unmarked original the owner keeps for verification.
 
     `original_sha256` is the digest of the owner's file, by default that of the arrays. The landmark bank is left out: a
-    canonical model is nothing a picture shows, `move_record` makes one. The `request` is that of
-    `engine.flows.embed.embedding.embed`, whose errors are raised. Comes back: the marked scene, of the same kind, and
-    an embedding whose model is the marked canonical one and whose record commits to the original.
+    canonical model is nothing a picture shows, `move_record` makes one. The `options` are those of
+    `engine.flows.embed.embedding.embed`, whose errors are raised; InputError for profile `auto`. Returns the marked
+    scene, of the same kind, and an embedding whose model is the marked canonical one and whose record commits to the
+    original.
     """
-    config = replace(config or EmbedConfig(), landmark_views=0)
+    config = options.get("config") or EmbedConfig()
+    if isinstance(config, Auto):
+        raise InputError("a scene that moves is not rehearsed: name its settings instead of 'auto'")
+    config = replace(config, landmark_views=0)
     canonical, digest = moving.canonical(), moving.digest()
     times = key_times(moving, config.views)
     variant = Variant(
@@ -109,8 +121,8 @@ def embed_moving(
         emphasis=np.clip(moving.persistence(), LEAST_EMPHASIS, 1.0),
         commitments={COMMITMENT: digest},
     )
-    original_sha256 = original_sha256 or digest
-    result = embed(canonical, key, original_sha256=original_sha256, config=config, variant=variant, **request)
+    options = options | {"config": config, "variant": variant}
+    result = embed(canonical, key, original_sha256=original_sha256 or digest, copy=copy, progress=progress, **options)
     return moving.displaced(result.model), result
 
 

@@ -27,6 +27,7 @@ from engine.scenes.spacetime import SpacetimeModel
 from engine.scenes.spacetime_ply import is_spacetime, read_spacetime_ply, write_spacetime_ply
 
 __all__ = [
+    "CLIPS",
     "CODEBOOK",
     "FOLDERS",
     "FRAMES",
@@ -47,6 +48,7 @@ Scene = GaussianModel | SpacetimeModel | FrameSequence | CodebookModel
 SPACETIME, FRAMES, CODEBOOK = "spacetime", "frames", "codebook"
 """What the formats of the others are called: a clip is one ``.ply``, or a folder of a ``.ply`` a moment."""
 FOLDERS = (FRAMES, CODEBOOK)
+CLIPS = (SPACETIME, FRAMES)
 
 DEFORMATION = "deformation.pth"
 """The network of a 4DGS scene (Wu et al., CVPR 2024), beside the Gaussians that it moves."""

@@ -1,15 +1,16 @@
-"""Scenes that are not plain Gaussians, marked as what they are. Apart from `scene_files`: who only reads need not
-load what marks.
-"""
+"""Every kind of scene, marked as what it is. Apart from `scene_files`: who only reads need not load what marks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Unpack
 
 from engine.errors import InputError
-from engine.flows.embed.embedding import Embedding
-from engine.flows.embed.profiles import Auto, Settings
+from engine.flows.embed.embedding import Embedding, embed_copies
+from engine.flows.embed.profiles import Auto
+from engine.flows.embed.terms import MarkOptions
+from engine.flows.progress import Progress
+from engine.model import GaussianModel
 from engine.scenes.clip_marking import embed_moving
 from engine.scenes.codebook_marking import embed_codebook
 from engine.scenes.codebook_model import CodebookModel
@@ -18,23 +19,43 @@ from engine.scenes.scene_files import Loaded, Scene
 from engine.scenes.spacetime import SpacetimeModel
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["embed_variant"]
+__all__ = ["embed_scene", "embed_variant"]
+
+
+def embed_scene(
+    loaded: Loaded,
+    key: OwnerKey,
+    copies: Sequence[str] = ("",),
+    progress: Progress | None = None,
+    **options: Unpack[MarkOptions],
+) -> Iterator[tuple[Scene, Embedding]]:
+    """Mark a scene for each of these recipients: the marked scene, of the same kind, and its embedding.
+
+    The `options` are those of `engine.flows.embed.embedding.embed`, whose errors are raised.
+    """
+    if not isinstance(loaded.scene, GaussianModel):
+        yield from embed_variant(loaded, key, copies, progress, **options)
+        return
+    for made in embed_copies(loaded.scene, key, copies, original_sha256=loaded.sha256, progress=progress, **options):
+        yield made.model, made
 
 
 def embed_variant(
-    loaded: Loaded, key: OwnerKey, copies: Sequence[str] = ("",), *, config: Settings | None = None, **request: Any
+    loaded: Loaded,
+    key: OwnerKey,
+    copies: Sequence[str] = ("",),
+    progress: Progress | None = None,
+    **options: Unpack[MarkOptions],
 ) -> Iterator[tuple[Scene, Embedding]]:
-    """Mark a clip or a model in codebooks as what it is, for each of these recipients: the marked scene, of the same
-    kind, and its embedding. Plain Gaussians are the matter of `engine.flows.embed.embedding.embed_copies`.
+    """`embed_scene` for what is not plain Gaussians, a clip or a model in codebooks.
 
-    The `request` is that of `engine.flows.embed.embedding.embed`, whose errors are raised. InputError where the
-    settings were to be chosen by rehearsal.
+    InputError where the settings were to be chosen by rehearsal.
     """
-    scene = loaded.scene
-    if isinstance(config, Auto):
+    scene, digest = loaded.scene, loaded.sha256
+    if isinstance(options.get("config"), Auto):
         raise InputError(f"profile 'auto' does not rehearse a scene of this kind ({loaded.format}): name a profile")
     for copy in copies:
         if isinstance(scene, SpacetimeModel | FrameSequence):
-            yield embed_moving(scene, key, config=config, copy=copy, **request)
+            yield embed_moving(scene, key, original_sha256=digest, copy=copy, progress=progress, **options)
         elif isinstance(scene, CodebookModel):
-            yield embed_codebook(scene, key, config=config, copy=copy, **request)
+            yield embed_codebook(scene, key, original_sha256=digest, copy=copy, progress=progress, **options)

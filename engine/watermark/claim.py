@@ -1,16 +1,19 @@
 """The claim: what a verification answers, and the numbered steps that lead to it (DESIGN 4.9)."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.model import Float64
+from engine.numerics.plain import Json
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.messages import message_hex
 from engine.watermark.power import Moments, moments
@@ -27,6 +30,10 @@ from engine.watermark.statistics import (
     weighted_evidence,
     z_threshold,
 )
+
+if TYPE_CHECKING:
+    from engine.watermark.model_evidence import Evidence
+    from engine.watermark.spreading import Spreading
 
 SCATTERED = "_by_scatter"
 """What follows the names of `layers.LAYERS` in a claim where pictures were read by their scatter."""
@@ -62,7 +69,7 @@ class ClaimConfig:
     doubt_rate: float = 1e-3
 
     @classmethod
-    def at(cls, rate: AppliedRate) -> "ClaimConfig":
+    def at(cls, rate: AppliedRate) -> ClaimConfig:
         """The usual demands, at the rate that applies."""
         return cls(false_claim_rate=rate.rate, rate_basis=rate.basis, rate_if_attested=rate.if_attested)
 
@@ -74,6 +81,16 @@ class ClaimConfig:
             raise InputError(f"surviving must lie in (0, 1], got {self.surviving}")
         if not self.room > 0:
             raise InputError(f"room must be positive, got {self.room}")
+
+
+@dataclass(frozen=True)
+class Transform:
+    """From suspect to reference, as a registration found it: x_reference = scale * R x_suspect + translation."""
+
+    scale: float
+    rotation: list[list[float]]  # R, 3 rows
+    translation: list[float]  # scene units of the reference
+    mirrored: bool = False  # x of the suspect is negated first
 
 
 @dataclass(frozen=True)
@@ -112,7 +129,7 @@ class Claim:
     # uses how clearly each bit was read; reported because the literature does.
     log10_binomial_tail: float
     derivation: Derivation  # whether the suspect was made from the asset; stands whatever the verdict is
-    transform: dict[str, Any] | None  # from suspect to reference, as the route found it
+    transform: Transform | None  # as the route found it
     route: str  # kind of evidence
     copy: str  # name of the copy whose mark was looked for
     missing: str  # what an inconclusive answer lacks; otherwise empty
@@ -125,130 +142,134 @@ class Claim:
         """Share of the reference found in the suspect; None where the route does not measure it."""
         return self.derivation.share
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain dict of JSON values."""
         plain = asdict(self) | {"derived": self.derivation.derived, "derived_fraction": self.derived_fraction}
         plain.update(verdict=self.verdict.value, bit_reliability=list(self.bit_reliability), notes=list(self.notes))
         return plain
 
 
+@dataclass(frozen=True)
+class Circumstances:
+    """What a claim rests on beside evidence and mark: what was asked, and what is known without chips."""
+
+    tries: int = 1  # number of (record, transform, route) hypotheses tried in this verification, >= 1
+    route: str = ""  # kind of evidence
+    copy: str = ""  # name of the copy whose mark is looked for
+    # How much of the asset was recognized in the suspect; without any the answer is never `not_marked`
+    derivation: Derivation = NOT_FOUND
+    transform: Transform | None = None
+    notes: tuple[str, ...] = ()  # for the reader of the claim
+    # z of each layer of the mark, where the evidence is the loudest of several: none may be suspicious for `not_marked`
+    layers: Mapping[str, float] | None = None
+    change: float | None = None  # largest `Moments.change` of those layers; default: that of the evidence
+    sums: Moments | None = None  # those of the evidence, where they are known
+
+
 def decide(
-    y: Float64,
-    w: Float64,
-    signal: Float64,
-    bit_of: npt.NDArray[np.integer],
-    chips: Signs,
+    evidence: Evidence,
+    spreading: Spreading,
     message: Signs,
-    *,
-    tries: int = 1,
+    known: Circumstances | None = None,
     config: ClaimConfig | None = None,
-    route: str = "",
-    copy: str = "",
-    derivation: Derivation = NOT_FOUND,
-    transform: Mapping[str, Any] | None = None,
-    notes: tuple[str, ...] = (),
-    layers: Mapping[str, float] | None = None,
-    change: float | None = None,
-    sums: Moments | None = None,
 ) -> Claim:
-    """From evidence to claim.
+    """From evidence to claim, in seven steps, whose order is law.
+
+    1. Set the threshold, before the evidence is looked at.
+    2. Compute one statistic, for the registered message.
+    3. Bound how often an unrelated key comes as far, all tries counted.
+    4. Compute the power to see the mark, even a worn one, and the room for one that was covered.
+    5. Answer.
+    6. Name what an inconclusive answer lacks.
+    7. Read the bits: reported, but no part of the answer.
 
     Parameters
     ----------
-    y, w : (C,)
-        Displacement estimates and weights >= 0, made without looking at chips or message.
-    signal : (C,)
-        What chip times bit times y would be if the mark were there unharmed and y had no noise. Enters power,
-        expectation and reliability, never Z.
-    bit_of, chips : (C,)
-        Bit and secret sign of each chip.
+    evidence : Evidence
+        Made without looking at chips or message. Its `signal` enters power, expectation and reliability, never z.
+    spreading : Spreading
+        Bit and secret sign of each of the C chips.
     message : (B,) +-1
         The registered message.
-    tries : int
-        Number of (record, transform, route) hypotheses tried in this verification, >= 1.
-    derivation : Derivation, optional
-        How much of the asset was recognised in the suspect; without any the answer is never `not_marked`.
-    notes : tuple of str
-    layers : mapping, optional
-        Z of each layer of the mark, where y is the loudest of several: none may be suspicious for `not_marked`.
-    change : float, optional
-        Largest `Moments.change` of those layers; that of y where there is but one.
-    sums : Moments, optional
-        Those of y, w and signal, where they are known.
+    known : Circumstances, optional
+    config : ClaimConfig, optional
+        What an answer must satisfy.
     """
-    config = config or ClaimConfig()
-    signal = np.broadcast_to(np.asarray(signal, dtype=np.float64), np.shape(y))
-
-    # 1. The bar is set before the evidence is looked at.
+    known, config = known or Circumstances(), config or ClaimConfig()
+    tries = known.tries
+    # 1. Set the threshold.
     threshold = z_threshold(config.false_claim_rate, tries)
-    # 2. One statistic, for the registered message.
-    c = weighted_evidence(y, w)
-    z = signed_z(c, chips * message[bit_of])
-    # 3. How often would a key with no part in this suspect come as far, all tries counted?
+    # 2. Compute one statistic.
+    c = weighted_evidence(evidence.y, evidence.weights)
+    z = signed_z(c, spreading.signs(message))
+    # 3. Bound how often an unrelated key comes as far.
     log10_bound = log10_false_claim_bound(z, tries)
-    # 4. Would this evidence have shown the mark, even a worn one, and is there no room for one that was covered?
-    sums = moments(y, w, signal) if sums is None else sums
-    expected, strength = sums.expected_z, sums.worn(config.surviving).power(threshold)
-    change = sums.change if change is None else change
-    # 5. The answer.
-    loudest = max(abs(each) for each in (z, *(layers or {}).values()))  # far below 0: turned round
+    # 4. Compute power and room.
+    sums = moments(evidence.y, evidence.weights, evidence.signal) if known.sums is None else known.sums
+    strength = sums.worn(config.surviving).power(threshold)
+    change = sums.change if known.change is None else known.change
+    loudest = max(abs(each) for each in (z, *(known.layers or {}).values()))  # far below 0: turned round
     doubtful = log10_false_claim_bound(loudest, tries) < math.log10(config.doubt_rate)
+    # 5. Answer.
     if z >= threshold:
         verdict = Verdict.MARKED
-    elif derivation.derived and strength >= config.power and change <= config.room and not doubtful:
+    elif known.derivation.derived and strength >= config.power and change <= config.room and not doubtful:
         verdict = Verdict.NOT_MARKED
     else:
         verdict = Verdict.INCONCLUSIVE
-    # 6. What an undecided answer lacks.
-    attested_rate = config.rate_if_attested or config.false_claim_rate
-    would = verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries)
+    # 6. Name what an inconclusive answer lacks.
     missing = ""
     if verdict is Verdict.INCONCLUSIVE:
+        enough = strength >= config.power or doubtful
         if doubtful and z == loudest:  # the evidence itself says what a mark would give
             missing = _more((threshold / z) ** 2)
-        elif not expected > 0:
+        elif not sums.expected_z > 0:
             missing = "no part of the asset could be measured in the suspect"
-        elif not derivation.derived:
+        elif not known.derivation.derived:
             missing = "too little of the asset was recognized in the suspect"
-        elif strength >= config.power or doubtful:
-            missing = _COVERED
         else:
-            missing = _more(sums.worn(config.surviving).evidence_needed(threshold, config.power))
-    # 7. The bits: reported, but no part of the answer.
-    n_bits = len(message)
-    T, norm = bit_sums(c, bit_of, chips, n_bits)
-    bits, reliability = decode_bits(T, norm, _bit_strength(w, signal, bit_of, norm))
+            needed = math.inf if enough else sums.worn(config.surviving).evidence_needed(threshold, config.power)
+            missing = _COVERED if enough else _more(needed)
+    # 7. Read the bits.
+    bits, reliability = _read_bits(evidence, c, spreading, len(message))
     matches = int((bits == message).sum())
 
+    attested_rate = config.rate_if_attested or config.false_claim_rate
     return Claim(
         verdict=verdict,
         confidence=-math.expm1(log10_bound * math.log(10)),
         log10_false_claim=log10_bound,
         z=z,
         unmarked_z=0.0,
-        expected_z=expected,
+        expected_z=sums.expected_z,
         z_threshold=threshold,
         false_claim_rate=config.false_claim_rate,
         rate_basis=config.rate_basis,
-        would_be_claim_if_attested=would,
+        would_be_claim_if_attested=verdict is not Verdict.MARKED and z >= z_threshold(attested_rate, tries),
         meets_dishonest_claimant_rate=log10_bound <= math.log10(DISHONEST_CLAIMANT_RATE),
         tries=tries,
         power=strength,
         change=change if math.isfinite(change) else None,
         message=message_hex(bits),
-        bits=n_bits,
+        bits=len(message),
         matching_bits=matches,
-        bit_accuracy=matches / n_bits,
+        bit_accuracy=matches / len(message),
         bit_reliability=tuple(float(r) for r in reliability),
-        log10_binomial_tail=log10_binomial_tail(matches, n_bits),
-        derivation=derivation,
-        transform=dict(transform) if transform is not None else None,
-        route=route,
-        copy=copy,
+        log10_binomial_tail=log10_binomial_tail(matches, len(message)),
+        derivation=known.derivation,
+        transform=known.transform,
+        route=known.route,
+        copy=known.copy,
         missing=missing,
-        notes=tuple(notes),
-        layers=None if layers is None else dict(layers),
+        notes=known.notes,
+        layers=None if known.layers is None else dict(known.layers),
     )
+
+
+def _read_bits(evidence: Evidence, c: Float64, spreading: Spreading, bits: int) -> tuple[Signs, Float64]:
+    """(B,) bits and the probability that each was read right."""
+    T, norm = bit_sums(c, spreading.bit_of, spreading.chips, bits)
+    return decode_bits(T, norm, _bit_strength(evidence.weights, evidence.signal, spreading.bit_of, norm))
 
 
 def _bit_strength(w: Float64, signal: Float64, bit_of: npt.NDArray[np.integer], norm: Float64) -> Float64:

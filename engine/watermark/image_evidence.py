@@ -153,14 +153,21 @@ def _scale_by_scatter(layer: Evidence, kinds: int) -> None:
         scale_alike(y, weights, signal, edges, np.maximum(expected, 0.0) / np.maximum(scatter, 1e-300))
 
 
+@dataclass(frozen=True, eq=False)
+class PublicMark:
+    """What a mark of the layout's amplitudes and *public* signs would add to the reference: no secret enters here."""
+
+    image: Float32  # (H, W, 3)
+    signs: Float64  # (C,) sign of each chip's displacement in it
+
+
 def gather_image_evidence(
     layout: Layout,
     view: View,
     reference: Float32,
     warped: Float32,
     mask: Bool,
-    mark_image: Float32,
-    mark_signs: Float64,
+    mark: PublicMark,
     through: Float32 | None = None,
     geometry: GrainView | None = None,
 ) -> PictureEvidence:
@@ -178,10 +185,8 @@ def gather_image_evidence(
         The picture in the reference's pixels.
     mask : (H, W) bool
         Pixels that carry evidence.
-    mark_image : (H, W, 3) float32
-        What a mark of these amplitudes and *public* signs would add to `reference`: no secret enters here.
-    mark_signs : (C,) float64
-        Sign of each chip's displacement in that mark.
+    mark : PublicMark
+        How the picture would show a mark.
     through : (H, W, 3) float32, optional
         What of the picture is not the model's but shines through it (`pictures.background`).
     geometry : GrainView, optional
@@ -192,7 +197,7 @@ def gather_image_evidence(
     cotangents = [reference, reference]
 
     def weigh_one(turn: int) -> None:
-        cotangents[turn] = np.ascontiguousarray(weigh(reference if turn == 0 else reference + mark_image))
+        cotangents[turn] = np.ascontiguousarray(weigh(reference if turn == 0 else reference + mark.image))
 
     run_turns(weigh_one, len(cotangents), thread_count())  # most of it is one thread's, and lets go of Python's lock
 
@@ -218,7 +223,7 @@ def gather_image_evidence(
         ]
     )
     held, held_less = _saturate(y, weights, limits), _saturate(less, weights, limits)
-    signs = mark_signs.astype(np.float32)
+    signs = mark.signs.astype(np.float32)
     answers = signs * (y - less), held, signs * (held - held_less)
     return PictureEvidence(tuple(parts), weights, y, *answers, (pulled,))
 

@@ -8,9 +8,9 @@ below 2^-128.
 
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 from engine.errors import InputError
+from engine.numerics.plain import Json
 from engine.watermark.statistics import CHANCE_RATE, DISHONEST_CLAIMANT_RATE
 
 BASES = {
@@ -44,7 +44,7 @@ class Attested:
         """The time, to compare."""
         return moment(self.at)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain values."""
         return asdict(self)
 

@@ -8,8 +8,8 @@ import sqlalchemy as sa
 
 from service.core import Service
 from service.db.schema import conversions
-from service.jobs.child import run_once, task_folder
 from service.problems import Problem
+from service.processes import run_once, task_folder
 
 CONVERTING_SECONDS = 60.0
 _threads = ThreadPoolExecutor(32, "convert")

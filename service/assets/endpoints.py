@@ -7,13 +7,13 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.assets.attested import attested_record
+from service.assets.content_credentials import delivered, forget_manifests
 from service.assets.conversions import converted, drop
-from service.assets.credentials import delivered, forget_manifests
 from service.db import holding, own, page
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Follower, Limit, OriginalsReader, Reader, Words, visible
-from service.http.downloads import MODEL_TYPE, Want, file_responses, send_blob
-from service.http.failures import OF_LIST, OF_OWN
+from service.http.error_responses import OF_LIST, OF_OWN
+from service.http.file_responses import MODEL_TYPE, Want, file_responses, send_blob
 from service.http.forms import FROM_JSON
 from service.http.results import Time
 from service.problems import Problem

@@ -14,7 +14,7 @@ from engine.credentials.manifest import ALG, MEDIA_TYPE, bound_record
 from service.db import missing
 from service.db.schema import assets, manifests
 from service.http.access import Core
-from service.http.failures import responses
+from service.http.error_responses import responses
 
 router = APIRouter(prefix="/v1", tags=["credentials"])
 _FILE = {

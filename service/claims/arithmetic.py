@@ -33,7 +33,15 @@ class Check:
 
 def arithmetic_fault(document: Mapping[str, Any]) -> str:
     """What does not follow in a claim's numbers; empty where all does."""
-    stated, threshold, message = (document[name] for name in ("log10_false_claim", "threshold", "message"))
+    checks = [_bound_fault, _evidence_fault]
+    if document["schema_version"] > 1:
+        checks += [_rate_fault, _derivation_fault]
+    return next(filter(None, (check(document) for check in (*checks, _search_fault, _message_fault))), "")
+
+
+def _bound_fault(document: Mapping[str, Any]) -> str:
+    """Confidence and threshold follow from the stated bound, the rate and the number of tries."""
+    stated, threshold = document["log10_false_claim"], document["threshold"]
     if document["meets_dishonest_claimant_rate"] != (stated <= math.log10(DISHONEST_CLAIMANT_RATE)):
         return f"whether the bound of 10^{stated:g} is at most 2^-128 is stated wrongly"
     if not math.isclose(document["confidence"], -math.expm1(stated * math.log(10)), abs_tol=1e-12):
@@ -42,6 +50,12 @@ def arithmetic_fault(document: Mapping[str, Any]) -> str:
         needed = z_threshold(threshold["false_claim_rate"], document["tries"])
         if not math.isclose(threshold["z"], needed, rel_tol=1e-9):
             return f"a threshold of z = {threshold['z']:g} does not follow from its rate and {document['tries']} tries"
+    return ""
+
+
+def _evidence_fault(document: Mapping[str, Any]) -> str:
+    """Bound and verdict follow from each piece of evidence."""
+    stated, threshold = document["log10_false_claim"], document["threshold"]
     for one in document["evidence"]:
         if threshold is None:
             return "evidence without a threshold"
@@ -49,16 +63,23 @@ def arithmetic_fault(document: Mapping[str, Any]) -> str:
             return f"a bound of 10^{stated:g} does not follow from z = {one['z']:g} and {document['tries']} tries"
         if (one["z"] >= threshold["z"]) != (document["verdict"] == "marked"):
             return f"the verdict does not follow from z = {one['z']:g} and the threshold {threshold['z']:g}"
-    if document["verdict"] == "marked" and not document["evidence"]:
-        return "a mark without evidence"
-    if document["schema_version"] > 1 and (fault := _rate_fault(document) or _derivation_fault(document)):
-        return fault
+    return "a mark without evidence" if document["verdict"] == "marked" and not document["evidence"] else ""
+
+
+def _search_fault(document: Mapping[str, Any]) -> str:
+    """Whether an asset was recognised, and named, follows from the verdict and from what was searched."""
     if (searched := document.get("searched")) is not None:
         derived = document["derivation"]["derived"] or document["would_be_claim_if_attested"]
         if searched["recognised"] != (document["verdict"] == "marked" or derived):
             return "whether an asset was recognised does not follow from the verdict"
         if (document["asset"] is not None) != (searched["recognised"] or searched["scope"] == "one"):
             return "the claim speaks of an asset that was neither named nor recognised, or of none that was"
+    return ""
+
+
+def _message_fault(document: Mapping[str, Any]) -> str:
+    """The message's figures follow from one another."""
+    message = document["message"]
     if message is not None:
         if len(message["reliability"]) != message["bits"]:
             return "the message does not have a reliability for each bit"

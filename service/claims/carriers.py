@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from typing import Any
 
+from service.claims.schema import Document
+
 MOST_BYTES = 64 << 20
 _MEMBERS = {"document", "jws", "timestamp", "summary"}
 
@@ -21,7 +23,7 @@ class Carried:
 
     kind: str  # jws, json or html
     jws: str
-    document: dict[str, Any] | None = None  # as a JSON claim spells it out, and `summary` too
+    document: Document | None = None  # as a JSON claim spells it out, and `summary` too
     summary: Any = None
     timestamp: bytes | None = None
     pictures: dict[str, bytes] = field(default_factory=dict)  # of a report, by name
@@ -113,7 +115,7 @@ def _decode(text: Any) -> bytes:
         raise UnreadableError("a picture or time stamp in it is not written in base64") from None
 
 
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _each_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
     found = dict(pairs)
     if len(found) != len(pairs):
         raise ValueError("a name stands twice in one object")

@@ -6,15 +6,51 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from engine.watermark.checks import named
+from pydantic import BaseModel, Field
+
+from engine.present.checks import named
+from engine.present.numerals import TYPOGRAPHIC, Form
+from engine.present.wording import Words, words_of
 from engine.watermark.derivation import NOT_FOUND, Derivation
-from engine.watermark.numerals import TYPOGRAPHIC, Form
-from engine.watermark.wording import Words, words_of
-from service.claims.schema import SCHEMA_VERSION, ClaimDocument
+from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.clock import LOG
 
 
-def of_what_was_found(reply: Mapping[str, Any]) -> dict[str, Any]:
+class Fact(BaseModel):
+    """Something that was found."""
+
+    label: str
+    text: str
+
+
+class Bar(BaseModel):
+    """What a bound is held against."""
+
+    log10: float
+    text: str
+
+
+class NamedCheck(BaseModel):
+    """A check of the document, with its name and outcome for people."""
+
+    code: str
+    ok: bool | None
+    text: str
+    name: str
+    outcome: str
+
+
+class Summary(BaseModel):
+    """The claim in words; they follow from the document, and are not signed themselves."""
+
+    headline: str
+    finding: str = Field(description="The verdict in one sentence.")
+    facts: list[Fact]
+    limits: list[Bar]
+    checks: list[NamedCheck]
+
+
+def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
     """The reply of the task `verify` with what was `searched` told in full; of all of an owner's assets, it speaks of
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
@@ -45,7 +81,7 @@ def build_document(
     pictures: Mapping[str, str],
     issuer: Mapping[str, str] | None = None,
     owner: str = "",
-) -> dict[str, Any]:
+) -> Document:
     """The document without its member `audit`, as JSON values.
 
     Made of the `reply` of the task `verify`, the `sha256` of each file handed in, and those of the report's `pictures`
@@ -54,7 +90,7 @@ def build_document(
     display name of who asked.
     """
     claim, subject = reply["claim"], reply["subject"]
-    plain: dict[str, Any] = {
+    plain: Document = {
         "schema_version": SCHEMA_VERSION,
         "claim_id": claim_id,
         "created_at": created_at,
@@ -108,7 +144,7 @@ _THRESHOLD = {"false_claim_rate": "false_claim_rate", "z": "z_threshold", "basis
 _EVIDENCE = ("route", "z", "unmarked_z", "expected_z", "power", "change")
 """Members of the document, and what the engine calls them."""
 
-_NOTHING: dict[str, Any] = {
+_NOTHING: Document = {
     "verdict": "inconclusive",
     "confidence": 0.0,
     "log10_false_claim": 0.0,
@@ -127,8 +163,8 @@ _NOTHING: dict[str, Any] = {
 }
 
 
-def _found(claim: Mapping[str, Any], registered: str) -> dict[str, Any]:
-    plain: dict[str, Any] = json.loads(json.dumps({name: claim[name] for name in _SAME}))  # tuples become lists
+def _found(claim: Mapping[str, Any], registered: str) -> Document:
+    plain: Document = json.loads(json.dumps({name: claim[name] for name in _SAME}))  # tuples become lists
     return plain | {
         "derived_but_unmarked": claim["verdict"] == "not_marked",
         "threshold": {name: claim[theirs] for name, theirs in _THRESHOLD.items()},
@@ -158,7 +194,7 @@ def document_words(document: Mapping[str, Any], form: Form = TYPOGRAPHIC) -> Wor
     return words_of(claim, form, pictures=pictures)
 
 
-def _of_first_version(document: Mapping[str, Any]) -> dict[str, Any]:
+def _of_first_version(document: Mapping[str, Any]) -> Document:
     """What documents of version 1 did not say, as far as it follows from what they did."""
     share, at = document["derived_fraction"], document["registered_at"]
     derived = document["derived_but_unmarked"] or document["verdict"] == "marked"
@@ -168,13 +204,13 @@ def _of_first_version(document: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def summary_of(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The words as the API hands them out beside the document, JSON values."""
+def summary_of(document: Mapping[str, Any]) -> Summary:
+    """The words as the API hands them out next to the document."""
     words = document_words(document)
-    return {
-        "headline": words.headline,
-        "finding": words.finding,
-        "facts": [{"label": fact.label, "text": fact.text} for fact in words.facts],
-        "limits": [{"log10": log10, "text": text} for log10, text in words.limits],
-        "checks": named(document["checks"]),
-    }
+    return Summary(
+        headline=words.headline,
+        finding=words.finding,
+        facts=[Fact(label=fact.label, text=fact.text) for fact in words.facts],
+        limits=[Bar(log10=log10, text=text) for log10, text in words.limits],
+        checks=[NamedCheck.model_validate(check) for check in named(document["checks"])],
+    )

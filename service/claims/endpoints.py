@@ -9,12 +9,12 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from service.claims.document import document_words
-from service.claims.handing import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
-from service.claims.told import Told
+from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.schema import OwnerStatement
 from service.db import holding, page
 from service.db.schema import assets, claims
 from service.http.access import NO_ZERO, Admin, After, Core, Follower, Limit, Reader, Words, visible
-from service.http.failures import OF_LIST, OF_OWN, responses
+from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.results import Time
 from service.trust.commitments import forget
 from service.trust.signing import jwks
@@ -110,7 +110,7 @@ def get_report(claim_id: str, core: Core, caller: Follower) -> Response:
     response_class=Response,
     responses={**ZIP, **responses("unauthorized", "forbidden", "not-found", "conflict", "invalid-request")},
 )
-def get_pack(claim_id: str, core: Core, caller: Follower, told: Annotated[Told, Query()]) -> Response:
+def get_pack(claim_id: str, core: Core, caller: Follower, told: Annotated[OwnerStatement, Query()]) -> Response:
     """What to send a platform: comparison, finding in words, notice with blanks, and the signed claim."""
     return pack_file(core, visible(core, caller, claims, claim_id), told)
 

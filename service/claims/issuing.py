@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from engine.records.timestamps import stamp
 from service.claims.document import build_document
-from service.claims.schema import ClaimDocument
+from service.claims.schema import ClaimDocument, Document
 from service.clock import now
 from service.core import Service
 from service.db import Database, alone
@@ -29,11 +29,11 @@ class IssuedClaim:
     """A claim as it is stored: `document` is the signed payload, `jws` the signature with it."""
 
     id: str
-    document: dict[str, Any]
+    document: Document
     jws: str
 
 
-def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> dict[str, Any]:
+def issue(service: Service, job: Job, reply: Mapping[str, Any]) -> Mapping[str, Any]:
     """The claim of a verify job (`reply`: what was found), issued and, where a time-stamping service is set, stamped.
 
     Returns the job's result.
@@ -127,7 +127,7 @@ def stamp_claim(db: Database, url: str, claim: IssuedClaim) -> str:
 
 def _registered(
     connection: sa.Connection, tenant: str, asset_id: str | None
-) -> tuple[dict[str, Any] | None, Entry | None, Entry | None]:
+) -> tuple[Mapping[str, Any] | None, Entry | None, Entry | None]:
     """Row of an asset, its registration in the log, and the first one of its original by this tenant."""
     if asset_id is None:
         return None, None, None

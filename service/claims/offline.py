@@ -22,7 +22,7 @@ from service.claims.carriers import Carried, UnreadableError, strict_json, unpac
 from service.claims.document import summary_of
 from service.claims.history import against_others, history_fault
 from service.claims.report import report_html
-from service.claims.schema import SCHEMA_VERSION, ClaimDocument
+from service.claims.schema import SCHEMA_VERSION, ClaimDocument, Document
 from service.trust.canonical import canonical
 from service.trust.commitments import ASSET_REGISTERED, CLAIM_ISSUED, claim_digest
 
@@ -32,7 +32,7 @@ class Findings:
     """What is known of a file after checking it."""
 
     checks: tuple[Check, ...]  # in order; after a failure that leaves nothing to go by, no more are made
-    document: dict[str, Any] | None = None  # what is signed; None unless the signature and the form hold
+    document: Document | None = None  # what is signed; None unless the signature and the form hold
     signed_by: str = ""  # id of the key
 
     @property
@@ -91,7 +91,7 @@ def verify_report(
     return Findings(tuple(checks), document, kid)
 
 
-def _read(payload: bytes) -> tuple[dict[str, Any] | None, str]:
+def _read(payload: bytes) -> tuple[Document | None, str]:
     """The document, or what is wrong with it."""
     try:
         document = strict_json(payload)
@@ -176,14 +176,14 @@ def _included(entry: Mapping[str, Any], proof: Sequence[str], audit: Mapping[str
     return check_inclusion(leaf_hash(canonical(entry)), entry["index"], audit["size"], steps, root)
 
 
-def _around(data: bytes, carried: Carried, document: dict[str, Any], payload: bytes) -> list[Check]:
+def _around(data: bytes, carried: Carried, document: Document, payload: bytes) -> list[Check]:
     """Whether the readable part of the file says what was signed."""
     if carried.kind == "json":
         same = _canonical_or_none(carried.document) == payload
         text = "The document is the one that was signed." if same else "the document is not the one that was signed"
         found = [Check("document", Status.PASS if same else Status.FAIL, text)]
         if carried.summary is not None:
-            found.append(_drawn("summary", carried.summary == summary_of(document), document))
+            found.append(_drawn("summary", carried.summary == summary_of(document).model_dump(), document))
         return found
     if carried.kind == "jws":
         return []

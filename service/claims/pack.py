@@ -14,11 +14,11 @@ from typing import Any
 from jinja2 import Environment
 from PIL import Image, ImageDraw, ImageFont
 
-from engine.flows.html_pages import templates
-from engine.watermark.numerals import PLAIN, when
+from engine.present.html_pages import templates
+from engine.present.numerals import PLAIN, when
 from service.claims.document import document_words
 from service.claims.report import captions_of, timeline
-from service.claims.told import Told
+from service.claims.schema import OwnerStatement
 from service.problems import Problem
 from service.trust.tenants import FIRST_TENANT
 
@@ -43,7 +43,7 @@ def shown_in_pack(pictures: Mapping[str, Any]) -> list[str]:
 
 
 def make_pack(
-    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, told: Told
+    document: Mapping[str, Any], jws: str, pictures: Mapping[str, bytes], timestamp: bytes | None, told: OwnerStatement
 ) -> bytes:
     """The ZIP of a signed claim; `pictures`: PNG bytes of those that `shown_in_pack` names.
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from jinja2 import Template
 
-from engine.flows.html_pages import templates
+from engine.present.checks import named
+from engine.present.html_pages import templates
+from engine.present.numerals import TYPOGRAPHIC, when
+from engine.present.wording import ROUTES
 from engine.records.timestamps import TimestampFault, stamped_at
-from engine.watermark.checks import named
-from engine.watermark.numerals import TYPOGRAPHIC, when
-from engine.watermark.wording import ROUTES
 from service.claims.document import document_words
 
 BITS_PER_LINE = 32

@@ -1,9 +1,9 @@
 """The claim document: its exact form. Version 1 had no derivation, no basis of its rate, no proof of the original's
 registration; version 2 did not say who issued it for whom, and what was searched. Both are still read."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, UrlConstraints
 
 SCHEMA_VERSION = 3
 
@@ -190,6 +190,10 @@ class Audit(_Part):
     )
 
 
+Document = dict[str, Any]
+"""A claim as it is signed: JSON of the form of `ClaimDocument`, or of an earlier version of it, member for member."""
+
+
 class ClaimDocument(_Part):
     """The answer of one verification, as it is signed."""
 
@@ -234,3 +238,23 @@ class ClaimDocument(_Part):
     pictures: dict[str, str] = Field(description="Name and SHA-256 of each picture of the report.")
     meaning: Meaning
     audit: Audit | None = Field(default=None, description="Always there in a signed document.")
+
+
+def _without_password(url: HttpUrl) -> HttpUrl:
+    if url.username or url.password:
+        raise ValueError("leave user name and password out of the address")
+    return url
+
+
+# All of it goes into the line of one GET: at most 14 kB where every letter of the note takes nine, of the server's 16.
+Url = Annotated[HttpUrl, UrlConstraints(max_length=400), AfterValidator(_without_password)]
+Note = Annotated[str, StringConstraints(max_length=1000)]
+
+
+class OwnerStatement(BaseModel):
+    """What only the owner knows. It is put into the pack as the owner's word, and kept nowhere."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    copy_url: list[Url] = Field([], max_length=10, description="Where the copy was found; give it once for each place.")
+    original_url: Url | None = Field(None, description="Where the original is published.")
+    note: Note = Field("", description="Your own words; set off from what was found.")

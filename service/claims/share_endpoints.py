@@ -6,11 +6,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.claims import shares
-from service.claims.handing import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
-from service.claims.told import Told
+from service.claims.presentation import PAGE, ZIP, SignedClaim, pack_file, report_page, signed
+from service.claims.schema import OwnerStatement
 from service.db import own, schema
 from service.http.access import Core, Follower, Verifier, visible
-from service.http.failures import OF_OWN, responses
+from service.http.error_responses import OF_OWN, responses
 from service.http.forms import WHOLE
 from service.http.results import Time
 
@@ -111,4 +111,4 @@ def shared_claim(token: str, core: Core) -> SignedClaim:
 )
 def shared_pack(token: str, core: Core) -> Response:
     """The pack, for whoever has the address of the report. No words are taken for it: they would be no owner's."""
-    return pack_file(core, shares.shared(core.db, token), Told())
+    return pack_file(core, shares.shared(core.db, token), OwnerStatement())

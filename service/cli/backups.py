@@ -36,7 +36,7 @@ def backup(
 
       mark3dgs backup backups/2026-11-23
     """
-    from service.backups.taking import take
+    from service.backups.snapshot import take
 
     console = Console(json)
     settings = settings_of()
@@ -63,7 +63,7 @@ def restore(
 
       MARK3DGS_DATA_DIR=mark3dgs-restored mark3dgs restore backups/2026-11-23
     """
-    from service.backups.restoring import restore as put_back
+    from service.backups.restoration import restore as put_back
 
     console = Console(json)
     settings = settings_of()

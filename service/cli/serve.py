@@ -48,8 +48,7 @@ def serve(
 
     from engine.credentials.native import require
     from service.app import make_app
-    from service.assets.credentials import signer_of
-    from service.http.patience import ImpatientProtocol
+    from service.assets.content_credentials import signer_of
 
     console = Console(machine=False)
     _check_free(host, port)
@@ -70,7 +69,7 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
-            http=ImpatientProtocol,
+            http="h11",
             timeout_graceful_shutdown=5,
         )
     finally:

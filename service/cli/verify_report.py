@@ -38,7 +38,7 @@ def verify_report(
       mark3dgs verify-report report.html --jwks jwks.json --json
       mark3dgs verify-report claim.jws --jwks jwks.json --other last-year.jws
     """
-    from engine.watermark.numerals import PLAIN
+    from engine.present.numerals import PLAIN
     from service.claims import offline
     from service.claims.carriers import MOST_BYTES
     from service.claims.document import document_words

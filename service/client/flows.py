@@ -3,7 +3,7 @@
 import os
 import secrets
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote
@@ -111,7 +111,7 @@ def submit_embed(
     model: Source, *, cameras: Source | None = None, progress: Progress = silent, **options: Unpack[EmbedOptions]
 ) -> Flow[Job]:
     """Upload a model, and the cameras to mark it for, and start the job that marks it."""
-    named: dict[str, Any] = {"upload_id": (yield from upload(model, progress=progress)).id}
+    named: dict[str, object] = {"upload_id": (yield from upload(model, progress=progress)).id}
     if cameras is not None:
         named["cameras_upload_id"] = (yield from upload(cameras)).id
     return (yield from _submit("/v1/embed", {**named, **options}))
@@ -130,13 +130,13 @@ def submit_verify(
         sent = yield from upload(source, progress=progress)
         ids.append(sent.id)
         kind = (sent.info or {}).get("kind", "")
-    named: dict[str, Any] = {"upload_id": ids[0]} if len(ids) == 1 and kind == "model" else {"image_upload_ids": ids}
+    named: dict[str, object] = {"upload_id": ids[0]} if len(ids) == 1 and kind == "model" else {"image_upload_ids": ids}
     if cameras is not None:
         named["cameras_upload_id"] = (yield from upload(cameras)).id
     return (yield from _submit("/v1/verify", {**named, **options}))
 
 
-def _submit(path: str, body: dict[str, Any]) -> Flow[Job]:
+def _submit(path: str, body: Mapping[str, object]) -> Flow[Job]:
     # The service knows the key again: a request whose answer was lost becomes one job, not two.
     headers = {"Idempotency-Key": secrets.token_hex(16)}
     reply = yield from ask(Request("POST", path, headers=headers, json=body, again=True))

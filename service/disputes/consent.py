@@ -3,8 +3,6 @@
 A consent is an entry of the audit log. Nobody learns whether another's asset exists.
 """
 
-from typing import Any
-
 import sqlalchemy as sa
 
 from service.core import Service
@@ -50,7 +48,7 @@ def _owners(service: Service, pair: tuple[str, str]) -> dict[str, str]:
 
 def _consent(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> None:
     if not _has_consented(connection, tenant, pair):
-        payload: dict[str, Any] = {"assets": sorted(pair)}
+        payload = {"assets": sorted(pair)}
         audit.append(connection, tenant, CONSENTED, payload, _subject(tenant, pair))
 
 

@@ -2,20 +2,21 @@
 
 import asyncio
 import json
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, TypedDict
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from engine.flows.dispute.dispute_text import dispute_page, dispute_words
+from engine.present.dispute_text import dispute_page, dispute_words
 from service.core import Service
 from service.db.schema import assets, jobs
 from service.disputes.consent import agreed
 from service.http.access import Core, Reader, Verifier
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
-from service.http.failures import OF_OWN
+from service.http.error_responses import OF_OWN
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job, State
 from service.problems import Problem
 from service.trust.api_keys import OPERATOR, Caller
@@ -33,6 +34,13 @@ class DisputeRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
     asset_b: AssetId
+
+
+class DisputeResult(TypedDict):
+    """What the job of a dispute has come to."""
+
+    document: dict[str, Any]
+    jws: str
 
 
 class Settled(BaseModel):
@@ -82,7 +90,7 @@ def get_dispute_report(dispute_id: str, core: Core, caller: Reader) -> Response:
 def _submit(core: Service, caller: Caller, body: DisputeRequest, retry_key: str | None) -> Job:
     asked = {"assets": [body.asset_a, body.asset_b]}
 
-    def make() -> dict[str, Any]:
+    def make() -> Mapping[str, list[str]]:
         limit = core.settings.verifies_per_hour
         spend(core.db, f"verify:{caller.key_id}", limit, 1, "verify jobs of this API key")
         agreed(core, caller, (body.asset_a, body.asset_b))
@@ -91,7 +99,7 @@ def _submit(core: Service, caller: Caller, body: DisputeRequest, retry_key: str 
     return submit(core, caller, "dispute", retry_key, {"dispute": asked}, make)
 
 
-def _found(core: Service, caller: Caller, dispute_id: str) -> dict[str, Any]:
+def _found(core: Service, caller: Caller, dispute_id: str) -> DisputeResult:
     """Result of a dispute that the caller is a party of; "not-found" otherwise."""
     missing = Problem("not-found", f"there is no dispute {dispute_id!r}")
     job_id = "job_" + dispute_id.removeprefix("di_")
@@ -103,5 +111,5 @@ def _found(core: Service, caller: Caller, dispute_id: str) -> dict[str, Any]:
         owners = connection.execute(sa.select(assets.c.tenant).where(assets.c.id.in_(asked))).scalars().all()
     if OPERATOR not in caller.scopes and caller.tenant not in owners:
         raise missing
-    result: dict[str, Any] = json.loads(row.result)
+    result: DisputeResult = json.loads(row.result)
     return result

@@ -1,5 +1,6 @@
 """The steps of a dispute: hold two assets against each other, then log and sign what came of it."""
 
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -10,8 +11,9 @@ from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets
-from service.jobs.port import Flow, Run, State, Step
+from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
+from service.processes import Reply
 from service.trust import audit
 from service.trust.canonical import canonical, digest
 from service.trust.signing import sign
@@ -25,7 +27,7 @@ def dispute_flow(service: Service) -> Flow:
     return (Step("dispute", lambda run: _settle(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
-def _settle(service: Service, run: Run) -> dict[str, Any]:
+def _settle(service: Service, run: Run) -> Reply:
     """Look for both marks in both originals and both published models."""
     asked = run.job.request["assets"]
     with service.db.read() as connection:
@@ -39,7 +41,7 @@ def _settle(service: Service, run: Run) -> dict[str, Any]:
     return service.do_task(run, "dispute", {"parties": parties})
 
 
-def _commit(service: Service, run: Run) -> dict[str, Any]:
+def _commit(service: Service, run: Run) -> Ending:
     """Log and sign the finding, in one transaction; a second time finds the entry."""
     dispute_id = "di_" + run.job.id.removeprefix("job_")
     document: dict[str, Any] = {
@@ -56,10 +58,10 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         document["created_at"] = document["audit"]["entry"]["at"]
         jws = sign(connection, service.master, canonical(document), DISPUTE)
     result = {"dispute_id": dispute_id, "first": document["finding"]["first"], "document": document, "jws": jws}
-    return {"state": State.SUCCEEDED.value, "result": result}
+    return {"state": State.SUCCEEDED, "result": result}
 
 
-def _logged(connection: sa.Connection, tenant: str, document: dict[str, Any]) -> dict[str, Any]:
+def _logged(connection: sa.Connection, tenant: str, document: Mapping[str, Any]) -> Mapping[str, Any]:
     """The log's entry about a finding, and the proof that it is in the log."""
     entry = audit.find(connection, SETTLED, document["dispute_id"])
     if entry is None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
@@ -11,15 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 from engine.watermark.keys import OwnerKey
 from service.core import Service
 from service.http.access import Core, Embedder
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
 from service.http.forms import WHOLE, Files, form_schema, read_form
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import list_keys, open_key, store
+from service.uploads.ingest import gather
 from service.uploads.quota import check_quota
-from service.uploads.taking import gather
 
 router = APIRouter(prefix="/v1", tags=["embed"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]
@@ -111,7 +112,7 @@ def _submit(core: Service, caller: Caller, body: EmbedForm, files: Files, retry_
         raise Problem("invalid-request", "body.upload_id: a model is needed, as an upload or as the file 'model'")
     unnamed = body.model_dump(exclude={"upload_id", "cameras_upload_id"})
 
-    def make() -> dict[str, Any]:
+    def make() -> Mapping[str, object]:
         key_id = body.key_id or _usual_key(core, tenant)
         open_key(core.db, core.master, tenant, key_id)  # or there is no such key
         check_quota(core, tenant, 0)

@@ -2,17 +2,18 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict
 
 import sqlalchemy as sa
 
+from service.asset_screening import screen
 from service.clock import now
 from service.core import Service
 from service.db import alone
 from service.db.schema import assets
-from service.jobs.port import Flow, Job, Run, State, Step
-from service.screening import screen
+from service.jobs.port import Ending, Flow, Job, Run, State, Step
+from service.processes import Reply
 from service.trust import audit
 from service.trust.commitments import commit_asset
 from service.trust.owner_keys import open_key
@@ -23,12 +24,20 @@ SCREENED = 1024
 """Copies of assets that an upload resembles and that are looked for in it, at most; each takes a tenth of a second."""
 
 
+class Screening(TypedDict):
+    """Whose marks an upload carries."""
+
+    carries: Sequence[Mapping[str, Any]]
+    disputed: bool  # one of them is another's
+    not_screened: int  # copies that the upload resembles and that were not looked for
+
+
 def embed_flow(service: Service) -> Flow:
     """Steps of an embed job."""
     return (Step("embed", lambda run: _embed(service, run)), Step("commit", lambda run: _commit(service, run)))
 
 
-def _embed(service: Service, run: Run) -> dict[str, Any]:
+def _embed(service: Service, run: Run) -> Reply:
     """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest.
 
     No owner key but the one that marks enters a process that reads the upload.
@@ -57,9 +66,8 @@ def _embed(service: Service, run: Run) -> dict[str, Any]:
     ) | {"drawn": drawn, "screening": screening}
 
 
-def _screen(service: Service, run: Run, model: dict[str, Any]) -> dict[str, Any]:
-    """Whose marks the upload `carries`, whether one of them is another's (`disputed`), and how many copies that it
-    resembles were `not_screened`.
+def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
+    """Look for the marks of others' and of this tenant's assets.
 
     An asset made from this very file is left out: the file is its unmarked original.
     """
@@ -113,7 +121,7 @@ def _earlier(service: Service, run: Run) -> str:
     return "" if row is None else service.local_or_gone(row.record_sha256, run)
 
 
-def _commit(service: Service, run: Run) -> dict[str, Any]:
+def _commit(service: Service, run: Run) -> Ending:
     """Write everything the job made in one transaction; a second time changes nothing."""
     job, made = run.job, run.results["embed"]
     if not made["kept"]:
@@ -126,7 +134,7 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
             " made it, mark your original, which carries nobody's mark, and have the two held against each other"
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
-        return {"state": State.DISPUTED.value, "result": {"text": text}}
+        return {"state": State.DISPUTED, "result": {"text": text}}
     with service.db.write() as connection:
         alone(connection)  # so that the log's times follow one another
         row = _row(job, made, now())
@@ -141,10 +149,10 @@ def _commit(service: Service, run: Run) -> dict[str, Any]:
         "already_carries": [found["asset"] for found in made["screening"]["carries"]],
         "not_screened": made["screening"].get("not_screened", 0),  # a step of before has none
     }
-    return {"state": State.SUCCEEDED.value, "result": result}
+    return {"state": State.SUCCEEDED, "result": result}
 
 
-def _row(job: Job, made: dict[str, Any], registered_at: str) -> dict[str, Any]:
+def _row(job: Job, made: Mapping[str, Any], registered_at: str) -> dict[str, str]:
     asked, kept = job.request, made["kept"]
     return {
         "id": "as_" + job.id.removeprefix("job_"),

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from service.core import Service
 from service.db.schema import assets, claims, jobs, workers
 from service.http.access import Core, Operator
-from service.http.failures import responses
+from service.http.error_responses import responses
 from service.problems import Problem
 
 router = APIRouter(tags=["health"])

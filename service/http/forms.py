@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from fastapi import Request
-from pydantic import BaseModel, BeforeValidator, ValidationError
+from pydantic import BaseModel, BeforeValidator, JsonValue, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException
 
-from service.http.failures import invalid
+from service.http.error_responses import invalid
 from service.problems import Problem
 
 T = TypeVar("T", bound=BaseModel)
@@ -31,37 +31,50 @@ FROM_JSON = BeforeValidator(lambda text: json.loads(text) if text else None)
 async def read_form(request: Request, kind: type[T], files: Sequence[str]) -> tuple[T, Files]:
     """The request as a model, and the files that came with it, of the fields that may hold `files`."""
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
+    values: Mapping[str, JsonValue]
     found: Files = {}
     if media == "application/json":
-        try:
-            values = json.loads(await request.body())
-        except ValueError as error:
-            raise Problem("malformed-request", f"the body is no JSON: {error}") from None
-        except RecursionError:
-            raise Problem("malformed-request", "the body is no JSON that can be read: it nests too deep") from None
-        if not isinstance(values, dict):
-            raise Problem("invalid-request", f"the body must be a JSON object, got {type(values).__name__}")
+        values = await _json_object(request)
     elif media == "multipart/form-data":
-        try:
-            form = await request.form(max_files=MAX_FILES, max_fields=MAX_FIELDS)
-        except MultiPartException as error:
-            raise Problem("malformed-request", f"the form cannot be read: {error.message}") from None
-        values = {}
-        for name, value in form.multi_items():
-            if isinstance(value, UploadFile):
-                if name not in files:
-                    raise Problem("invalid-request", f"{name}: no file is taken under this name")
-                found.setdefault(name, []).append(value)
-            elif name in files:
-                raise Problem("invalid-request", f"{name}: must be a file")
-            elif value != "":  # an empty field of a form is one left out
-                values[name] = value
+        values, found = await _form_fields(request, files)
     else:
         raise Problem("unsupported-media-type", f"send application/json or multipart/form-data, not {media!r}")
     try:
         return kind.model_validate(values, strict=media == "application/json"), found
     except ValidationError as error:
         raise invalid([{**entry, "loc": ("body", *entry["loc"])} for entry in error.errors()]) from None
+
+
+async def _json_object(request: Request) -> Mapping[str, JsonValue]:
+    try:
+        values = json.loads(await request.body())
+    except ValueError as error:
+        raise Problem("malformed-request", f"the body is no JSON: {error}") from None
+    except RecursionError:
+        raise Problem("malformed-request", "the body is no JSON that can be read: it nests too deep") from None
+    if not isinstance(values, dict):
+        raise Problem("invalid-request", f"the body must be a JSON object, got {type(values).__name__}")
+    return values
+
+
+async def _form_fields(request: Request, files: Sequence[str]) -> tuple[Mapping[str, JsonValue], Files]:
+    """A form's text fields, and its files, which may stand in the fields `files` only."""
+    try:
+        form = await request.form(max_files=MAX_FILES, max_fields=MAX_FIELDS)
+    except MultiPartException as error:
+        raise Problem("malformed-request", f"the form cannot be read: {error.message}") from None
+    values: dict[str, JsonValue] = {}
+    found: Files = {}
+    for name, value in form.multi_items():
+        if isinstance(value, UploadFile):
+            if name not in files:
+                raise Problem("invalid-request", f"{name}: no file is taken under this name")
+            found.setdefault(name, []).append(value)
+        elif name in files:
+            raise Problem("invalid-request", f"{name}: must be a file")
+        elif value != "":  # an empty field of a form is one left out
+            values[name] = value
+    return values, found
 
 
 def form_schema(

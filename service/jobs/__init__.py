@@ -1,4 +1,4 @@
-"""Jobs that survive: a port of our own, the durable engine behind it, and the processes that do the work.
+"""Durable jobs: what people see of a job (`rows`), what runs it whatever dies (`durable_jobs`: DBOS), and workers.
 
-Handlers know `port` alone, the worker knows `worker`. Start at `port`, then `durable`; `child` runs the tasks.
+Handlers know `port` and the class `DurableJobs`. Tasks run in processes of their own (`service.processes`).
 """

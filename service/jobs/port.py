@@ -1,10 +1,12 @@
-"""Jobs, their states, and the steps that do them, whatever the engine behind (`durable`: DBOS)."""
+"""Jobs, their states, and the steps that do them, whatever the engine behind (`durable_jobs`: DBOS)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
+
+from service.processes import Reply
 
 
 class State(StrEnum):
@@ -37,6 +39,8 @@ class Job:
     problem: Mapping[str, Any] | None = None  # once failed, as in RFC 9457
     revision: int = 0  # grows with every change; the ETag
     cancelling: bool = False  # cancellation was asked for
+    attempts: int = 0  # begun so often; a worker that holds an older number has lost the job
+    tries: int = 0  # of these, at the present step; those that a shut-down ended do not count
     created_at: str = ""  # UTC, ISO 8601; empty while not yet, like the next two
     started_at: str = ""
     finished_at: str = ""
@@ -52,13 +56,9 @@ class Run:
     """
 
     job: Job
-    results: dict[str, Any] = field(default_factory=dict)  # of the steps before, by name
+    results: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the steps before, by name
     folder: Path = Path()  # scratch of this step, empty, removed after it
-    work: Callable[[str, Mapping[str, Any]], dict[str, Any]] = lambda task, request: {}
-
-
-class Cancelled(Exception):
-    """The job was cancelled while it ran."""
+    work: Callable[[str, Mapping[str, Any]], Reply] = lambda task, request: {}
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,15 @@ class Step:
     """One step of a flow: its name, and what it does. Its result (JSON values) is kept: it never runs again."""
 
     name: str
-    do: Callable[[Run], dict[str, Any]]
+    do: Callable[[Run], Mapping[str, Any]]
+
+
+class Ending(TypedDict):
+    """Result of a flow's last step, which has committed what the job made."""
+
+    state: State
+    result: Mapping[str, Any]
 
 
 Flow = tuple[Step, ...]
-"""The last step's result must hold `state` (of State) and `result`; it has committed what the job made."""
+"""The last step's result is an `Ending`."""

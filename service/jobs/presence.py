@@ -1,9 +1,13 @@
-"""Who is alive: workers write a row every few seconds, and watch each other's."""
+"""Which workers live: each writes a row every few seconds, and each watches the others' rows.
+
+DBOS recovers the jobs of an executor when a process starts under that executor's name. That another one died is noticed
+by its hosted console alone.
+"""
 
 import os
 import socket
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 import sqlalchemy as sa
 
@@ -16,18 +20,21 @@ LEFT = 0.0
 
 
 class Presence:
-    """The `workers` table."""
+    """The `workers` table, and since when this process has seen no change in each row.
+
+    Silence is measured by the clock of the process that watches: clocks of several machines are never compared, and a
+    time in which the database did not answer counts for no worker.
+    """
 
     def __init__(self, db: Database) -> None:
         self._db = db
+        self._since: dict[str, tuple[float | None, float]] = {}  # last sign of life, and when it was first seen here
 
     def beat(self, worker: str) -> None:
         """This worker lives."""
-        seen = time.time()
-        row = {"host": socket.gethostname(), "pid": os.getpid(), "seen_at": seen}
+        row = {"host": socket.gethostname(), "pid": os.getpid(), "seen_at": time.time()}
         with self._db.write() as connection:
-            update = sa.update(workers).where(workers.c.id == worker).values(row)
-            if not connection.execute(update).rowcount:
+            if not connection.execute(sa.update(workers).where(workers.c.id == worker).values(row)).rowcount:
                 connection.execute(workers.insert().values(row | {"id": worker, "started_at": now()}))
 
     def leave(self, worker: str) -> None:
@@ -35,37 +42,12 @@ class Presence:
         with self._db.write() as connection:
             connection.execute(sa.update(workers).where(workers.c.id == worker).values(seen_at=LEFT))
 
-    def seen(self) -> dict[str, float]:
-        """When each worker was last heard of."""
+    def silent(self, owners: Collection[str], seconds: float) -> list[str]:
+        """Workers that left, or whose row has not changed for that long; owners of jobs without a row count as well."""
+        signs: dict[str, float | None] = dict.fromkeys(owners)
         with self._db.read() as connection:
-            rows = connection.execute(sa.select(workers.c.id, workers.c.seen_at))
-            return {row.id: row.seen_at for row in rows}
-
-    def forget(self, worker: str, seen_at: float) -> bool:
-        """Strike a worker off, unless it was heard of again; True for the one caller that did it."""
-        this = (workers.c.id == worker) & (workers.c.seen_at == seen_at)
-        with self._db.write() as connection:
-            return connection.execute(sa.delete(workers).where(this)).rowcount > 0
-
-
-class Watch:
-    """Tells how long workers have been silent, by the clock of the one who watches.
-
-    Clocks of several machines are never compared, and a time in which the database did not answer anybody counts
-    for nobody.
-    """
-
-    def __init__(self) -> None:
-        self._since: dict[str, tuple[float | None, float]] = {}
-
-    def silent(self, seen: Mapping[str, float], owners: Collection[str], seconds: float) -> list[str]:
-        """Workers that left, or have not changed their row for that long.
-
-        `seen` is each worker's last sign of life, as just read; one that only holds jobs (`owners`), without a row, is
-        as silent as can be.
-        """
+            signs |= {row.id: row.seen_at for row in connection.execute(sa.select(workers))}
         moment = time.monotonic()
-        signs: dict[str, float | None] = dict.fromkeys(owners) | dict(seen)
         self._since = {
             worker: old if (old := self._since.get(worker)) and old[0] == sign else (sign, moment)
             for worker, sign in signs.items()
@@ -75,3 +57,13 @@ class Watch:
     def start_over(self) -> None:
         """Nothing could be seen for a while."""
         self._since.clear()
+
+    def strike_off(self, worker: str) -> bool:
+        """Delete the row of a worker that `silent` named; False where it gave a sign of life since, or another process
+        was first."""
+        sign = self._since[worker][0]
+        if sign is None:
+            return True
+        with self._db.write() as connection:
+            this = (workers.c.id == worker) & (workers.c.seen_at == sign)
+            return connection.execute(sa.delete(workers).where(this)).rowcount > 0

@@ -1,8 +1,13 @@
-"""The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes."""
+"""The `jobs` table: what people see of a job. Every change is one conditional statement; a final job never changes.
+
+DBOS knows a workflow as queued, pending or ended, and learns of a step once it is over. What happens within a step is
+here: how far it is, that it is to stop, that another worker has the job by now, and how many workers it has cost. So is
+a job's end, since the messages to webhooks are written by the same transaction.
+"""
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import sqlalchemy as sa
@@ -15,17 +20,9 @@ from service.jobs.port import FINAL, Job, State
 
 _OPEN = jobs.c.state.not_in([state.value for state in FINAL])
 _QUEUED = jobs.c.state == State.QUEUED.value
+_RUNNING = jobs.c.state == State.RUNNING.value
 _ORDER = (jobs.c.created_at, jobs.c.id)
-_CHANGED: dict[str, Any] = {"revision": jobs.c.revision + 1}
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """A job that a worker has begun."""
-
-    job: Job
-    number: int  # from 1; once another worker has begun the job, this attempt can change it no more
-    tries: int  # at the present step, this one included; those that a shut-down ended do not count
+_CHANGED: dict[str, object] = {"revision": jobs.c.revision + 1}
 
 
 class Rows:
@@ -83,7 +80,7 @@ class Rows:
         """A queued job is cancelled at once; a running one is asked to stop."""
         mine = _mine(tenant, job_id)
         queued = mine & _QUEUED
-        running = mine & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
+        running = mine & _RUNNING & sa.not_(jobs.c.cancelling)
         ended = {"state": State.CANCELLED.value, "cancelling": True, "finished_at": now()}
         with self._db.write() as connection:
             if connection.execute(sa.update(jobs).where(queued).values(ended | _CHANGED)).rowcount:
@@ -91,7 +88,7 @@ class Rows:
             connection.execute(sa.update(jobs).where(running).values({"cancelling": True} | _CHANGED))
         return self.get(tenant, job_id)
 
-    def begin(self, job_id: str, worker: str) -> Attempt | None:
+    def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do."""
         begun = {
             "state": State.RUNNING.value,
@@ -104,86 +101,74 @@ class Rows:
         with self._db.write() as connection:
             if not connection.execute(sa.update(jobs).where(this & _OPEN).values(begun | _CHANGED)).rowcount:
                 return None
-            row = connection.execute(sa.select(jobs).where(this)).one()
-        return Attempt(job_of(row), row.attempts, row.tries)
+            return job_of(connection.execute(sa.select(jobs).where(this)).one())
 
     def progress(self, job_id: str, stage: str, fraction: float, attempt: int | None = None) -> bool:
         """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
+        held = jobs.c.attempts == attempt if attempt is not None else sa.true()
+        going_on = (jobs.c.id == job_id) & held & _RUNNING & sa.not_(jobs.c.cancelling)
         with self._db.read() as connection:
-            row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id)).first()
-        if row is None or row.state != State.RUNNING or row.cancelling:
-            return False
-        if attempt not in (None, row.attempts):
-            return False
-        if (row.stage, row.fraction) == (stage, fraction):
-            return True
-        running = _held(job_id, attempt) & (jobs.c.state == State.RUNNING.value) & sa.not_(jobs.c.cancelling)
+            row = connection.execute(sa.select(jobs.c.stage, jobs.c.fraction).where(going_on)).first()
+        if row is None or row == (stage, fraction):
+            return row is not None
         with self._db.write() as connection:
-            changed = sa.update(jobs).where(running).values({"stage": stage, "fraction": fraction} | _CHANGED)
-            return connection.execute(changed).rowcount > 0
+            said = {"stage": stage, "fraction": fraction} | _CHANGED
+            return connection.execute(sa.update(jobs).where(going_on).values(said)).rowcount > 0
 
-    def result(self, job_id: str, state: State, value: Mapping[str, Any], attempt: int | None = None) -> None:
+    def result(self, job_id: str, state: State, value: Mapping[str, Any]) -> None:
         """End a job: `value` is its result, or its problem where it failed. A final job stays as it is."""
         if state not in FINAL:
             raise ValueError(f"{state} is no final state")
-        ended: dict[str, Any] = {"state": state.value, "finished_at": now()}
+        ended: dict[str, object] = {"state": state.value, "finished_at": now()}
         if state in (State.SUCCEEDED, State.DISPUTED):
             ended |= {"result": dumps(value), "fraction": 1.0}
         elif state == State.FAILED:
             ended |= {"problem": dumps(value)}
         with self._db.write() as connection:
-            this = _held(job_id, attempt) & _OPEN
+            this = (jobs.c.id == job_id) & _OPEN
             if connection.execute(sa.update(jobs).where(this).values(ended | _CHANGED)).rowcount:
                 _announce(connection, job_id)
 
-    def settled(self, job_id: str, attempt: int) -> None:
-        """A step is done: what is tried next is another."""
+    def settled(self, job: Job) -> None:
+        """A step of a job, as it was begun, is done: what is tried next is another."""
+        held = (jobs.c.id == job.id) & (jobs.c.attempts == job.attempts)
         with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(_held(job_id, attempt)).values(tries=1))
+            connection.execute(sa.update(jobs).where(held).values(tries=1))
 
     def handed_back(self, worker: str) -> None:
         """A worker shuts down: that is no fault of the jobs it was at."""
-        its = (jobs.c.worker == worker) & (jobs.c.state == State.RUNNING.value) & (jobs.c.tries > 0)
+        its = (jobs.c.worker == worker) & _RUNNING & (jobs.c.tries > 0)
         with self._db.write() as connection:
             connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
     def waiting(self, tenant: str) -> int:
         """How many jobs of a tenant are not final."""
-        return self._count((jobs.c.tenant == tenant) & _OPEN)
-
-    def running(self, tenant: str) -> int:
-        """How many of them are at work."""
-        return self._count((jobs.c.tenant == tenant) & (jobs.c.state == State.RUNNING.value))
-
-    def oldest(self, tenant: str) -> str | None:
-        """Id of the tenant's queued job that was asked for first."""
-        query = sa.select(jobs.c.id).where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
+        mine = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _OPEN)
         with self._db.read() as connection:
-            found: str | None = connection.execute(query).scalar_one_or_none()
-        return found
+            return int(connection.execute(mine).scalar_one())
 
-    def due_before(self, time: str) -> Sequence[tuple[str, str]]:
-        """Ids and tenants of jobs that were asked for before that time and are at work, or the next of their tenant."""
+    def next_of(self, tenant: str) -> tuple[str, int] | None:
+        """Id of the tenant's queued job that was asked for first, and how many of its jobs are at work."""
+        at_work = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _RUNNING)
+        queued = sa.select(jobs.c.id, at_work.scalar_subquery().label("at_work"))
+        with self._db.read() as connection:
+            mine = queued.where((jobs.c.tenant == tenant) & _QUEUED).order_by(*_ORDER).limit(1)
+            found = connection.execute(mine).first()
+        return None if found is None else (found.id, found.at_work)
+
+    def due_before(self, time: str) -> Sequence[str]:
+        """Ids of jobs that were asked for before that time and are at work, or the next of their tenant."""
         turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
-        known = sa.select(jobs.c.id, jobs.c.tenant, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
+        known = sa.select(jobs.c.id, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
         due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
         with self._db.read() as connection:
-            return [(row.id, row.tenant) for row in connection.execute(sa.select(known).where(due))]
+            return connection.execute(sa.select(known.c.id).where(due)).scalars().all()
 
     def ended_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that ended before that time. A dispute's finding is in its row: these stay."""
         old = sa.not_(_OPEN) & (jobs.c.finished_at < time) & (jobs.c.kind != "dispute")
         with self._db.read() as connection:
-            return list(connection.execute(sa.select(jobs.c.id).where(old)).scalars())
-
-    def remove(self, job_ids: Sequence[str]) -> None:
-        """Delete rows."""
-        with self._db.write() as connection:
-            connection.execute(sa.delete(jobs).where(jobs.c.id.in_(job_ids)))
-
-    def _count(self, which: sa.ColumnElement[bool]) -> int:
-        with self._db.read() as connection:
-            return int(connection.execute(sa.select(sa.func.count()).select_from(jobs).where(which)).scalar_one())
+            return connection.execute(sa.select(jobs.c.id).where(old)).scalars().all()
 
 
 def dumps(value: Mapping[str, Any]) -> str:
@@ -200,11 +185,6 @@ def _announce(connection: sa.Connection, job_id: str) -> None:
 
 def _mine(tenant: str, job_id: str) -> sa.ColumnElement[bool]:
     return (jobs.c.tenant == tenant) & (jobs.c.id == job_id)
-
-
-def _held(job_id: str, attempt: int | None) -> sa.ColumnElement[bool]:
-    this: sa.ColumnElement[bool] = jobs.c.id == job_id
-    return this if attempt is None else this & (jobs.c.attempts == attempt)
 
 
 def job_of(row: sa.Row[Any]) -> Job:

@@ -12,7 +12,7 @@ from service.core import Service
 from service.db import page, schema
 from service.db.schema import assets
 from service.http.access import Admin, After, Core, Limit, Reader
-from service.http.failures import OF_LIST, responses
+from service.http.error_responses import OF_LIST, responses
 from service.http.results import Time
 from service.problems import Problem
 from service.trust import owner_keys

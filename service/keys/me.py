@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field
 
 from service.db.schema import api_keys
 from service.http.access import Anyone, Core
-from service.http.failures import responses
+from service.http.error_responses import responses
 from service.trust.api_keys import SCOPES
 from service.trust.tenants import display_name
 from service.uploads.quota import stored_bytes

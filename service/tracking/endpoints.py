@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from service.db import missing
 from service.db.schema import jobs
 from service.http.access import After, Core, Follower, Limit, Reader, Uploader, visible
-from service.http.answers import JobView, view, views
-from service.http.downloads import tags
-from service.http.failures import OF_LIST, OF_OWN, responses
+from service.http.error_responses import OF_LIST, OF_OWN, responses
+from service.http.file_responses import tags
+from service.http.job_responses import JobView, view, views
 from service.jobs.port import FINAL, Job, State
 from service.jobs.rows import job_of
 from service.problems import Problem

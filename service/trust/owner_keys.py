@@ -57,7 +57,7 @@ def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: st
             raise Problem("conflict", f"this owner key is here already, as {row.id!r}")
         key_id = row.id if row is not None else secrets.token_hex(16)
         info = KeyInfo(key_id, key.fingerprint, label, now())
-        values: dict[str, Any] = {
+        values: dict[str, object] = {
             "version": VERSION,
             "sealed": master.seal(key.secret, _bound(tenant, key_id, VERSION)),
             "label": label,

@@ -20,7 +20,7 @@ from service.trust import api_keys, audit
 from service.trust.master import CHECK, FILE, KEY_BYTES, RETIRED, MasterKey, bind, from_hex, new_file, write_key
 from service.trust.owner_keys import seal_of
 from service.trust.signing import TENANT, private_seal
-from service.trust.webhooks import secret_seal
+from service.trust.webhook_secrets import secret_seal
 
 
 def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file: Path | None = None) -> int:

@@ -37,7 +37,7 @@ def rotate(db: Database, master: MasterKey) -> str:
         return _make(connection, master)
 
 
-def jwks(db: Database) -> dict[str, Any]:
+def jwks(db: Database) -> dict[str, list[dict[str, str]]]:
     """The public keys, retired ones too, newest first (RFC 7517)."""
     with db.read() as connection:
         rows = connection.execute(signing_keys.select().order_by(signing_keys.c.created_at.desc())).all()

@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from service.db import page
 from service.db.schema import uploads
 from service.http.access import After, Core, Limit, Uploader
-from service.http.failures import OF_LIST, OF_OWN, responses
+from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.forms import FROM_JSON, WHOLE
 from service.http.results import FileInfo, Time
 from service.problems import Problem
 from service.uploads import store
-from service.uploads.taking import take
+from service.uploads.ingest import take
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}

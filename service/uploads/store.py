@@ -3,6 +3,7 @@
 import hashlib
 import json
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -
     return get(service, row.tenant, row.id)
 
 
-def note(service: Service, row: Any, info: dict[str, Any]) -> Any:
+def note(service: Service, row: Any, info: Mapping[str, object]) -> Any:
     """What the inspection found."""
     with service.db.write() as connection:
         connection.execute(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))

@@ -1,8 +1,9 @@
 """POST /v1/verify: does this suspect carry a mark of ours?"""
 
 import asyncio
+from collections.abc import Mapping
 from datetime import date
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
@@ -12,13 +13,13 @@ from service.core import Service
 from service.db import own
 from service.db.schema import assets
 from service.http.access import Core, Verifier
-from service.http.answers import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.http.budgets import spend
 from service.http.forms import Files, form_schema, read_form
+from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job
 from service.problems import Problem
 from service.trust.api_keys import Caller
-from service.uploads.taking import gather
+from service.uploads.ingest import gather
 from service.verifications.flow import spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])
@@ -104,14 +105,14 @@ def _submit(core: Service, caller: Caller, body: VerifyRequest, files: Files, re
     model = gather(core, tenant, models, model_files, "model")
     images = gather(core, tenant, body.image_upload_ids, image_files, "picture")
     views = gather(core, tenant, cameras, camera_files, "cameras")
-    asked: dict[str, Any] = {
+    asked: dict[str, object] = {
         "model": model[0].sha256 if model else None,
         "images": [row.sha256 for row in images],
         "cameras": views[0].sha256 if views else None,
         **body.model_dump(include={"asset_id", "false_claim_rate", "route", "spz_frame", "suspect_seen"}, mode="json"),
     }
 
-    def make() -> dict[str, Any]:
+    def make() -> Mapping[str, object]:
         spend(core.db, f"verify:{caller.key_id}", core.settings.verifies_per_hour, 1, "verify jobs of this API key")
         if body.asset_id is not None:
             own(core.db, assets, tenant, body.asset_id)

@@ -1,17 +1,16 @@
 """The steps of a verify job: hold the suspect against the records, then sign the claim."""
 
-from typing import Any
-
 import sqlalchemy as sa
 
+from service.asset_screening import screen
 from service.claims.document import of_what_was_found
 from service.claims.issuing import issue
 from service.core import Service
 from service.db.schema import assets
 from service.http.budgets import spend
-from service.jobs.port import Flow, Run, State, Step
+from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
-from service.screening import screen
+from service.processes import Reply
 
 
 def verify_flow(service: Service) -> Flow:
@@ -26,7 +25,7 @@ def spend_subject(service: Service, asset_id: str) -> None:
     spend(service.db, f"subject:{asset_id}", limit, 24, "verifications of suspects that derive from one asset")
 
 
-def _verify(service: Service, run: Run) -> dict[str, Any]:
+def _verify(service: Service, run: Run) -> Reply:
     asked = run.job.request
     query = sa.select(assets).where(assets.c.tenant == run.job.tenant).order_by(assets.c.registered_at.desc())
     if asked["asset_id"] is not None:
@@ -59,11 +58,11 @@ def _verify(service: Service, run: Run) -> dict[str, Any]:
     ) | {"searched": {"scope": "all" if asked["asset_id"] is None else "one", "assets": len(rows)}}
 
 
-def _commit(service: Service, run: Run) -> dict[str, Any]:
+def _commit(service: Service, run: Run) -> Ending:
     """Sign and keep the claim; a second time finds it."""
     job = run.job
     before = {"searched": {"scope": "one" if job.request["asset_id"] else "all", "assets": 1}}  # a step of version 2
-    found = of_what_was_found(before | run.results["verify"])
+    found = of_what_was_found({**before, **run.results["verify"]})
     if job.request["asset_id"] is None and found["searched"]["recognised"]:
         spend_subject(service, found["asset"])
-    return {"state": State.SUCCEEDED.value, "result": issue(service, job, found)}
+    return {"state": State.SUCCEEDED, "result": issue(service, job, found)}

@@ -10,7 +10,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import version
@@ -23,9 +23,9 @@ from service.clock import ago, now
 from service.core import Service
 from service.db import Database
 from service.db.schema import deliveries, jobs, webhooks
-from service.http.answers import view
+from service.http.job_responses import view
 from service.jobs.rows import job_of
-from service.trust.webhooks import secret_of
+from service.trust.webhook_secrets import secret_of
 from service.webhooks.sending import DELIVERED, send
 
 EVENT = "job.ended"
@@ -121,7 +121,7 @@ def _drop(db: Database, row: Any) -> None:
         connection.execute(sa.delete(deliveries).where(_this(row)))
 
 
-def _set(db: Database, row: Any, tries: int, values: dict[str, Any]) -> bool:
+def _set(db: Database, row: Any, tries: int, values: Mapping[str, object]) -> bool:
     """Change a delivery of which so many tries were begun; False if another process has begun the next, or ended it."""
     with db.write() as connection:
         this = _this(row) & (deliveries.c.tries == tries)

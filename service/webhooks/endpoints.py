@@ -6,14 +6,14 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, ConfigDict, Field, HttpUrl, JsonValue
 
-from service.claims.told import Url
+from service.claims.schema import Url
 from service.core import Service
 from service.db.schema import deliveries, webhooks
 from service.http.access import Admin, Core
-from service.http.failures import OF_OWN, responses
+from service.http.error_responses import OF_OWN, responses
 from service.http.results import Time
 from service.problems import Problem
-from service.trust import webhooks as registry
+from service.trust import webhook_secrets as registry
 from service.webhooks.sending import is_public
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])

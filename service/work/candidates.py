@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from engine.errors import MalformedRecordError
 from engine.flows.records.attested_record import attested_by
@@ -15,7 +14,7 @@ from engine.records.attestation import Witness
 from engine.watermark.keys import OwnerKey
 from service.clock import LOG
 from service.work.inputs import load_model
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Candidate:
         return replace(opened, attested=attested_by(opened, witnesses))
 
 
-def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
+def load_candidates(request: Request) -> list[Candidate]:
     """The candidates of a request, in its order."""
     found = []
     for plain in request.get("candidates") or ():
@@ -49,7 +48,7 @@ def load_candidates(request: Mapping[str, Any]) -> list[Candidate]:
     return found
 
 
-def find_marks(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def find_marks(request: Request, folder: Path, progress: Progress) -> Reply:
     """Task `marks`. Contract: docs/SERVICE.md.
 
     The Gaussians alone are read, not renders: a screening must be quick, and a mark that only renders show is found by

@@ -1,16 +1,14 @@
 """Task `sign`: a model of ours as it is delivered, with its Content Credentials. Contract: docs/SERVICE.md."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from engine.credentials.manifest import EMBEDS
 from engine.credentials.signer import Signer
 from engine.credentials.signing import sign_beside, sign_into
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 
-def sign_model(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def sign_model(request: Request, folder: Path, progress: Progress) -> Reply:
     """The manifest, and the model with it inside where its format takes one up."""
     progress("write", 0.0)
     signer = Signer(request["certificates"].encode(), request["key"].encode())

@@ -1,16 +1,14 @@
 """Task `dispute`: whose mark is in the other's original, of two registered assets?"""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from engine.flows.dispute.dispute import Party, settle
 from service.work.candidates import load_candidates
 from service.work.inputs import load_model
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 
-def settle_dispute(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def settle_dispute(request: Request, folder: Path, progress: Progress) -> Reply:
     """Contract: docs/SERVICE.md."""
     progress("open record", 0.0)
     asked = request["parties"]

@@ -6,13 +6,14 @@ from pathlib import PurePath
 from typing import Any
 
 from engine.errors import CameraError, CapacityError, FormatError, InputError, KeyFileError
+from engine.numerics.plain import Json
 from service.problems import Problem
 
 _ALLOCATION_FAILED = ("can't allocate memory", "insufficient memory", "allocation failed")
 """As torch, OpenCV and numba say it, none of them with a MemoryError."""
 
 
-def describe(error: BaseException, request: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def describe(error: BaseException, request: Mapping[str, Any] | None = None) -> Json:
     """`kind`, `detail` and further members of an error.
 
     Paths that the request named are cut down to their last part: where this machine keeps its files is no business
@@ -24,7 +25,7 @@ def describe(error: BaseException, request: Mapping[str, Any] | None = None) -> 
     return plain
 
 
-def _describe(error: BaseException) -> dict[str, Any]:
+def _describe(error: BaseException) -> Json:
     text = " ".join(str(error).split())
     if isinstance(error, Problem):
         return {"kind": error.kind, "detail": error.detail, **error.extra}

@@ -1,16 +1,14 @@
 """The short tasks: what an upload is, and a model in another format. Contracts: docs/SERVICE.md."""
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from engine.scenes.scene_files import encode_scene, notes_of, written_as
 from service.work.inputs import load_cameras, load_model, load_pictures
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 
-def inspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def inspect(request: Request, folder: Path, progress: Progress) -> Reply:
     """What a model file holds."""
     progress("read", 0.0)
     loaded = load_model(request)
@@ -24,20 +22,20 @@ def inspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dic
     }
 
 
-def look_at_picture(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def look_at_picture(request: Request, folder: Path, progress: Progress) -> Reply:
     """Size of a picture."""
     progress("read", 0.0)
     height, width = load_pictures([request["picture"]])[0].shape[:2]
     return {"width": width, "height": height}
 
 
-def look_at_cameras(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def look_at_cameras(request: Request, folder: Path, progress: Progress) -> Reply:
     """Number of cameras."""
     progress("read", 0.0)
     return {"cameras": len(load_cameras(request["cameras"]) or [])}
 
 
-def convert(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def convert(request: Request, folder: Path, progress: Progress) -> Reply:
     """A model in another format."""
     kind = request["format"]
     progress("read", 0.0)

@@ -1,10 +1,9 @@
 """Files that a request names, read; what is wrong with them is said without saying where they lie."""
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
@@ -14,18 +13,24 @@ from engine.formats.image_files import MAX_PICTURE_PIXELS, is_picture, read_pict
 from engine.model import Camera, Float32
 from engine.scenes.scene_files import Loaded, read_scene
 from service.problems import Problem
+from service.work.process import Request
 
 MOST_PICTURES = 64
 MOST_PIXELS = 200_000_000
 """Of all pictures together: 2.4 GB in memory."""
 
 
-def load_model(request: Mapping[str, Any]) -> Loaded:
+def load_model(request: Request) -> Loaded:
     """The model of a request, called "the model" in messages; it holds at least one Gaussian."""
     loaded = read_scene(request["model"], name="the model", spz_frame=request.get("spz_frame") or "auto")
+    check_model(loaded)
+    return loaded
+
+
+def check_model(loaded: Loaded) -> None:
+    """Refuse a model without Gaussians."""
     if len(loaded.model) == 0:
         raise Problem("unreadable-model", "the model holds no Gaussians")
-    return loaded
 
 
 def load_pictures(paths: Sequence[str]) -> list[Float32]:

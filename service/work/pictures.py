@@ -7,7 +7,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from engine.flows.embed.copy_mark import mark_again
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.regions.region_maps import add_legend, draw_states
 from engine.flows.regions.region_search import RegionReport
 from engine.flows.verify.search import Suspect
 from engine.flows.verify.verification import Verification
@@ -15,6 +14,7 @@ from engine.flows.views.display_view import choose_view, lay_over, to_picture
 from engine.flows.views.render_cost import is_drawable
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.similarity import mirror_model
+from engine.present.region_maps import add_legend, draw_states
 from engine.raster import View, prepare_view, render, sh_colors
 
 PREVIEW_SIZE = (396, 330)
@@ -99,12 +99,12 @@ def _suspect_view(model: GaussianModel, found: Verification, camera: Camera) -> 
     transform = found.claim.transform
     if transform is None:
         return render(model, choose_view(model, *EVIDENCE_SIZE))
-    if transform.get("mirrored"):
+    if transform.mirrored:
         model = mirror_model(model)
     viewmat = camera.viewmat.copy()
     turn = viewmat[:3, :3]
-    viewmat[:3, 3] = (turn @ transform["translation"] + viewmat[:3, 3]) / transform["scale"]
-    viewmat[:3, :3] = turn @ transform["rotation"]
+    viewmat[:3, 3] = (turn @ transform.translation + viewmat[:3, 3]) / transform.scale
+    viewmat[:3, :3] = turn @ transform.rotation
     return render(model, Camera(viewmat, camera.K, camera.width, camera.height))
 
 

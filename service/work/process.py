@@ -17,10 +17,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+from engine.numerics.plain import Json
 from service.work.failures import describe
 
 Progress = Callable[[str, float], None]
-Task = Callable[[Mapping[str, Any], Path, Progress], dict[str, Any]]
+Request = Mapping[str, Any]
+"""A task's request, as its JSON came."""
+Reply = Json
+"""And its reply, as its JSON goes."""
+Task = Callable[[Request, Path, Progress], Reply]
 
 NICENESS = 5
 """Below the API and the database: they must answer while every core works on a model."""
@@ -81,7 +86,7 @@ class _Lines:
         self._out.flush()
 
 
-def _do(envelope: dict[str, Any], tasks: Mapping[str, Task], progress: Progress) -> dict[str, Any]:
+def _do(envelope: Json, tasks: Mapping[str, Task], progress: Progress) -> Json:
     request, folder = envelope["request"], Path(envelope["folder"])
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)  # what libraries put aside goes with the folder
     try:

@@ -1,8 +1,6 @@
 """Tasks `screen` and `index`: which registered assets may a suspect come from? No owner key comes near them."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from engine.catalogue.catalogue import Catalogue
 from engine.catalogue.entry import Entry
@@ -11,13 +9,13 @@ from engine.errors import FormatError
 from engine.formats import write_model
 from engine.registration.sketch import SuspectIndex
 from service.work.inputs import load_model, load_pictures
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 LIKELY_MODELS, LIKELY_PICTURES = 1, 5
 """Assets that are worth a look where none is alike: a picture may show too little for the index, and enough to read."""
 
 
-def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def screen(request: Request, folder: Path, progress: Progress) -> Reply:
     """Contract: docs/SERVICE.md."""
     catalogue, damaged = _open(request)
     progress("screen", 0.1)
@@ -38,7 +36,7 @@ def screen(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict
     return {"alike": alike, "likely": likely, "unknown": unknown}
 
 
-def index(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+def index(request: Request, folder: Path, progress: Progress) -> Reply:
     """Contract: docs/SERVICE.md."""
     progress("index", 0.0)
     catalogue, damaged = _open(request)
@@ -47,7 +45,7 @@ def index(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[
     return {"folder": "catalogue", "assets": len(catalogue), "damaged": damaged}
 
 
-def _open(request: Mapping[str, Any]) -> tuple[Catalogue, list[str]]:
+def _open(request: Request) -> tuple[Catalogue, list[str]]:
     """The kept index with the entries that it lacks; and those that could not be read."""
     entries, damaged = {}, []
     for name, path in request["entries"].items():

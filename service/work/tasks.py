@@ -3,16 +3,15 @@
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from service.work.process import Progress, Task
+from service.work.process import Progress, Reply, Request, Task
 
 __all__ = ["TASKS", "preload"]
 
 
 def _task(module: str, name: str) -> Task:
-    def run(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
-        reply: dict[str, Any] = getattr(import_module(f"service.work.{module}"), name)(request, folder, progress)
+    def run(request: Request, folder: Path, progress: Progress) -> Reply:
+        reply: Reply = getattr(import_module(f"service.work.{module}"), name)(request, folder, progress)
         return reply
 
     return run

@@ -5,71 +5,83 @@
 """
 
 import time
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from engine.flows.regions.region_search import locate_mark
-from engine.flows.trace.candidates import Outcome, Search, search
+from engine.flows.trace.candidates import Outcome
 from engine.flows.verify.search import Suspect
 from engine.flows.verify.verification import VerifyConfig
-from engine.watermark.checks import NO_RECORD, checks_of
+from engine.present.checks import NO_RECORD, checks_of
+from engine.usecases.suspect import ReadSuspect
+from engine.usecases.verify import VerifyAnswer, VerifyRequest, verify
 from engine.watermark.messages import message_hex
+from engine.watermark.regions import RegionConfig
 from service.problems import Problem
 from service.work.candidates import Candidate, load_candidates
 from service.work.inputs import load_cameras, load_model, load_pictures
 from service.work.pictures import draw_evidence
-from service.work.process import Progress
+from service.work.process import Progress, Reply, Request
 
 COULD_NOT_CHECK = "could_not_check"
 """Stands for a verdict where a record could not be opened."""
 
 
-def verify_suspect(request: Mapping[str, Any], folder: Path, progress: Progress) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """A suspect as a request names it: one model, or pictures."""
+
+    request: Request
+
+    def read(self) -> ReadSuspect:
+        """See `engine.usecases.suspect.SuspectSource`."""
+        paths = list(self.request.get("images") or ())
+        if not paths:
+            loaded = load_model(self.request)
+            return ReadSuspect(Suspect(loaded.model), loaded.format, loaded.repairs)
+        cameras = load_cameras(self.request.get("cameras"), count=len(paths))
+        return ReadSuspect(Suspect(None, load_pictures(paths), cameras))
+
+
+def verify_suspect(request: Request, folder: Path, progress: Progress) -> Reply:
     """Contract: docs/SERVICE.md."""
     began = time.perf_counter()
-    config = VerifyConfig(
-        false_claim_rate=request["false_claim_rate"],
-        route=request.get("route") or "auto",
-        suspect_seen=request.get("suspect_seen") or "",
+    if bool(request.get("images")) == (request.get("model") is not None):
+        raise Problem("invalid-request", "a suspect is one model, or pictures, not both and not neither")
+    asked = VerifyRequest(
+        suspect=Upload(request),
+        candidates=load_candidates(request),
+        config=VerifyConfig(
+            false_claim_rate=request["false_claim_rate"],
+            route=request.get("route") or "auto",
+            suspect_seen=request.get("suspect_seen") or "",
+        ),
+        stop_at_first=bool(request.get("stop_at_first")),
+        regions=RegionConfig(),
     )
-    candidates = load_candidates(request)
-    progress("read", 0.0)
-    suspect, subject = _read(request)  # 1
-    read = time.perf_counter()
-    found = search(suspect, candidates, config, progress, stop_at_first=bool(request.get("stop_at_first")))  # 2
-    best = found.best
-    reply = _report(found)  # 3
-    started = time.perf_counter()
-    if best is not None and best.opened is not None and best.found is not None:
-        progress("picture", 0.0)
-        regions = locate_mark(suspect, best.opened, best.found)
-        reply["regions"] = regions.summary()
-        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect, regions)
+
+    def told(stage: str, fraction: float) -> None:
+        progress("picture" if stage == "locate" else stage, fraction)  # it is there to be drawn
+
+    found = verify(asked, told)
+    suspect, best = found.read.suspect, found.best
+    reply, stages = _report(found), dict(found.seconds_by_stage)
+    started = time.perf_counter() - stages.pop("locate", 0.0)
+    if found.regions is not None and best is not None and best.opened is not None and best.found is not None:
+        reply["regions"] = found.regions.summary()
+        reply["files"] = draw_evidence(folder, best.opened, best.found, suspect, found.regions)
     return reply | {
-        "subject": subject,
-        "tried": [_brief(outcome) for outcome in found.outcomes],
+        "subject": {
+            "format": found.read.format,
+            "gaussians": None if suspect.model is None else len(suspect.model),
+            "pictures": len(suspect.pictures),
+        },
+        "tried": [_brief(outcome) for outcome in found.search.outcomes],
         "seconds": time.perf_counter() - began,
-        "seconds_by_stage": {"read": read - began}
-        | found.seconds_by_stage
-        | {"picture": time.perf_counter() - started},
+        "seconds_by_stage": stages | {"picture": time.perf_counter() - started},
     }
 
 
-def _read(request: Mapping[str, Any]) -> tuple[Suspect, dict[str, Any]]:
-    """The suspect, and what is said of it."""
-    paths = list(request.get("images") or ())
-    if bool(paths) == (request.get("model") is not None):
-        raise Problem("invalid-request", "a suspect is one model, or pictures, not both and not neither")
-    if not paths:
-        loaded = load_model(request)
-        return Suspect(loaded.model), {"format": loaded.format, "gaussians": len(loaded.model), "pictures": 0}
-    cameras = load_cameras(request.get("cameras"), count=len(paths))
-    suspect = Suspect(None, load_pictures(paths), cameras)
-    return suspect, {"format": "pictures", "gaussians": None, "pictures": len(suspect.pictures)}
-
-
-def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:
+def _brief(outcome: Outcome[Candidate]) -> Reply:
     """For the list of all that was tried."""
     claim = outcome.claim
     return {
@@ -80,10 +92,10 @@ def _brief(outcome: Outcome[Candidate]) -> dict[str, Any]:
     }
 
 
-def _report(found: Search[Candidate]) -> dict[str, Any]:
+def _report(found: VerifyAnswer[Candidate]) -> Reply:
     """The part of the reply that speaks of the best candidate."""
     names = ("asset", "claim", "record", "attested", "registered_message")
-    nothing: dict[str, Any] = dict.fromkeys(names) | {"files": {}, "regions": None}
+    nothing: Reply = dict.fromkeys(names) | {"files": {}, "regions": None}
     best = found.best
     if best is None:
         return nothing | {"tries": 0, "checks": [NO_RECORD]}
@@ -91,7 +103,7 @@ def _report(found: Search[Candidate]) -> dict[str, Any]:
     claim = best.claim.to_json() if best.claim is not None else None
     return nothing | {
         "asset": best.candidate.asset,
-        "tries": found.tries,
+        "tries": found.search.tries,
         "claim": claim,
         "checks": checks_of(claim, best.error),
         "record": opened.header.to_json() if opened is not None else None,

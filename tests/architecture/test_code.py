@@ -43,6 +43,49 @@ def test_handlers_are_short() -> None:
     assert list(long_handlers(ast.parse(code))) == ["handler: 16"]
 
 
+# --- parameters ---------------------------------------------------------------------------------------------
+
+MOST_PARAMETERS = 8
+"""More want a type: a frozen dataclass that names what belongs together."""
+KERNELS = {"kernel", "parallel_kernel", "inlined"}
+"""Decorators of compiled functions, which take arrays and numbers."""
+WIDE = {
+    "engine/kernels/native_probe.py": ["_probe"],
+    "engine/lab/evaluate/cost/measuring.py": ["measure_size"],
+    "engine/lab/sim/capture/photo_loss.py": ["_pull_back"],
+    "engine/lab/sim/variants/measuring.py": ["_row"],
+    "engine/raster/autograd.py": ["forward", "rasterize"],
+    "engine/raster/cuda.py": ["rasterize"],
+    "engine/records/record.py": ["make"],
+    "engine/registration/match_kernels.py": ["best_triples"],
+    "service/claims/document.py": ["build_document"],
+    "service/claims/issuing.py": ["issue_claim"],
+}
+"""Functions with more, by file: to be fewer, never more."""
+
+
+def wide_functions(tree: ast.Module) -> Iterator[str]:
+    """Functions with more parameters, but for kernels and commands, whose parameters are options."""
+    for node in ast.walk(tree):
+        if not isinstance(node, Function) or KERNELS & {dotted(each).split(".")[-1] for each in node.decorator_list}:
+            continue
+        arguments = node.args
+        named = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+        if any("typer." in ast.unparse(each.annotation) for each in named if each.annotation is not None):
+            continue
+        count = len(named) - (bool(named) and named[0].arg in ("self", "cls"))
+        if count + bool(arguments.vararg) + bool(arguments.kwarg) > MOST_PARAMETERS:
+            yield node.name
+
+
+def test_functions_take_few_parameters() -> None:
+    found = offenders(wide_functions)
+    assert {path: sorted(map(str, names)) for path, names in found.items()} == WIDE
+    nine = ", ".join("abcdefghi")
+    code = f"def wide({nine}): ...\n@parallel_kernel\ndef fast({nine}): ...\ndef narrow(self, {nine[:-3]}): ..."
+    assert list(wide_functions(ast.parse(code))) == ["wide"]
+
+
 # --- exports -----------------------------------------------------------------------------------------------
 
 

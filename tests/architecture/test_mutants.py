@@ -24,6 +24,7 @@ def test_every_mutation_is_a_program_and_its_tests_exist() -> None:
     assert len(table) > 75
     assert {mutant.part for mutant in table} == {
         "catalogue",
+        "cli",
         "compress",
         "registration",
         "watermark",

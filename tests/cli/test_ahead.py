@@ -8,8 +8,8 @@ import threading
 import pytest
 
 from engine.cli import app
-from engine.cli.read_ahead import Ahead
 from engine.errors import FormatError
+from engine.usecases.read_ahead import Ahead
 
 
 def test_it_is_begun_at_once_and_given_when_asked_for() -> None:

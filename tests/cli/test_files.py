@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.cli.files import pictures_within, refuse_same, whole_file, write_picture, write_secret
 from engine.errors import InputError
 from engine.formats.image_files import is_picture, read_picture
+from engine.usecases.files import refuse_same, whole_file, write_picture, write_secret
+from engine.usecases.suspect import SuspectFiles
 
 
 def test_whole_file_appears_at_the_end(tmp_path: Path) -> None:
@@ -74,4 +75,5 @@ def test_a_folder_of_frames_stands_for_its_pictures(tmp_path: Path) -> None:
             (folder / name).write_bytes(b"{}" if name.endswith("json") else b"\x89PNG\r\n\x1a\n\0\0\0\0")
     (frames / ".hidden").write_bytes(b"?")
     single = tmp_path / "a.png"
-    assert pictures_within([single, frames, model]) == [single, frames / "0001.png", frames / "0002.png", model]
+    single.write_bytes((frames / "0001.png").read_bytes())
+    assert SuspectFiles.sort_out([single, frames]).paths == (single, frames / "0001.png", frames / "0002.png")

@@ -47,7 +47,7 @@ def test_interrupted_at_the_last_moment(
 
     thin = tmp_path / "thin.ply"
     assert ask(capsys, "attack", "prune_random", SCENE, thin, "--strength", "0.85")[0] == 0
-    monkeypatch.setattr("engine.cli.embed.write_secret", interrupted)
+    monkeypatch.setattr("engine.usecases.mark.write_secret", interrupted)
     out, record = tmp_path / "out" / "m.splat", tmp_path / "out" / "m.record"
     out.parent.mkdir()
     code, said = ask(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.flows.verify import picture_evidence as picture_reading
+from engine.flows.verify import suspect_evidence as picture_reading
 from engine.flows.verify import suspect_evidence as reading
 from engine.flows.verify.verification import Verification, verify_images
 from engine.flows.views.camera_rig import make_rig

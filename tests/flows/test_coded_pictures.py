@@ -42,8 +42,8 @@ def test_blocks_are_read_in_the_pictures_own_pixels(
         picture = np.ascontiguousarray(attacked(shot, ("jpeg", 10))[29:349, 45:365][:, ::-1])
     own = z(scene, camera, picture)
     if kind == "turned before":  # bilinear: softer than a render
-        monkeypatch.setattr("engine.flows.verify.picture_evidence.SOFT", ())
+        monkeypatch.setattr("engine.flows.verify.suspect_evidence.SOFT", ())
         assert own > 1.05 * z(scene, camera, picture)
-    for module in ("engine.flows.verify.picture_evidence", "engine.watermark.image_evidence"):
+    for module in ("engine.flows.verify.suspect_evidence", "engine.watermark.image_evidence"):
         monkeypatch.setattr(f"{module}.find_grid", lambda _: None)
     assert own > 1.15 * z(scene, camera, picture)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from engine.flows.dispute.dispute import Dispute, Party, settle
-from engine.flows.dispute.dispute_text import dispute_page, dispute_words
 from engine.flows.embed.embedding import embed
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile
-from engine.flows.embed.strength_search import add_dc
 from engine.flows.records.opened_record import open_record
 from engine.lab.evaluate.marked_scene import bench_key
 from engine.model import GaussianModel
+from engine.present.dispute_text import dispute_page, dispute_words
+from engine.present.numerals import PLAIN
 from engine.watermark.keys import CHIPS, signs
-from engine.watermark.numerals import PLAIN
 from engine.watermark.rates import Attested
 from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.flows.regions.region_maps import COLORS, add_legend, draw_report
 from engine.flows.regions.region_search import RegionReport, describe, locate_mark
 from engine.flows.verify.search import Suspect, Verification, verify
 from engine.flows.verify.suspect_evidence import read_gaussians
@@ -17,6 +16,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.marked_scene import MarkedScene
 from engine.model import ATTRIBUTES, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model
+from engine.present.region_maps import COLORS, add_legend, draw_report
 from engine.raster import render
 from engine.registration.registration_search import Registration
 from engine.watermark.keys import OwnerKey

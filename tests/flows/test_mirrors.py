@@ -16,9 +16,9 @@ from engine.lab.sim.attacks import model_attack
 from engine.model import GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
+from engine.present.numerals import PLAIN
+from engine.present.wording import words_of
 from engine.raster import render
-from engine.watermark.numerals import PLAIN
-from engine.watermark.wording import words_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_renders")]
 
@@ -61,7 +61,7 @@ def test_a_mirrored_model_claims_as_if_it_were_not(scene: MarkedScene, suspect: 
     assert mirrored.tries == plain.tries  # a mirror spends none
     assert mirrored.transform is not None
     assert plain.transform is not None
-    assert (mirrored.transform["mirrored"], plain.transform["mirrored"]) == (True, False)
+    assert (mirrored.transform.mirrored, plain.transform.mirrored) == (True, False)
     assert "the suspect model is a mirror image of the asset, and was read as such" in mirrored.notes
     assert not any("mirror" in note for note in plain.notes)
     told = [fact.text for fact in words_of(mirrored.to_json() | {"record_id": "", "owner": ""}, PLAIN).facts]

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from engine.flows.embed import refinement
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import RefineConfig
-from engine.flows.embed.refinement import Codes, refine
-from engine.flows.embed.strength_search import add_dc
+from engine.flows.embed.refinement import Codes, Tint, refine
 from engine.numerics.wavelet import dwt2
 from engine.raster import prepare_view, render, sh_colors
 from engine.watermark.statistics import bit_sums, weighted_evidence
@@ -38,12 +38,8 @@ def refined(
     options = {"displacement": ball.displacement, "uncertainty": np.ones(len(ball.model))} | changes
     return refine(
         ball.model,
-        options["displacement"],
+        Tint(options["displacement"], ball.plan.layout, ball.signed, ball.spreading.bit_of, 16),
         ball.cameras[:views],
-        ball.plan.layout,
-        ball.signed,
-        ball.spreading.bit_of,
-        16,
         options["uncertainty"],
         config,
         lambda _: None,

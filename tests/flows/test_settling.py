@@ -18,13 +18,14 @@ from engine.flows.embed.layer_strengths import (
     GRAIN_SSIM_SHARE,
     MARGIN_DB,
     WASTE,
+    Fidelity,
     Settled,
+    add_dc,
     measure,
     settle,
     settle_grain,
 )
 from engine.flows.embed.profiles import EmbedConfig, profile
-from engine.flows.embed.strength_search import Fidelity, add_dc
 from engine.flows.embed.variant import Variant
 from engine.flows.views.view_set import ViewSet
 from engine.lab.evaluate.marked_scene import bench_key

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from engine.flows.embed import strength_search as strength
-from engine.flows.embed.strength_search import Strength, add_dc, first_guess, solve_strength
+from engine.flows.embed import layer_strengths as strength
+from engine.flows.embed.layer_strengths import Strength, add_dc, first_guess, solve_strength
 from engine.model import look_at
 from engine.numerics.image_metrics import psnr, ssim
 from engine.raster import render

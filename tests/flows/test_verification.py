@@ -7,8 +7,8 @@ import pytest
 
 from engine.errors import InputError, WrongKeyError
 from engine.flows.embed.embedding import embed
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import profile
-from engine.flows.embed.strength_search import add_dc
 from engine.flows.records.opened_record import open_record
 from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model
 from engine.lab.evaluate.bench.attacks import to_8_bit

@@ -9,7 +9,7 @@ import pytest
 
 import engine.raster
 from engine.lab.evaluate.bench.raster import bench_camera, bench_raster, naive_forward
-from engine.raster import prepare_view, release_memory, sh_colors, warm_up, workspace
+from engine.raster import prepare_view, release_memory, sh_colors, workspace
 from engine.raster.workspace import borrow_workspace
 from tests.raster.scenes import TOLERANCE, random_model
 
@@ -18,14 +18,6 @@ def test_exports() -> None:
     names = engine.raster.__all__
     assert names == sorted(names, key=lambda name: (not name.isupper(), name))
     assert all(callable(getattr(engine.raster, name)) for name in names if not name.isupper())
-
-
-def test_warm_up_tells_how_far_it_is() -> None:
-    told: list[float] = []
-    warm_up(told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert len(told) > 3
 
 
 def test_workspaces_are_not_shared() -> None:

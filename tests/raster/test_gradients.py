@@ -190,7 +190,10 @@ def test_torch_operation_with_colors_and_alpha_only() -> None:
 
 
 def test_numpy_users_never_load_torch() -> None:
-    program = "import sys, engine.raster; engine.raster.warm_up(); sys.exit('torch' in sys.modules)"
+    program = (
+        "import sys\nfrom engine.flows.warmup.kernel_warmup import warm_up\n"
+        "warm_up('embed')\nsys.exit('torch' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 

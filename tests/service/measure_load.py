@@ -14,10 +14,10 @@ from typing import Any
 import httpx
 import numpy as np
 
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.raster import render
+from engine.usecases.files import write_picture
 from service.client import Client, ServiceError
 from tests.service import serving
 from tests.service.flow.commands import token_of

@@ -1,4 +1,4 @@
-"""The service's commands of README.md, run as written against a running service, give answers of that form."""
+"""The service's commands of docs/GUIDE.md, run as written against a running service, give answers of that form."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_commands_run_as_written(tmp_path: Path) -> None:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     answers: dict[str, str] = {}
     try:
-        blocks = [b for b in BLOCK.finditer((ROOT / "README.md").read_text()) if "curl" in b["commands"]]
+        blocks = [b for b in BLOCK.finditer((ROOT / "docs" / "GUIDE.md").read_text()) if "curl" in b["commands"]]
         assert len(blocks) == 3
         for block in blocks:
             commands = block["commands"].replace("http://127.0.0.1:8000", served.address)

@@ -15,6 +15,8 @@ from engine.records.record import Record, chip_context, make_record_id
 from engine.records.reference import decode_reference, encode_reference, reference_digest
 from engine.watermark.claim import Claim, Verdict, decide
 from engine.watermark.keys import CHIPS, OwnerKey, signs
+from engine.watermark.model_evidence import Evidence
+from engine.watermark.spreading import Spreading
 
 N, BITS, AMPLITUDE = 2048, 32, 1 / 64  # the amplitude lies on the grid of DC
 BIT_OF = np.arange(3 * N) % BITS
@@ -54,7 +56,7 @@ def add(model: GaussianModel, displacement: np.ndarray) -> GaussianModel:
 def claim(suspect: GaussianModel, original: GaussianModel, chips: np.ndarray) -> Claim:
     reference = decode_reference(encode_reference(original))
     y = (suspect.sh[:, 0] - reference.sh[:, 0]).reshape(-1).astype(np.float64)
-    return decide(y, np.ones(3 * N), np.full(3 * N, AMPLITUDE), BIT_OF, chips, MESSAGE)
+    return decide(Evidence(y, np.ones(3 * N), np.full(3 * N, AMPLITUDE)), Spreading(BIT_OF, chips), MESSAGE)
 
 
 def published() -> tuple[GaussianModel, GaussianModel]:
@@ -96,7 +98,7 @@ def test_fitting_the_plan_to_the_chips_changes_the_chips() -> None:
     y = (public.sh[:, 0] - decode_reference(reference_arrays).sh[:, 0]).reshape(-1).astype(np.float64)
 
     def z_of(dealing: np.ndarray, chips: np.ndarray) -> Claim:
-        return decide(y, np.ones(3 * N), np.full(3 * N, 0.01), dealing, chips, MESSAGE)
+        return decide(Evidence(y, np.ones(3 * N), np.full(3 * N, 0.01)), Spreading(dealing, chips), MESSAGE)
 
     plain = Record.make(ATTACKER, reference_arrays, original_digest="0" * 64, plan=PLAN, plan_arrays={"bit_of": BIT_OF})
     chips = signs(ATTACKER.derive(CHIPS, plain.header.chip_context()), 3 * N)

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.watermark.claim import Claim, ClaimConfig, Verdict, decide
+from engine.watermark.claim import Circumstances, Claim, ClaimConfig, Transform, Verdict, decide
 from engine.watermark.derivation import Derivation
 from engine.watermark.keys import signs
 from engine.watermark.messages import message_hex
+from engine.watermark.model_evidence import Evidence
 from engine.watermark.rates import Attested, applicable_rate
+from engine.watermark.spreading import Spreading
 from engine.watermark.statistics import z_threshold
 
 SEED = bytes(range(32))
@@ -23,19 +25,31 @@ BIT_OF = np.arange(CHIPS) % BITS
 CHIP = signs(SEED, CHIPS)
 MESSAGE = signs(SEED[::-1], BITS)
 WEIGHTS = np.ones(CHIPS)
+SPREADING = Spreading(BIT_OF, CHIP)
 
 
 FOUND = Derivation(True, 0.8, 1000)
 
 
-def claim(amplitude: float, signal: float = 0.3, seed: int = 1, noise: float = 1.0, **options: object) -> Claim:
+MOVED = Transform(2.0, np.eye(3).tolist(), [0.0, 0.0, 0.0])
+
+
+def claim(
+    amplitude: float,
+    signal: float = 0.3,
+    seed: int = 1,
+    noise: float = 1.0,
+    config: ClaimConfig | None = None,
+    **known: object,
+) -> Claim:
     rng = np.random.default_rng(seed)
     y = noise * rng.normal(size=CHIPS) + amplitude * CHIP * MESSAGE[BIT_OF]
-    return decide(y, WEIGHTS, np.full(CHIPS, signal), BIT_OF, CHIP, MESSAGE, **options)  # type: ignore[arg-type]
+    evidence = Evidence(y, WEIGHTS, np.full(CHIPS, signal))
+    return decide(evidence, SPREADING, MESSAGE, Circumstances(**known), config)  # type: ignore[arg-type]
 
 
 def test_a_marked_suspect() -> None:
-    found = claim(0.3, derivation=FOUND, route="model", copy="a friend", tries=3, transform={"scale": 2.0})
+    found = claim(0.3, derivation=FOUND, route="model", copy="a friend", tries=3, transform=MOVED)
     assert found.verdict is Verdict.MARKED
     assert found.z > found.z_threshold == z_threshold(1e-9, 3)
     assert found.log10_false_claim == pytest.approx(-(found.z**2) / 2 / math.log(10) + math.log10(3))
@@ -47,7 +61,7 @@ def test_a_marked_suspect() -> None:
     assert found.derivation == FOUND
     assert not found.would_be_claim_if_attested
     assert found.missing == ""
-    assert (found.route, found.copy, found.tries, found.transform) == ("model", "a friend", 3, {"scale": 2.0})
+    assert (found.route, found.copy, found.tries, found.transform) == ("model", "a friend", 3, MOVED)
     assert abs(found.expected_z - found.z) < 4
 
 
@@ -101,7 +115,7 @@ def test_a_mark_that_was_covered_is_never_called_absent(correlation: float) -> N
     mark = 0.5 * CHIP * MESSAGE[BIT_OF]
     wrong = math.sqrt(1 / correlation**2 - 1) * 0.5 * np.random.default_rng(5).normal(size=CHIPS)
     wrong -= mark * (wrong @ mark) / (mark @ mark)  # exactly nothing of the mark is left
-    found = decide(wrong, WEIGHTS, np.full(CHIPS, 0.5), BIT_OF, CHIP, MESSAGE, derivation=FOUND)
+    found = decide(Evidence(wrong, WEIGHTS, np.full(CHIPS, 0.5)), SPREADING, MESSAGE, Circumstances(derivation=FOUND))
     assert abs(found.z) < 1e-6
     assert found.change == pytest.approx(math.sqrt(1 / correlation**2 - 1), rel=0.05)
     assert found.verdict is Verdict.INCONCLUSIVE
@@ -109,7 +123,9 @@ def test_a_mark_that_was_covered_is_never_called_absent(correlation: float) -> N
 
 
 def test_who_has_the_original_leaves_no_trace_but_the_derivation() -> None:
-    found = decide(np.zeros(CHIPS), WEIGHTS, np.full(CHIPS, 0.5), BIT_OF, CHIP, MESSAGE, derivation=FOUND)
+    found = decide(
+        Evidence(np.zeros(CHIPS), WEIGHTS, np.full(CHIPS, 0.5)), SPREADING, MESSAGE, Circumstances(derivation=FOUND)
+    )
     assert (found.verdict, found.change, found.derivation.derived) == (Verdict.NOT_MARKED, 0.0, True)
 
 
@@ -172,7 +188,7 @@ def test_a_negative_z_of_any_size_is_no_claim() -> None:
 
 def test_no_evidence_at_all() -> None:
     zero = np.zeros(CHIPS)
-    found = decide(zero, zero, zero, BIT_OF, CHIP, MESSAGE)
+    found = decide(Evidence(zero, zero, zero), SPREADING, MESSAGE)
     assert found.verdict is Verdict.INCONCLUSIVE
     assert "no part of the asset" in found.missing
     assert (found.z, found.confidence, found.matching_bits, found.bit_accuracy) == (0, 0, 0, 0)
@@ -188,7 +204,7 @@ def test_tries_raise_the_bar() -> None:
 
 
 def test_json_is_plain_and_complete() -> None:
-    found = claim(0.3, notes=("first", "second"), transform={"scale": 1.0})
+    found = claim(0.3, notes=("first", "second"), transform=MOVED)
     plain = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert plain["verdict"] == "marked"
     assert set(plain) == {*Claim.__dataclass_fields__, "derived", "derived_fraction"}
@@ -210,6 +226,6 @@ def test_a_bit_of_which_little_was_to_be_seen_is_not_trusted() -> None:
     weak = BIT_OF >= BITS // 2
     signal = np.where(weak, 1e-4, 0.5)
     y = np.random.default_rng(4).normal(size=CHIPS) + np.where(weak, 0.0, 0.5) * CHIP * MESSAGE[BIT_OF]
-    found = decide(y, WEIGHTS, signal, BIT_OF, CHIP, MESSAGE)
+    found = decide(Evidence(y, WEIGHTS, signal), SPREADING, MESSAGE)
     assert min(found.bit_reliability[: BITS // 2]) > 0.99
     assert max(found.bit_reliability[BITS // 2 :]) < 0.55

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.flows.embed.strength_search import add_dc
+from engine.flows.embed.layer_strengths import add_dc
 from engine.pictures.jpeg.quantizer_score import jpeg_cotangent
 from engine.watermark import image_evidence
-from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, gather_image_evidence
+from engine.watermark.image_evidence import ALIKE, CLIP, PictureEvidence, PublicMark, gather_image_evidence
 from engine.watermark.model_evidence import Evidence
 from engine.watermark.power import expected_z
 from engine.watermark.statistics import claim_z
@@ -33,7 +33,7 @@ def said(ball: Ball, picture: np.ndarray, view: int = 0) -> PictureEvidence:
     mask = np.ones(picture.shape[:2], dtype=bool)
     layout = ball.plan.layout
     return gather_image_evidence(
-        layout, ball.original.views[view], reference, picture, mask, mark, np.sign(ball.signed)
+        layout, ball.original.views[view], reference, picture, mask, PublicMark(mark, np.sign(ball.signed))
     )
 
 

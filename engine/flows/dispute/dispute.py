@@ -12,7 +12,6 @@ Every mark must reach 2^-128, whatever is attested: a dispute is between people 
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Suspect, verify
 from engine.model import GaussianModel
-from engine.numerics.plain import plain
+from engine.numerics.plain import Json, plain
 from engine.watermark.claim import Claim, Verdict
 from engine.watermark.layout import MARK_SCALE
 from engine.watermark.rates import moment
@@ -52,7 +51,7 @@ class Look:
     marked: bool
     claim: Claim
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain values."""
         names = ("verdict", "z", "z_threshold", "log10_false_claim", "matching_bits", "bits", "route", "change")
         claim = self.claim.to_json()
@@ -81,11 +80,9 @@ class Dispute:
     seen: tuple[tuple[str, str], ...]  # what was done, and by whom: keys of `dispute_text.DEEDS`
     records: dict[str, dict[str, str]]  # by party: record_id, owner, original_sha256
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain dict of JSON values."""
-        found: dict[str, Any] = plain(
-            {**asdict(replace(self, looks=())), "looks": [one.to_json() for one in self.looks]}
-        )
+        found: Json = plain({**asdict(replace(self, looks=())), "looks": [one.to_json() for one in self.looks]})
         return found
 
 

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from engine.catalogue.entry import SeenPoints, see_points
-from engine.compress.hvq import Stage
 from engine.flows.embed.auto_profile import Choice
+from engine.flows.embed.delivery import Delivery
 from engine.flows.embed.landmark_bank import bank_views, make_bank
 from engine.flows.embed.layer_strengths import Grained, settle_grain
 from engine.flows.embed.planning_basis import Groundwork
 from engine.flows.embed.profiles import EmbedConfig
-from engine.flows.embed.variant import Variant
+from engine.flows.embed.terms import MarkTerms
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import landmarks_in
 from engine.flows.views.camera_rig import Extent
-from engine.flows.views.view_set import ViewSet
 from engine.model import GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.header import Arrays
@@ -38,24 +36,19 @@ class Asset:
     """A model made ready to be marked for one recipient after another."""
 
     original: Groundwork  # of the model as it came
-    original_sha256: str
+    terms: MarkTerms
     settings: EmbedConfig  # the chosen ones, where that was left open
     choice: Choice | None
-    variant: Variant
-    ground: Groundwork  # of the pruned model
-    delivered: GaussianModel  # unmarked, as a copy would be delivered
-    stages: tuple[Stage, ...]  # public cells of the delivered model, and what refines them
+    delivery: Delivery  # unmarked, as a copy would be delivered
     reference: Arrays  # the delivered model, canonical
     digest: bytes  # of that
-    views: ViewSet  # of the delivered model
     landmarks: Landmarks | None
     seen: SeenPoints | None
-    pruned: dict[str, Any]  # for the report
 
     @cached_property
     def grained(self) -> Grained:
         """The second layer at its strength, which no chip decides."""
-        return settle_grain(self.views, self.settings, self.variant)
+        return settle_grain(self.delivery.views, self.settings, self.terms.variant)
 
 
 def bank_of(

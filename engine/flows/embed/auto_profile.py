@@ -1,17 +1,17 @@
 """Choosing settings for a scene (`embed --profile auto`): the cheapest whose mark one bad picture still shows.
 
 A scene is rehearsed (`rehearsal`). Where the owner allows a loss (a pruning budget), every way of spending it
-(`delivery_budget`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
+(`ways`) is rehearsed, too, smallest file first. The same functions serve `mark3dgs evaluate --suite
 pareto`, which holds every promise against what was measured.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from engine.flows.embed.delivery import Delivery, deliver
-from engine.flows.embed.delivery_budget import ways
 from engine.flows.embed.planning_basis import Groundwork, lay_groundwork
 from engine.flows.embed.profiles import Auto, EmbedConfig
 from engine.flows.embed.rehearsal import Rehearsal, Rehearsing
@@ -23,7 +23,14 @@ from engine.watermark.keys import OwnerKey
 from engine.watermark.planning import BIT_Z
 from engine.watermark.statistics import CHANCE_RATE, z_threshold
 
-__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z"]
+__all__ = ["Choice", "Rehearsal", "choose", "rehearse", "wanted_z", "ways"]
+
+
+def ways(config: EmbedConfig, allowed_db: float, sh_degree: int) -> Iterator[EmbedConfig]:
+    """Settings that spend an allowance on a model of this degree: pruned as it is, or cut to fewer harmonics first."""
+    for degree in range(sh_degree + 1):
+        yield replace(config, prune=replace(config.prune, budget_db=allowed_db, sh_degree=degree))
+
 
 MARGIN = 1.15
 """Promised over needed z: with other chips z is one more or less, in other views a little, too."""
@@ -85,20 +92,37 @@ class Choice:
         """
         return self.rehearsal.predicted_z >= self.wanted_z
 
-    def report(self) -> dict[str, Any]:
-        """Plain values for `embed --json`."""
-        return {
-            "views": self.config.views,
-            "view_size": self.config.view_size,
-            "psnr_db": self.config.psnr_db,
-            "predicted_z": self.rehearsal.predicted_z,
-            "predicted_psnr_db": self.rehearsal.psnr_db,
-            "predicted_held_out_db": self.rehearsal.held_out_db,
-            "wanted_z": self.wanted_z,
-            "met": self.met,
-            "tried": self.tried,
-            "spent": None if self.spent is None else asdict(self.spent),
-        }
+    def report(self) -> ChoiceReport:
+        """The choice in plain values."""
+        config, found = self.config, self.rehearsal
+        return ChoiceReport(
+            views=config.views,
+            view_size=config.view_size,
+            psnr_db=config.psnr_db,
+            predicted_z=found.predicted_z,
+            predicted_psnr_db=found.psnr_db,
+            predicted_held_out_db=found.held_out_db,
+            wanted_z=self.wanted_z,
+            met=self.met,
+            tried=self.tried,
+            spent=self.spent,
+        )
+
+
+@dataclass(frozen=True)
+class ChoiceReport:
+    """A choice as `embed --json` tells it: settings, what they promise of one bad picture, and what was wanted."""
+
+    views: int
+    view_size: int  # pixels
+    psnr_db: float
+    predicted_z: float
+    predicted_psnr_db: float
+    predicted_held_out_db: float  # dB, in views that were not looked at
+    wanted_z: float
+    met: bool
+    tried: int  # settings rehearsed
+    spent: Spent | None
 
 
 def wanted_z(bits: int) -> float:
@@ -170,7 +194,7 @@ def _spend(
     """The smallest file within the allowance that shows as much of the mark as is wanted, or nearly what there is."""
     config, least = kept.settings, min(wanted, KEPT_SHARE * found.predicted_z)
     made = [deliver(ground, settings, Clock()) for settings in ways(config, allowed_db, kept.model.sh_degree)]
-    within = [one for one in made if one.pruned["psnr_pruned_worst_view"] >= allowed_db]
+    within = [one for one in made if (one.pruned.psnr_pruned_worst_view or 0.0) >= allowed_db]
     # The whole file: a palette (.sog) costs a part as much as all.
     weighed = sorted(((len(encode_model(one.model, asked.format)), one) for one in within), key=lambda each: each[0])
     whole, chosen = len(encode_model(kept.model, asked.format)), None

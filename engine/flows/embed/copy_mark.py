@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from engine.flows.embed.layer_strengths import Settled, measure
-from engine.flows.embed.strength_search import Fidelity, add_dc
+from engine.flows.embed.layer_strengths import Fidelity, Settled, add_dc, measure
 from engine.flows.embed.variant import AtView
-from engine.flows.records.opened_record import OpenedRecord, draw_spreading, plan_of
+from engine.flows.records.opened_record import OpenedRecord, PlanParts, draw_spreading, plan_of
 from engine.flows.views.view_set import ViewSet
 from engine.model import Camera, Float64, GaussianModel
 from engine.pictures.landmarks.landmark_set import Landmarks
-from engine.records.header import Arrays
 from engine.watermark.grain import ATTRIBUTES, Grain, roughen
 from engine.watermark.keys import OwnerKey
 from engine.watermark.layout import Layout
@@ -50,7 +47,7 @@ class Mark:
     """A marked model and the plan from which its chips follow."""
 
     model: GaussianModel
-    plan: tuple[dict[str, Any], Arrays]
+    plan: PlanParts
     spreading: Spreading  # of the tint
     signed: Float64  # (C,) displacement of each chip of the tint
     settled: Settled

@@ -1,7 +1,6 @@
 """What is delivered before it is marked: as many Gaussians, SH bands and codes as the scene needs, no more."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,11 +14,27 @@ from engine.flows.progress import Clock
 from engine.flows.views.camera_rig import Extent
 from engine.flows.views.view_set import ViewSet, worst_psnr_against
 from engine.model import Float64, GaussianModel
+from engine.numerics.plain import Json, Report
 
 BAND_SHARE = 0.05
 """Share of the pruning budget's squared error that dropping SH bands may use."""
 
 MOST_STAGES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Pruned(Report):
+    """What was taken off a model before it is marked; None: nothing was, or there is no such step."""
+
+    psnr_pruned_worst_view: float | None = None  # dB
+    merged: int | None = None  # Gaussians that went into others
+    budget_db: float | None = None
+    sh_bands_dropped: int | None = None
+    densified: int | None = None  # Gaussians added
+
+    def to_json(self) -> Json:
+        """Plain values of what is known."""
+        return {name: value for name, value in super().to_json().items() if value is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +46,7 @@ class Delivery:
     model: GaussianModel
     stages: tuple[Stage, ...]  # public cells, and what refines them
     views: ViewSet  # of `model`
-    pruned: dict[str, Any]  # for the report
+    pruned: Pruned
 
 
 def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delivery:
@@ -46,16 +61,16 @@ def deliver(original: Groundwork, settings: EmbedConfig, clock: Clock) -> Delive
 
 def slim_down(
     model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
-) -> tuple[GaussianModel, dict[str, Any]]:
+) -> tuple[GaussianModel, Pruned]:
     """Prune Gaussians and SH bands within the owner's budget, or as the paper does, and report on it.
 
-    With neither the model stays as it is and the report is empty.
+    With neither the model stays as it is and there is no report.
     """
     if config.paper.tau_base > 0 or config.paper.densify > 0:
         return _as_the_paper(model, original, impact, extent, config)
     budget = config.prune.budget_db
     if budget is None:
-        return model, {}
+        return model, Pruned()
     measure = worst_psnr_against(original.images, original.cameras)
     if config.prune.sh_degree < model.sh_degree:
         model = model.with_(sh=np.ascontiguousarray(model.sh[:, : (config.prune.sh_degree + 1) ** 2]))
@@ -67,12 +82,7 @@ def slim_down(
     if pruned.psnr_db < budget:  # the bands alone broke a very tight budget
         dropped = 0
         pruned = prune(model, rank, measure, extent.radius, config.prune)
-    return pruned.model, {
-        "budget_db": budget,
-        "psnr_pruned_worst_view": pruned.psnr_db,
-        "merged": pruned.merged,
-        "sh_bands_dropped": dropped,
-    }
+    return pruned.model, Pruned(pruned.psnr_db, pruned.merged, budget, dropped)
 
 
 def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64:
@@ -82,18 +92,15 @@ def _worth(model: GaussianModel, impact: Impact, config: EmbedConfig) -> Float64
 
 def _as_the_paper(
     model: GaussianModel, original: ViewSet, impact: Impact, extent: Extent, config: EmbedConfig
-) -> tuple[GaussianModel, dict[str, Any]]:
+) -> tuple[GaussianModel, Pruned]:
     """Pruned at a fixed threshold (Eq 5), merged, and densified where W^freq is greatest."""
     slim, kept, merged = model, np.arange(len(model), dtype=np.int32), 0
     if config.paper.tau_base > 0:
         rank = _worth(model, impact, config)
         slim, kept, merged = prune_at(model, rank, config.paper.tau_base, extent.radius, config.prune)
     dense = densify(slim, frequency_impact(model, impact)[kept], config.paper.densify)
-    return dense, {
-        "psnr_pruned_worst_view": worst_psnr_against(original.images, original.cameras)(dense),
-        "merged": merged,
-        "densified": len(dense) - len(slim),
-    }
+    psnr_db = worst_psnr_against(original.images, original.cameras)(dense)
+    return dense, Pruned(psnr_db, merged, densified=len(dense) - len(slim))
 
 
 def unmarked_delivery(

@@ -6,40 +6,72 @@
 3. Fix the canonical reference.                     7. Refine, where that was asked for.
 4. Quantise hierarchically.                         8. Write the record: all that verification needs.
 
-Up to the landmarks all copies of a model have everything in common: see `pipeline.asset`.
+Up to the landmarks all copies of a model have everything in common: see `asset`.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 
 from engine.catalogue.entry import SeenPoints
-from engine.compress.hvq import Stage, group_means
+from engine.compress.hvq import group_means
 from engine.errors import InputError
 from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
-from engine.flows.embed.auto_profile import Choice, choose
+from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import Committed, Copy, make_mark
-from engine.flows.embed.delivery import deliver
-from engine.flows.embed.layer_strengths import settle
+from engine.flows.embed.delivery import Pruned, deliver
+from engine.flows.embed.layer_strengths import Fidelity, settle
 from engine.flows.embed.planning_basis import lay_groundwork
-from engine.flows.embed.profiles import Auto, EmbedConfig, Settings
-from engine.flows.embed.strength_search import Fidelity
-from engine.flows.embed.variant import PLAIN, Variant
+from engine.flows.embed.profiles import Auto, EmbedConfig
+from engine.flows.embed.terms import MarkOptions, MarkTerms
+from engine.flows.embed.variant import PLAIN
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import DRAWN
 from engine.flows.views.view_set import worst_psnr_against
-from engine.model import Camera, Float32, Float64, GaussianModel
+from engine.model import Float32, Float64, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.plain import Json, Report
 from engine.records.record import Record
 from engine.records.reference import encode_reference, reference_digest
+from engine.watermark.grain import Grain
 from engine.watermark.keys import OwnerKey
 from engine.watermark.masses import spare_masses
-from engine.watermark.messages import Signs, check_bits, derive_message, message_hex
+from engine.watermark.messages import derive_message, message_hex
 from engine.watermark.planning import Plan, make_plan, predict_z
 from engine.watermark.secret_cells import cells_key, jitter, join_cells
 from engine.watermark.unpredictability import unexplained
+
+
+@dataclass(frozen=True, eq=False)
+class EmbedReport(Report):
+    """Measurements of one embedding, for people and machines (`embed --json`)."""
+
+    gaussians_in: int
+    gaussians_out: int
+    bits: int
+    message: str  # hexadecimal
+    copy: str  # name of the recipient
+    record_id: str
+    psnr_worst_view: float  # dB, of the mark alone
+    ssim_worst_view: float  # of the mark alone
+    psnr_total_worst_view: float  # dB, with pruning and quantization
+    predicted_z_per_bit: float  # of one bad picture
+    capacity_bits: int  # that a model carries
+    picture_bits: int  # that one picture carries
+    chips: int  # of the tint
+    grain: Grain
+    choice: ChoiceReport | None  # where the settings were left open
+    pruned: Pruned
+    seconds: float
+    seconds_by_stage: dict[str, float]
+
+    def to_json(self) -> Json:
+        """Plain values; what was pruned stands beside the rest."""
+        found = super().to_json()
+        del found["pruned"]
+        return found | self.pruned.to_json()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +81,7 @@ class Embedding:
     model: GaussianModel  # the marked model to deliver
     record: Record  # what the owner keeps
     config: EmbedConfig  # the settings used: the chosen ones, where that was left open
-    report: dict[str, Any]  # measurements for people and machines (`embed --json`)
+    report: EmbedReport
     seen: SeenPoints | None  # what an index of many assets keeps of its looks
 
 
@@ -58,16 +90,9 @@ def embed(
     key: OwnerKey,
     *,
     original_sha256: str,
-    message: Signs | None = None,
-    bits: int = 32,
-    config: Settings | None = None,
-    cameras: Sequence[Camera] | None = None,
     copy: str = "",
-    registered_at: str = "",
     progress: Progress | None = None,
-    variant: Variant = PLAIN,
-    drawn: str = "",
-    earlier: Record | None = None,
+    **options: Unpack[MarkOptions],
 ) -> Embedding:
     """Mark a model.
 
@@ -78,44 +103,12 @@ def embed(
     ----------
     original_sha256 : str
         Hex digest of the owner's file; the record commits to it.
-    message : (B,) signs, optional
-        Derived from the key where not given.
-    bits : int
-        Length of a derived message.
-    config : EmbedConfig or Auto, optional
-        See `profiles.compose`.
-    cameras : sequence of Camera, optional
-        The owner's own cameras; key views are chosen among them. Generated from the model otherwise.
     copy : str
         Name of the recipient; every copy has a message and chips of its own.
-    registered_at : str
-        Time of registration as the caller knows it; no clock is read here.
-    variant : Variant, optional
-        What is special about a model that moves, or brings its own codebook.
-    drawn : str
-        What whoever attests the registration drew for it, when key and original were settled: it enters the plan, and
-        so decides the chips, which nobody can then try out beforehand.
-    earlier : Record, optional
-        Of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of made
-        anew: same bytes, sooner.
+    **options
+        `message`, `bits`, `config`, `cameras`, `registered_at`, `drawn`, `earlier`, `variant`: see `terms.MarkTerms`.
     """
-    return next(
-        embed_copies(
-            model,
-            key,
-            [copy],
-            original_sha256=original_sha256,
-            message=message,
-            bits=bits,
-            config=config,
-            cameras=cameras,
-            registered_at=registered_at,
-            progress=progress,
-            variant=variant,
-            drawn=drawn,
-            earlier=earlier,
-        )
-    )
+    return next(embed_copies(model, key, [copy], original_sha256=original_sha256, progress=progress, **options))
 
 
 def embed_copies(
@@ -124,15 +117,8 @@ def embed_copies(
     copies: Sequence[str],
     *,
     original_sha256: str,
-    message: Signs | None = None,
-    bits: int = 32,
-    config: Settings | None = None,
-    cameras: Sequence[Camera] | None = None,
-    registered_at: str = "",
     progress: Progress | None = None,
-    variant: Variant = PLAIN,
-    drawn: str = "",
-    earlier: Record | None = None,
+    **options: Unpack[MarkOptions],
 ) -> Iterator[Embedding]:
     """Mark a model for each of these recipients, one after another; parameters as for `embed`.
 
@@ -140,33 +126,22 @@ def embed_copies(
     seconds include it.
     """
     clock = Clock(progress)
-    bits = len(message) if message is not None else bits
-    check_bits(bits)
-    asset = _prepare(model, key, original_sha256, clock, bits, config, cameras, variant, earlier)
+    asset = _prepare(model, key, MarkTerms(original_sha256=original_sha256, **options), clock)
     for copy in copies:
-        yield _mark(asset, key, clock, message, bits, copy, registered_at, drawn)
+        yield _mark(asset, key, copy, clock)
         clock = Clock(progress)
 
 
 @one_blas_thread
-def _prepare(
-    model: GaussianModel,
-    key: OwnerKey,
-    original_sha256: str,
-    clock: Clock,
-    bits: int,
-    config: Settings | None,
-    cameras: Sequence[Camera] | None,
-    variant: Variant,
-    earlier: Record | None,
-) -> Asset:
+def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock) -> Asset:
     """Everything up to the recipient's own part."""
+    config, variant = terms.config, terms.variant
     choice: Choice | None = None
     if isinstance(config, Auto):
         if variant is not PLAIN:
             raise InputError("a variant is not rehearsed: name its settings instead of 'auto'")
         with clock.stage("choose"):  # 0
-            choice = choose(model, key, bits, config, original_sha256, cameras)
+            choice = choose(model, key, terms.length, config, terms.original_sha256, terms.cameras)
         settings = choice.config
     else:
         settings = config or EmbedConfig()
@@ -175,57 +150,47 @@ def _prepare(
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.
         original = (
-            choice.ground if choice else lay_groundwork(model, key, original_sha256, settings, cameras, variant, clock)
+            choice.ground
+            if choice
+            else lay_groundwork(model, key, terms.original_sha256, settings, terms.cameras, variant, clock)
         )
     # 2, 3, 4
     delivery = choice.delivery if choice else deliver(original, settings, clock)
-    delivered = delivery.model
     with clock.stage("quantize"):
-        reference = encode_reference(delivered)
+        reference = encode_reference(delivery.model)
         digest = reference_digest(reference)
     with clock.stage("landmarks"):
-        known = None if earlier is None else known_landmarks(earlier, digest, settings)
-        landmarks, seen = bank_of(delivered, original.extent, settings, clock, known)
+        known = None if terms.earlier is None else known_landmarks(terms.earlier, digest, settings)
+        landmarks, seen = bank_of(delivery.model, original.extent, settings, clock, known)
     return Asset(
         original=original,
-        original_sha256=original_sha256,
+        terms=terms,
         settings=settings,
         choice=choice,
-        variant=variant,
-        ground=delivery.ground,
-        delivered=delivered,
-        stages=delivery.stages,
+        delivery=delivery,
         reference=reference,
         digest=digest,
-        views=delivery.views,
         landmarks=landmarks,
         seen=seen,
-        pruned=delivery.pruned,
     )
 
 
 @one_blas_thread
-def _mark(
-    asset: Asset,
-    key: OwnerKey,
-    clock: Clock,
-    message: Signs | None,
-    bits: int,
-    copy: str,
-    registered_at: str,
-    drawn: str,
-) -> Embedding:
+def _mark(asset: Asset, key: OwnerKey, copy: str, clock: Clock) -> Embedding:
     """The recipient's own part."""
-    settings, delivered, variant, ground = asset.settings, asset.delivered, asset.variant, asset.ground
+    terms, settings, variant = asset.terms, asset.settings, asset.terms.variant
+    delivery, ground, views = asset.delivery, asset.delivery.ground, asset.delivery.views
+    bits = terms.length
     with clock.stage("plan"):  # 5, 6
-        settled = settle(asset.views, _plan(asset, cells_key(key, asset.digest, copy)), settings, asset.grained)
+        settled = settle(views, _plan(asset, cells_key(key, asset.digest, copy)), settings, asset.grained)
     with clock.stage("mark"):
-        sign = message if message is not None else derive_message(key, bits, asset.digest + copy.encode())
+        sign = terms.message if terms.message is not None else derive_message(key, bits, asset.digest + copy.encode())
+        drawn = {DRAWN: terms.drawn} if terms.drawn else {}
         mark = make_mark(
-            asset.views,
+            views,
             settled,
             Copy(key, asset.digest, copy, sign),
-            Committed(ground.cameras, asset.landmarks, {**variant.commitments, **({DRAWN: drawn} if drawn else {})}),
+            Committed(ground.cameras, asset.landmarks, {**variant.commitments, **drawn}),
             Fidelity(settings.psnr_db, settings.ssim),
             ground.picture_scale,
             variant.at_view,
@@ -241,44 +206,44 @@ def _mark(
         record = Record.make(
             key,
             asset.reference,
-            original_digest=asset.original_sha256,
+            original_digest=terms.original_sha256,
             plan=mark.plan[0],
             plan_arrays=mark.plan[1],
             extra={"settings": {**settings.told(), "bank": BANK}},
             copy=copy,
-            registered_at=registered_at,
+            registered_at=terms.registered_at,
         )
         total = fidelity.psnr_db
-        if delivered is not asset.original.model:
+        if delivery.model is not asset.original.model:
             total = worst_psnr_against(asset.original.views.images, ground.cameras, variant.at_view)(marked)
     predicted = predict_z(plan.energies * ground.picture_scale, mark.spreading.bit_of, bits)
-    report = {
-        "gaussians_in": len(asset.original.model),
-        "gaussians_out": len(marked),
-        "bits": bits,
-        "message": message_hex(sign),
-        "copy": copy,
-        "record_id": record.header.record_id,
-        "psnr_worst_view": fidelity.psnr_db,
-        "ssim_worst_view": fidelity.ssim,
-        "psnr_total_worst_view": total,
-        "predicted_z_per_bit": float(predicted.min(axis=1).mean()),
-        "capacity_bits": mark.capacity,
-        "picture_bits": mark.pictured,
-        "chips": plan.layout.chips,
-        "grain": asdict(mark.settled.grain),
-        "choice": None if asset.choice is None else asset.choice.report(),
-        **asset.pruned,
-        "seconds": clock.total,
-        "seconds_by_stage": clock.seconds,
-    }
+    report = EmbedReport(
+        gaussians_in=len(asset.original.model),
+        gaussians_out=len(marked),
+        bits=bits,
+        message=message_hex(sign),
+        copy=copy,
+        record_id=record.header.record_id,
+        psnr_worst_view=fidelity.psnr_db,
+        ssim_worst_view=fidelity.ssim,
+        psnr_total_worst_view=total,
+        predicted_z_per_bit=float(predicted.min(axis=1).mean()),
+        capacity_bits=mark.capacity,
+        picture_bits=mark.pictured,
+        chips=plan.layout.chips,
+        grain=mark.settled.grain,
+        choice=None if asset.choice is None else asset.choice.report(),
+        pruned=delivery.pruned,
+        seconds=clock.total,
+        seconds_by_stage=clock.seconds,
+    )
     return Embedding(marked, record, settings, report, asset.seen)
 
 
 def _plan(asset: Asset, secret: bytes) -> Plan:
     """The tint at unit strength, on cells that the copy's secret joins."""
-    stages: tuple[Stage, ...] = asset.stages
-    ground, variant, settings, delivered = asset.ground, asset.variant, asset.settings, asset.delivered
+    variant, settings = asset.terms.variant, asset.settings
+    stages, ground, delivered = asset.delivery.stages, asset.delivery.ground, asset.delivery.model
     missed = None
     own = variant.labels is not None or settings.paper.public_codes
     if not own:

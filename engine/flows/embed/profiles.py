@@ -7,6 +7,7 @@ from typing import Any
 from engine.compress.hvq import HvqConfig
 from engine.compress.pruning import PruneConfig
 from engine.errors import InputError
+from engine.numerics.plain import Json
 from engine.watermark.planning import PlanConfig
 
 
@@ -82,7 +83,7 @@ class EmbedConfig:
         thinned = self.prune.budget_db is not None or self.paper.tau_base > 0 or self.paper.densify > 0
         return self.output == "fidelity" and not thinned
 
-    def told(self) -> dict[str, Any]:
+    def told(self) -> Json:
         """As a record tells it: what the paper does is named where it is done."""
         told = asdict(self)
         if self.paper == PaperConfig():
@@ -170,7 +171,7 @@ def compose(
     `knobs` are texts like ``"quantize.cells=1024"``, any knob that `mark3dgs config show` lists.
     """
     asked = {"psnr_db": psnr_db, "output": output}
-    changes: dict[str, Any] = {knob: value for knob, value in asked.items() if value is not None}
+    changes: Json = {knob: value for knob, value in asked.items() if value is not None}
     config = replace(Auto().start, **changes) if name == AUTO else profile(name, **changes)
     if budget_db is not None:
         config = replace(config, prune=replace(config.prune, budget_db=budget_db))

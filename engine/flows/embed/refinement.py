@@ -22,9 +22,8 @@ from engine.compress.impact import uncertainty
 from engine.flows.embed.asset import Asset
 from engine.flows.embed.copy_mark import Mark
 from engine.flows.embed.distortions import draw
-from engine.flows.embed.layer_strengths import measure
+from engine.flows.embed.layer_strengths import Fidelity, add_dc, measure, solve_strength
 from engine.flows.embed.profiles import RefineConfig
-from engine.flows.embed.strength_search import Fidelity, add_dc, solve_strength
 from engine.model import SH_C0, Camera, Float32, Float64, GaussianModel
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.numerics.wavelet import coefficient_detail, dwt2
@@ -75,14 +74,21 @@ class Codes:
     lambda_freq: float  # of the detail in it
 
 
+@dataclass(frozen=True, eq=False)
+class Tint:
+    """A mark of colours in closed form."""
+
+    displacement: Float32  # (N, D) at its final strength, SH units: of DC, D = 3, or of all coefficients
+    layout: Layout
+    signed: Float64  # (C,) planned amplitude times chip times message sign: the matched filter
+    bit_of: npt.NDArray[np.int32]  # (C,)
+    bits: int
+
+
 def refine(
     model: GaussianModel,
-    displacement: Float32,
+    tint: Tint,
     cameras: list[Camera],
-    layout: Layout,
-    signed: Float64,
-    bit_of: npt.NDArray[np.int32],
-    bits: int,
     uncertainty: Float64,
     config: RefineConfig,
     advance: Callable[[float], None],
@@ -97,13 +103,10 @@ def refine(
     ----------
     model : GaussianModel
         Unmarked.
-    displacement : (N, D) float32
-        Closed-form mark at its final strength, SH units: of DC, D = 3, or of all coefficients.
+    tint : Tint
+        Where it starts.
     cameras : list of Camera
         Key views.
-    signed : (C,) float64
-        Planned amplitude times chip times message sign: the matched filter.
-    bit_of : (C,) int32
     uncertainty : (N,) float64
         Laplace uncertainty of the DC colour; scales each Gaussian's step.
     advance : callable
@@ -111,8 +114,9 @@ def refine(
     seed : int
         Of views and distortions.
     codes : Codes, optional
-        Move the layout's code vectors, from the closed form of `signed` on, not the Gaussians.
+        Move the layout's code vectors, from the closed form of `tint.signed` on, not the Gaussians.
     """
+    displacement, layout, signed, bits = tint.displacement, tint.layout, tint.signed, tint.bits
     rng = np.random.default_rng(seed)
     scale = config.size / max(cameras[0].width, cameras[0].height)
     small = [c.resized(max(16, round(c.width * scale)), max(16, round(c.height * scale))) for c in cameras]
@@ -120,7 +124,7 @@ def refine(
     bases = [sh_colors(model.sh, model.means, c.position.astype(np.float32)) for c in small]
     colors = [torch.from_numpy(base) for base in bases]
     renders = [torch.from_numpy(view.render(base)[0]) for view, base in zip(views, bases, strict=True)]
-    pattern, groups = _bit_patterns(layout, signed, bit_of, bits)
+    pattern, groups = _bit_patterns(tint)
     degree = int(np.sqrt(displacement.shape[1] // 3)) - 1
     harmonics = [torch.from_numpy(_harmonics(model, c, degree)) for c in small]
     rms = float(np.sqrt((displacement**2).mean()))
@@ -199,17 +203,16 @@ def _code_energy(gap: Tensor, lambda_freq: float) -> Tensor:
     return energy / gap.numel()
 
 
-def _bit_patterns(
-    layout: Layout, signed: Float64, bit_of: npt.NDArray[np.int32], bits: int
-) -> tuple[Tensor, list[Tensor]]:
+def _bit_patterns(tint: Tint) -> tuple[Tensor, list[Tensor]]:
     """Matched filter per stage and Gaussian in DC, (S, N, 3), and the bit of each Gaussian in each stage."""
+    layout = tint.layout
     carriers = len(layout.directions[0])
     patterns, groups, start = [], [], 0
     for part, label, direction, count in zip(
-        layout.split(signed), layout.labels, layout.directions, layout.codes, strict=True
+        layout.split(tint.signed), layout.labels, layout.directions, layout.codes, strict=True
     ):
         patterns.append((part @ direction[:, :3]).astype(np.float32)[label])
-        code_bit = bit_of[start : start + count * carriers : carriers]
+        code_bit = tint.bit_of[start : start + count * carriers : carriers]
         groups.append(torch.from_numpy(code_bit[label].astype(np.int64)))
         start += count * carriers
     return torch.from_numpy(np.stack(patterns)), groups
@@ -230,25 +233,22 @@ def refine_mark(
     asset: Asset, mark: Mark, bits: int, advance: Callable[[float], None]
 ) -> tuple[GaussianModel, Fidelity]:
     """The marked model with its tint refined and its strength solved again, and what its worst view shows."""
-    plan, delivered, tint = mark.settled.plan, asset.delivered, mark.settled.tint
+    plan, delivered, kept = mark.settled.plan, asset.delivery.model, mark.settled.tint
+    ground, views = asset.delivery.ground, asset.delivery.views
     codes, weight = None, asset.settings.paper.codes
     if weight > 0:
         width = plan.layout.width
-        left = (asset.ground.model.sh - delivered.sh).reshape(len(delivered), -1)[:, :width]
+        left = (ground.model.sh - delivered.sh).reshape(len(delivered), -1)[:, :width]
         codes = Codes(np.ascontiguousarray(left), weight, asset.settings.quantize.lambda_freq)
     displacement = refine(
         delivered,
-        plan.layout.displace(mark.signed),
-        list(asset.ground.cameras),
-        plan.layout,
-        mark.signed,
-        mark.spreading.bit_of,
-        bits,
-        uncertainty(asset.ground.impact.squared),
+        Tint(plan.layout.displace(mark.signed), plan.layout, mark.signed, mark.spreading.bit_of, bits),
+        list(ground.cameras),
+        uncertainty(ground.impact.squared),
         asset.settings.refine,
         advance,
         codes=codes,
     )
-    again = solve_strength(asset.views, displacement, tint.psnr_db, tint.ssim, 1.0)
+    again = solve_strength(views, displacement, kept.psnr_db, kept.ssim, 1.0)
     marked = mark.model.with_(sh=add_dc(delivered.sh, np.float32(again.factor) * displacement))
-    return marked, measure(asset.views, marked)
+    return marked, measure(views, marked)

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.flows.embed.delivery import Delivery
-from engine.flows.embed.layer_strengths import GRAIN_SSIM_SHARE
+from engine.flows.embed.layer_strengths import GRAIN_SSIM_SHARE, add_dc, first_guess, solve_strength
 from engine.flows.embed.profiles import EmbedConfig
-from engine.flows.embed.strength_search import add_dc, first_guess, solve_strength
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.view_set import look
 from engine.kernels.jit import side_by_side

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from engine.errors import InputError, MalformedRecordError
 from engine.flows.records.admission import admit
 from engine.model import Bool, Camera, GaussianModel
+from engine.numerics.plain import Json
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.records.record import Record, RecordHeader, chip_context, make_record_id
 from engine.watermark.grain import ATTRIBUTES, Grain
@@ -31,6 +32,9 @@ FIRST_STRENGTH = 2.4
 """Strength at which records of the first version are read: typical of 47 dB, the same for all of them."""
 
 Arrays = dict[str, npt.NDArray[Any]]
+
+PlanParts = tuple[Json, Arrays]
+"""A plan as a record keeps it."""
 
 DRAWN = "drawn"
 """Name of the commitment to what whoever attests the registration drew for the plan."""
@@ -51,7 +55,7 @@ class OpenedRecord:
     grain_key: bytes = field(repr=False)  # the secret from which those of the grain are drawn
     cameras: list[Camera]  # key views
     landmarks: Landmarks | None
-    settings: dict[str, Any]  # profile and configuration of the embedding
+    settings: Json  # profile and configuration of the embedding
     # Digests of what verification relies on beside the record, such as a moving original
     commitments: dict[str, str] = field(default_factory=dict)
     kept: Bool | None = None  # (M,) which Gaussians of the committed reference this one still has, where not all
@@ -81,9 +85,9 @@ def plan_of(
     commitments: Mapping[str, str] | None = None,
     *,
     antialiased: bool = False,
-) -> tuple[dict[str, Any], Arrays]:
+) -> PlanParts:
     """What a record commits to before any chip is drawn: JSON values and arrays."""
-    plan: dict[str, Any] = {"message": message_hex(message), "codes": list(layout.codes)}
+    plan: Json = {"message": message_hex(message), "codes": list(layout.codes)}
     if grain.there:
         plan["grain"] = asdict(grain)
     if commitments:
@@ -105,7 +109,7 @@ def plan_of(
 
 
 def draw_spreading(
-    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: tuple[dict[str, Any], Arrays]
+    key: OwnerKey, reference_digest: bytes, copy: str, layout: Layout, plan: PlanParts
 ) -> tuple[Spreading, bytes]:
     """Bits and chips of one copy, from the owner's key and everything that enters the decision; and its grain's key."""
     record_id = make_record_id(key, reference_digest, copy, *plan)

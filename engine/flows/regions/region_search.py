@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from engine.flows.verify.search import Suspect, Verification
 from engine.flows.verify.suspect_evidence import read_gaussians
 from engine.model import Bool, Float64, Int32, Int64
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.plain import Json
 from engine.registration.pieces import register_pieces
 from engine.registration.registration_search import Registration
 from engine.watermark.grain import ATTRIBUTES
@@ -92,7 +92,7 @@ class RegionReport:
             state[rows] = found.regions.state[region[rows]]
         return piece, region, state
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """How many regions are in which state, and on what share of the asset's Gaussians: nothing that tells a sign or
         where regions end."""
         counts = np.bincount(np.concatenate([[], *(p.regions.state for p in self.pieces)]).astype(int), minlength=4)
@@ -170,7 +170,7 @@ def _shown(said: list[Evidence], opened: OpenedRecord, leaves: Partition) -> tup
     return seen, [replace(each, weights=np.where(keep, each.weights, 0.0)) for each in said]
 
 
-def describe(report: RegionReport, opened: OpenedRecord) -> dict[str, Any]:
+def describe(report: RegionReport, opened: OpenedRecord) -> Json:
     """Plain values of every piece and region; places are in the reference's units, numbers rounded to what they tell.
 
     z is given to a tenth: more digits of a sum over a few dozen chips would tell their signs.
@@ -209,7 +209,7 @@ def _members(partition: Partition) -> list[tuple[int, Int64]]:
     return list(enumerate(np.split(order, ends)))
 
 
-def _described(number: int, rows: Int64, means: Float64, piece: FoundPiece) -> dict[str, Any]:
+def _described(number: int, rows: Int64, means: Float64, piece: FoundPiece) -> Json:
     regions = piece.regions
     middle = means[rows].mean(axis=0) if len(rows) else np.zeros(3)
     radius = float(np.quantile(np.linalg.norm(means[rows] - middle, axis=1), WIDE)) if len(rows) else 0.0

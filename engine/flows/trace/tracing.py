@@ -9,7 +9,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
@@ -19,6 +18,7 @@ from engine.flows.verify.decision import VerifyConfig
 from engine.flows.verify.search import Suspect, count_tries
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
+from engine.numerics.plain import Json
 from engine.watermark.layers import layered_z
 from engine.watermark.statistics import log10_false_claim_bound, z_threshold
 
@@ -61,7 +61,7 @@ class Tracing:
         """The copies that took part."""
         return tuple(finding for finding in self.findings if finding.named)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """Plain dict of JSON values."""
         return {"named": [finding.copy for finding in self.named], **asdict(self)}
 

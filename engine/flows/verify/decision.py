@@ -1,12 +1,14 @@
 """From evidence to a claim, in the terms of an opened record."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import reduce
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
+from engine.model import Camera
 from engine.registration.registration_search import Registration
-from engine.watermark.claim import SCATTERED, Claim, ClaimConfig, decide
+from engine.watermark.claim import SCATTERED, Circumstances, Claim, ClaimConfig, Transform, decide
 from engine.watermark.derivation import NOT_FOUND, Derivation
 from engine.watermark.layers import layered_z, only
 from engine.watermark.messages import message_hex
@@ -50,89 +52,107 @@ class VerifyConfig:
         return applicable_rate(self.false_claim_rate, attested, self.suspect_seen)
 
 
-def judge(
-    evidence: Evidence,
-    opened: OpenedRecord,
-    route: str,
-    tries: int,
-    config: VerifyConfig,
-    registration: Registration | None = None,
-    notes: tuple[str, ...] = (),
-    derivation: Derivation = NOT_FOUND,
-    scattered: Evidence | None = None,
-) -> Claim:
-    """The claim that this evidence supports, or the same pictures read by their scatter, where that says more.
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a suspect says along one route, blind to all chips."""
 
-    All of it must be counted in `tries`.
+    route: str
+    evidence: Evidence
+    registration: Registration | None = None  # of a model
+    notes: tuple[str, ...] = ()  # for the reader of the claim
+    shown: bool = False  # whether the asset was found in the suspect
+    derivation: Derivation = NOT_FOUND  # the same, with how much of it and where
+    pictures: Evidence | None = None  # what pictures of it alone say
+    scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
+    cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
+
+    @property
+    def derived_fraction(self) -> float | None:
+        """Share of the reference found in the suspect; None where the route does not measure it."""
+        return None if self.registration is None else self.registration.derived_fraction
+
+
+def judge(reading: Reading, opened: OpenedRecord, config: VerifyConfig, tries: int = 1) -> Claim:
+    """The claim that a reading supports: its evidence, or the same pictures read by their scatter, where that says
+    more.
+
+    All of it must be counted in `tries`, or in those of the configuration.
     """
     rate = ClaimConfig.at(config.rate_for(opened.attested))
     tries = max(tries, config.tries or 1)
+    evidence, tint = reading.evidence, opened.layout.chips
     spreading = opened.spreading_of(len(evidence.y))
-    transform = None
-    if registration is not None:
-        if registration.found:
-            transform = {
-                "scale": registration.scale,
-                "rotation": registration.R.tolist(),
-                "translation": registration.t.tolist(),
-                "mirrored": registration.mirrored,  # x of the suspect is negated first
-            }
-            if registration.mirrored:
-                notes = (*notes, "the suspect model is a mirror image of the asset, and was read as such")
-            if registration.deformed:
-                notes = (*notes, "the suspect model is deformed: its pieces were matched one by one")
-            elif registration.mixed is not None:
-                notes = (*notes, "Gaussians of the suspect model were merged: each is read as a mixture of the asset's")
-        elif route == "model":
-            weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
-            notes = (*notes, f"no piece of the asset was found in the suspect model; {weighed}")
-    tint = opened.layout.chips
-    layered = layered_z(evidence, spreading.signs(opened.message), tint)
-    asked, heard = only(evidence, layered.strongest, tint), dict(layered.z)
+    signs = spreading.signs(opened.message)
+    layered = layered_z(evidence, signs, tint)
+    asked, layers = only(evidence, layered.strongest, tint), dict(layered.z)
     sums = _sums_of_layers(evidence, tint)
     change = max(each.change for each in sums.values())  # that of both together lies between them
     known: Moments | None = (
         reduce(Moments.plus, sums.values()) if layered.strongest == "both" else sums[layered.strongest]
     )
-    if scattered is not None:
-        other = layered_z(scattered, spreading.signs(opened.message), tint)
-        heard |= {name + SCATTERED: z for name, z in other.z.items()}
+    if reading.scattered is not None:
+        other = layered_z(reading.scattered, signs, tint)
+        layers |= {name + SCATTERED: z for name, z in other.z.items()}
         if other.best > max(layered.best, z_threshold(rate.doubt_rate, tries)):
-            asked, known = only(scattered, other.strongest, tint), None
-    claim = decide(
-        asked.y,
-        asked.weights,
-        asked.signal,
-        spreading.bit_of,
-        spreading.chips,
-        opened.message,
+            asked, known = only(reading.scattered, other.strongest, tint), None
+    circumstances = Circumstances(
         tries=tries,
-        config=rate,
-        route=route,
+        route=reading.route,
         copy=opened.copy,
-        derivation=derivation,
-        transform=transform,
-        notes=notes,
-        layers=heard if len(heard) > 1 and opened.grain.there else None,
+        derivation=reading.derivation,
+        transform=_transform(reading.registration),
+        notes=(*reading.notes, *_notes(reading)),
+        layers=layers if len(layers) > 1 and opened.grain.there else None,
         change=change,
         sums=known,
     )
-    if config.decoder == "paper":
-        steps = opened.layout.amplitudes * (opened.strength if route == "model" else _image_gain(evidence, opened))
-        chips, bit_of = spreading.chips[:tint], spreading.bit_of[:tint]  # the paper knows of no other layer
-        weights = adaptive_weights(evidence.differences, opened.layout.amplitudes) if evidence.differences else None
-        bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message), weights)
-        matching = int((bits == opened.message).sum())
-        claim = replace(
-            claim,
-            message=message_hex(bits),
-            matching_bits=matching,
-            bit_accuracy=matching / len(bits),
-            bit_reliability=tuple(0.5 + 0.5 * lead),
-            log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
-            notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
-        )
-    return claim
+    claim = decide(asked, spreading, opened.message, circumstances, rate)
+    return _with_paper_bits(claim, reading, opened) if config.decoder == "paper" else claim
+
+
+def _transform(registration: Registration | None) -> Transform | None:
+    if registration is None or not registration.found:
+        return None
+    R, t = registration.R.tolist(), registration.t.tolist()
+    return Transform(registration.scale, R, t, registration.mirrored)
+
+
+def _notes(reading: Reading) -> Iterator[str]:
+    """What the registration has to say to the reader of the claim."""
+    registration = reading.registration
+    if registration is None:
+        return
+    if not registration.found:
+        if reading.route == "model":
+            weighed = f"{registration.hypotheses_tried:,} alignments were weighed"
+            yield f"no piece of the asset was found in the suspect model; {weighed}"
+        return
+    if registration.mirrored:
+        yield "the suspect model is a mirror image of the asset, and was read as such"
+    if registration.deformed:
+        yield "the suspect model is deformed: its pieces were matched one by one"
+    elif registration.mixed is not None:
+        yield "Gaussians of the suspect model were merged: each is read as a mixture of the asset's"
+
+
+def _with_paper_bits(claim: Claim, reading: Reading, opened: OpenedRecord) -> Claim:
+    """The claim with its bits read by the paper's rule (Eq 10 as printed)."""
+    evidence, layout = reading.evidence, opened.layout
+    tint, spreading = layout.chips, opened.spreading_of(len(evidence.y))
+    steps = layout.amplitudes * (opened.strength if reading.route == "model" else _image_gain(evidence, opened))
+    chips, bit_of = spreading.chips[:tint], spreading.bit_of[:tint]  # the paper knows of no other layer
+    weights = adaptive_weights(evidence.differences, layout.amplitudes) if evidence.differences else None
+    bits, lead = decode_paper(evidence.y[:tint], steps, chips, bit_of, len(opened.message), weights)
+    matching = int((bits == opened.message).sum())
+    return replace(
+        claim,
+        message=message_hex(bits),
+        matching_bits=matching,
+        bit_accuracy=matching / len(bits),
+        bit_reliability=tuple(0.5 + 0.5 * lead),
+        log10_binomial_tail=log10_binomial_tail(matching, len(bits)),
+        notes=(*claim.notes, "bits read by the paper's rule (Eq 10); the claim is ours"),
+    )
 
 
 def _sums_of_layers(evidence: Evidence, tint: int) -> dict[str, Moments]:

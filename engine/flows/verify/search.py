@@ -15,19 +15,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.decision import VerifyConfig, judge
-from engine.flows.verify.derived_share import derivation_of_model, derivation_of_pictures, derivation_of_sight
-from engine.flows.verify.suspect_evidence import read_gaussians, read_pictures, read_renders
+from engine.flows.verify.decision import Reading, VerifyConfig, judge
+from engine.flows.verify.suspect_evidence import (
+    derivation_of_model,
+    derivation_of_pictures,
+    derivation_of_sight,
+    read_gaussians,
+    read_pictures,
+    read_renders,
+)
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.blas import one_blas_thread
-from engine.registration.registration_search import Registration, register
+from engine.numerics.plain import Json
+from engine.registration.registration_search import register
 from engine.watermark.claim import Claim, Verdict
-from engine.watermark.derivation import Derivation
 from engine.watermark.layers import LAYERS
 from engine.watermark.model_evidence import Evidence
 
@@ -64,26 +69,6 @@ class Suspect:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """What a suspect says along one route, blind to all chips."""
-
-    route: str
-    evidence: Evidence
-    registration: Registration | None  # of a model
-    notes: tuple[str, ...]  # for the reader of the claim
-    shown: bool  # whether the asset was found in the suspect
-    derivation: Derivation  # the same, with how much of it and where
-    pictures: Evidence | None = None  # what pictures of it alone say
-    scattered: Evidence | None = None  # pictures read by their scatter (`PictureEvidence.by_scatter`)
-    cameras: tuple[Camera | None, ...] = ()  # from where each picture shows the reference; None where it was not read
-
-    @property
-    def derived_fraction(self) -> float | None:
-        """Share of the reference found in the suspect; None where the route does not measure it."""
-        return None if self.registration is None else self.registration.derived_fraction
-
-
-@dataclass(frozen=True, eq=False)
 class Verification:
     """A claim, the evidence it rests on, and what it cost."""
 
@@ -94,7 +79,7 @@ class Verification:
     cameras: tuple[Camera | None, ...] = ()  # of the reading it rests on
     reading: Reading | None = None  # that reading: where it was found, and by what
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Json:
         """Plain values for `verify --json`."""
         return {**self.claim.to_json(), "seconds": self.seconds, "seconds_by_stage": self.seconds_by_stage}
 
@@ -121,7 +106,16 @@ def readings(
         # Each picture in which the asset was not found left one note that begins so.
         seen = len(suspect.pictures) - sum(note.startswith("picture ") for note in notes)
         sight = derivation_of_pictures(seen, len(suspect.pictures), found=suspect.cameras is None)
-        yield Reading("image", evidence, None, notes, bool(evidence.weights.any()), sight, evidence, scattered, cameras)
+        yield Reading(
+            "image",
+            evidence,
+            notes=notes,
+            shown=bool(evidence.weights.any()),
+            derivation=sight,
+            pictures=evidence,
+            scattered=scattered,
+            cameras=cameras,
+        )
         return
     with clock.stage("register"):
         registration = register(opened.reference, suspect.model, seed=seed)
@@ -175,8 +169,7 @@ class Answer:
 
     def hear(self, opened: OpenedRecord, reading: Reading) -> None:
         """Judge what a suspect, read along a route, says of this record's chips."""
-        said = reading.registration, reading.notes, reading.derivation, reading.scattered
-        claim = judge(reading.evidence, opened, reading.route, 1, self._config, *said)
+        claim = judge(reading, opened, self._config)
         self._notes = tuple(dict.fromkeys((*self._notes, *claim.notes)))
         found = reading.registration is not None and reading.registration.found
         marked = claim.verdict is Verdict.MARKED

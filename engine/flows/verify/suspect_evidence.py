@@ -1,5 +1,8 @@
 """From a suspect to evidence about each chip, along the three routes: Gaussians, renders at the pose key, pictures."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -11,24 +14,266 @@ from engine.flows.embed.landmark_bank import bank_views
 from engine.flows.progress import Clock
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.verify.appearance_search import place_by_looking
-from engine.flows.verify.picture_evidence import read_found, read_known
-from engine.flows.verify.reference_views import ReferenceViews
 from engine.flows.views.camera_rig import make_rig
 from engine.flows.views.render_cost import check_drawable
-from engine.model import Camera, Float32, GaussianModel
+from engine.model import SH_C0, Bool, Camera, Float32, GaussianModel
+from engine.numerics.resampling import smooth
 from engine.numerics.similarity import mirror_model
+from engine.numerics.spherical_harmonics import sh_basis
+from engine.pictures.alignment.background import Background, find_background
+from engine.pictures.alignment.local_flow import align_locally
+from engine.pictures.alignment.planar import Alignment, align_either_hand, align_near, align_upright, near_motions
+from engine.pictures.camera.camera_motion import carried
 from engine.pictures.camera.camera_search import FoundCamera, find_camera, follow_camera
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.pose_refinement import refine_level
+from engine.pictures.jpeg.block_grid import JpegGrid, find_grid
+from engine.pictures.jpeg.quantizer_score import agreement, match_exposure
 from engine.pictures.landmarks.keypoints import luma
-from engine.raster import render
+from engine.raster import RasterSettings, View, draw, prepare_view, render
 from engine.registration.registration_search import Registration
+from engine.watermark.derivation import NOT_FOUND, Derivation
+from engine.watermark.grain import ATTRIBUTES, roughen
 from engine.watermark.grain_evidence import gather_grain_evidence
-from engine.watermark.image_evidence import PictureEvidence
+from engine.watermark.grain_pictures import GrainView
+from engine.watermark.image_evidence import PictureEvidence, PublicMark, gather_image_evidence
 from engine.watermark.model_evidence import Evidence, Residual, compare_colors, gather_residual
 from engine.watermark.picture_agreement import Together
+from engine.watermark.spreading import public_signs
 
-__all__ = ["Seen", "compare_tint", "read_gaussians", "read_grain", "read_pictures", "read_renders", "read_tint"]
+__all__ = [
+    "DERIVED_LEAST",
+    "ReferenceView",
+    "ReferenceViews",
+    "Seen",
+    "compare_tint",
+    "derivation_of_model",
+    "derivation_of_pictures",
+    "derivation_of_sight",
+    "read_found",
+    "read_gaussians",
+    "read_grain",
+    "read_known",
+    "read_pictures",
+    "read_renders",
+    "read_tint",
+    "seen_shift",
+]
+
+PLAIN = RasterSettings(antialiased=False, kernel="gaussian")
+"""How the grain's gradient is drawn where discs or antialiased Gaussians have none: near enough."""
+
+
+class ReferenceViews:
+    """A record's reference, and one with a mark of public signs, to be seen from many cameras."""
+
+    def __init__(self, opened: OpenedRecord) -> None:
+        model, layout, grain = opened.reference, opened.layout, opened.grain
+        self.opened = opened
+        self.signs = public_signs(layout.chips + grain.chips(len(model)))
+        self._tint = layout.displace(layout.amplitudes * self.signs[: layout.chips])
+        rough = self.signs[layout.chips :].astype(np.float32).reshape(-1, ATTRIBUTES)
+        self._rough = roughen(model, grain, rough) if grain.there else model
+
+    def at(self, camera: Camera, settings: RasterSettings = RasterSettings()) -> ReferenceView:
+        """The reference from one camera."""
+        model, grain = self.opened.reference, self.opened.grain
+        drawn = draw(model, camera, settings=settings)
+        view = prepare_view(self._rough, camera, settings) if grain.there else drawn.view
+        # As displaced harmonics show, but for what is held at black; to copy all took a tenth of a picture's time.
+        colors = np.maximum(drawn.colors + seen_shift(self._tint, model, camera), 0.0)
+        plain, marked = (np.clip(image, 0.0, 1.0) for image in (drawn.image, view.render(colors)[0]))
+        geometry = None
+        if grain.there:
+            seen = drawn.view.geometry
+            smooth = seen.settings.antialiased or len(seen.discs) > 0
+            geometry = GrainView(
+                draw(model, camera, settings=replace(PLAIN, by_distance=settings.by_distance)) if smooth else drawn,
+                grain,
+            )
+        return ReferenceView(self, drawn.view, plain, drawn.alpha, marked - plain, geometry)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceView:
+    """What one camera sees of a reference."""
+
+    of: ReferenceViews
+    view: View
+    plain: Float32  # (H, W, 3) clipped render of the reference
+    alpha: Float32  # (H, W) its opacity
+    mark: Float32  # (H, W, 3) what a mark of public signs adds
+    geometry: GrainView | None
+
+    def softened(self, sigma: float) -> ReferenceView:
+        """This view as a picture shows it that was blurred by `sigma` pixels."""
+        return replace(self, plain=smooth(self.plain, sigma), mark=smooth(self.mark, sigma))
+
+    def read(self, picture: Float32, mask: Bool, through: Float32 | None = None) -> PictureEvidence:
+        """Evidence of a picture that lies in this view's pixels."""
+        seen = (self.of.opened.layout, self.view, self.plain, picture, mask)
+        return gather_image_evidence(*seen, PublicMark(self.mark, self.of.signs), through, self.geometry)
+
+
+def seen_shift(tint: Float32, model: GaussianModel, camera: Camera) -> Float32:
+    """(N, 3) what displacements of the DC coefficients (N, 3), or of all (N, 3K), add to colours that are seen from a
+    camera."""
+    if tint.shape[1] == 3:  # from anywhere
+        return np.float32(SH_C0) * tint
+    directions = model.means - camera.position.astype(np.float32)
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    coefficients = tint.reshape(len(tint), -1, 3)
+    basis = sh_basis(directions, math.isqrt(coefficients.shape[1]) - 1)
+    return np.asarray(np.einsum("nk,nkc->nc", basis, coefficients), dtype=np.float32)
+
+
+CARRIED = 2
+"""Times that a camera is carried to a picture: the first render there shows what alignment over the other missed."""
+SOFT = (0.35, 0.45, 0.55)
+"""Blurs, pixels, that turning or shrinking a picture may have left in it: bilinear turns come to 0.45."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """A picture over a view of the reference."""
+
+    view: ReferenceView
+    alignment: Alignment
+    behind: Background | None  # what it shows behind the model
+
+
+def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> tuple[PictureEvidence | None, bool]:
+    """Evidence of one picture (h, w, 3) from a known camera, None where it does not fit that camera's view; and whether
+    it was turned over to fit."""
+    view = reference.at(camera)
+    alignment = align_either_hand(view.plain, image)
+    if alignment is None:
+        return None, False
+    turned, face = alignment.mirrored, alignment.suspect
+    laid = _carried(_Laid(view, alignment, None), face, reference, RasterSettings(), False)
+    return laid.view.read(laid.alignment.warped, laid.alignment.mask), turned
+
+
+def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
+    """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
+    was bent, part by part."""
+    view = reference.at(found.camera, found.drawn)
+    whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
+    if bent is None:
+        return whole
+    # No camera says where it is clear, and so what lies behind.
+    parts = view.read(bent.warped, bent.mask)
+    return parts if whole is None or parts.promise > whole.promise else whole
+
+
+def _read_whole(
+    view: ReferenceView, image: Float32, found: FoundCamera, reference: ReferenceViews
+) -> PictureEvidence | None:
+    laid = _lay_over_background(view, image)
+    if laid is None:
+        return None
+    laid = _carried(laid, image, reference, found.drawn, True)
+    alignment, behind = laid.alignment, laid.behind
+    if behind is None:
+        return laid.view.read(alignment.warped, alignment.mask)
+    mask = alignment.mask & behind.trusted
+    if alignment.still:  # as its coder saw it
+        return laid.view.read(image, mask, behind.through)
+    return laid.view.read(alignment.warped, mask)
+
+
+def _lay_over_background(view: ReferenceView, image: Float32) -> _Laid | None:
+    behind = find_background(image, view.alpha)
+    alignment = align_near(view.plain, image if behind is None else image - behind.through)
+    return None if alignment is None else _Laid(view, alignment, behind)
+
+
+def _carried(laid: _Laid, image: Float32, reference: ReferenceViews, drawn: RasterSettings, over: bool) -> _Laid:
+    """The picture in its own pixels, where it shows a coder's blocks and a camera can be carried there; else as it
+    was.
+
+    Brightness tells where it lies but for what a coarse coder makes up. Of what is near, the camera answers from which
+    that coder would have stored most of what it did.
+    """
+    height, width = image.shape[:2]
+    motion = laid.alignment.matrix
+    if np.linalg.det(motion[:2, :2]) < 0:  # no camera turns a picture over
+        image = np.ascontiguousarray(image[:, ::-1])
+        motion = np.array([[-1.0, 0.0, width], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ motion
+    grid = None if laid.alignment.still else find_grid(image)
+    if grid is None:
+        return laid
+    best, most = laid, 0.0
+    for start in near_motions(motion, laid.view.plain.shape[:2]):
+        camera, matrix = laid.view.view.camera, start
+        for _ in range(CARRIED):
+            there = carried(camera, matrix, width, height)
+            if there is None:
+                break
+            view = reference.at(there, drawn)
+            behind = find_background(image, view.alpha) if over else None
+            through = np.float32(0.0) if behind is None else behind.through
+            near = align_upright(view.plain, image - through)
+            if near is None:
+                break
+            camera, (matrix, alignment) = there, near
+            own = _Laid(view, alignment, behind)
+            agreed = _agreement(own, image, grid)
+            if agreed > most:
+                best, most = own, agreed
+    softer = [replace(best, view=best.view.softened(blur)) for blur in SOFT] if best is not laid else []
+    return max([best, *softer], key=lambda own: _agreement(own, image, grid)) if softer else best
+
+
+def _agreement(own: _Laid, image: Float32, grid: JpegGrid) -> float:
+    through = np.float32(0.0) if own.behind is None else own.behind.through
+    mask = own.alignment.mask
+    exposed = np.clip(match_exposure(own.view.plain, image - through, mask) + through, 0.0, 1.0)
+    return agreement(grid.part(exposed), grid.part(image), grid.part(mask), grid.quality)
+
+
+DERIVED_LEAST = 0.02
+"""Share of the reference to be found before a suspect is called derived from it."""
+SAMPLE = 50_000
+"""Matched Gaussians of which the exactness is measured."""
+
+
+def derivation_of_model(reference: GaussianModel, suspect: GaussianModel, registration: Registration) -> Derivation:
+    """What the matched Gaussians say; where every one was taken for a mixture, what these were made of."""
+    rows = np.flatnonzero(registration.matches >= 0)
+    if not registration.found:
+        return Derivation(False, 0.0, 0)
+    matched, recognised = registration.matches[rows], len(rows)
+    seen = matched
+    if not recognised:
+        seen, recognised = registration.mixtures.reference_rows, int(registration.mixtures.explained().sum())
+    low, high = np.quantile(reference.means[seen].astype(np.float64), [0.01, 0.99], axis=0)
+    exactness = None
+    if len(rows) and not registration.deformed:
+        part = slice(None, None, max(1, len(rows) // SAMPLE))
+        placed = registration.similarity.apply(suspect.means[rows[part]].astype(np.float64))
+        gaps = np.linalg.norm(placed - reference.means[matched[part]], axis=1)
+        sizes = np.exp(reference.log_scales[matched[part]].mean(axis=1, dtype=np.float64))
+        exactness = float(np.median(gaps / sizes))
+    share = registration.derived_fraction
+    where = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+    return Derivation(share >= DERIVED_LEAST, share, recognised, exactness, where)
+
+
+def derivation_of_sight(of_model: Derivation, recognised: bool) -> Derivation:
+    """What renders of a suspect model say, beside its Gaussians: views recognised by themselves, or nothing."""
+    if of_model.derived or not recognised:
+        return of_model
+    return Derivation(True, of_model.share or None, of_model.gaussians)
+
+
+def derivation_of_pictures(shown: int, pictures: int, found: bool) -> Derivation:
+    """What pictures say of which so many show the asset; `found`: their cameras were found, by recognising it.
+
+    Where somebody gave the cameras, a picture of anything that is bright in the same places can be laid over a view.
+    """
+    return Derivation(shown > 0, views=(shown, pictures)) if found else NOT_FOUND
+
 
 RENDER_SIZE = 512
 """Longer side of a suspect's render at the pose key, pixels, however large the key views were: all together see

@@ -4,16 +4,13 @@ Compiling is work for one core at a time, so the first kernel that is found to b
 each compile steps of `engine.flows.warmup.warmup_steps` and keep what they made, which this process then loads.
 """
 
-import os
 import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 from engine.flows.warmup.warmup_steps import Step, Work, steps_of
-from engine.kernels.machine import usable_cores
+from engine.kernels.kernel_cache import folder
+from engine.kernels.machine import module_command, usable_cores
 from engine.kernels.machine_code import on_compiling
 
 __all__ = ["Work", "expected_seconds", "warm_up"]
@@ -21,8 +18,6 @@ __all__ = ["Work", "expected_seconds", "warm_up"]
 MOST_PROCESSES = 4
 """That compile at a time: each is a Python of its own with a compiler in it, and longer than the longest step nobody
 gains."""
-
-_ROOT = Path(__file__).parents[2]
 
 
 def warm_up(
@@ -33,19 +28,23 @@ def warm_up(
     enough: Callable[[], bool] = lambda: False,
 ) -> None:
     """Make the kernels of some work ready; `progress` is told the fraction done, 0 to 1, by the time that it takes to
-    compile, and `compiler` is called once where a kernel is not there yet. `processes`, as many as there are cores by
-    default, at most compile side by side. As long as kernels are only loaded, it ends as soon as that is `enough`."""
+    compile, and `compiling` is called once where a kernel is not there yet. `processes`, as many as there are cores by
+    default, at most compile side by side; only this one where nothing can be kept. As long as kernels are only loaded,
+    it ends as soon as that is `enough`."""
     steps = steps_of(work)
     plan = _Plan(steps, progress or (lambda fraction: None))
     begun = False
 
     def begin() -> None:
         nonlocal begun
-        begun = True
-        compiling()
-        _call_helpers(plan, (processes or _cores()) - 1)
+        if not begun:
+            begun = True
+            compiling()
+            for _ in range((processes or _cores()) - 1 if folder() else 0):
+                threading.Thread(target=_help, args=(plan,), daemon=True).start()
 
-    with _at_first_compilation(begin):
+    on_compiling.append(begin)
+    try:
         mine = set()
         while (name := plan.take()) is not None:
             steps[name].run()
@@ -54,9 +53,10 @@ def warm_up(
             if not begun and enough():
                 return
         plan.wait()
-        for name in steps:
-            if name not in mine:
-                steps[name].run()  # from the cache; where a helper has failed, compiled after all
+        for name in [each for each in steps if each not in mine]:
+            steps[name].run()  # from the cache; where a helper has failed, compiled after all
+    finally:
+        on_compiling.remove(begin)
     plan.progress(1.0)
 
 
@@ -105,37 +105,14 @@ class _Plan:
             self._changed.wait_for(lambda: len(self._done) == len(self._steps))
 
 
-@contextmanager
-def _at_first_compilation(then: Callable[[], None]) -> Iterator[None]:
-    """Call this once, when a kernel is compiled that was not kept."""
-    left = [then]
-
-    def tell() -> None:
-        if left:
-            left.pop()()
-
-    on_compiling.append(tell)
-    try:
-        yield
-    finally:
-        on_compiling.remove(tell)
-
-
-def _call_helpers(plan: _Plan, count: int) -> None:
-    for _ in range(count):
-        threading.Thread(target=_help, args=(plan,), daemon=True).start()
-
-
 def _help(plan: _Plan) -> None:
     """Take steps and have them compiled by a process of its own, one for all of them: half of a small step's time is a
     Python's start."""
-    paths = os.pathsep.join(filter(None, [str(_ROOT), os.environ.get("PYTHONPATH")]))
     program: subprocess.Popen[bytes] | None = None
     while (name := plan.take()) is not None:
         try:
             program = program or subprocess.Popen(
-                [sys.executable, "-m", "engine.flows.warmup.warmup_steps"],
-                env={**os.environ, "PYTHONPATH": paths},
+                module_command("engine.flows.warmup.warmup_steps"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

@@ -16,7 +16,7 @@ from engine.compress.hvq import group_means
 from engine.formats.ply.gaussians import read_ply, write_ply
 from engine.formats.sog.codebook import learn_codebook
 from engine.formats.sog.palette import learn_palette
-from engine.model import GaussianModel, look_at
+from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.numerics.image_metrics import ssim
 from engine.numerics.resampling import remap
 from engine.numerics.similarity import transform_model
@@ -51,7 +51,7 @@ Work = Literal["embed", "model", "pictures", "main", "everything"]
 class Step:
     """Kernels that are compiled together."""
 
-    run: Callable[[], None]
+    run: Callable[[], object]
     seconds: float  # of one core, to compile them (EPYC of 2022, after the steps before): a weight, and an estimate
     works: tuple[Work, ...]
     after: tuple[str, ...] = ()  # steps with some of the same kernels: theirs are then loaded, not compiled twice
@@ -141,20 +141,68 @@ def _alignment() -> None:
     GrainView(drawn, Grain(0.1, 0.1)).pull(drawn.view, seen)
 
 
-_RASTER = raster.WARM_UPS
+def _colors() -> None:
+    model, _ = _scene()
+    raster.sh_colors_backward(raster.sh_colors(model.sh, model.means, np.zeros(3)), model.sh, model.means, np.ones(3))
+
+
+def _pictures() -> None:
+    model, camera = _scene()
+    raster.render(model, camera)
+    raster.render_depth(model, camera)
+    raster.prepare_view(model, camera).render(_one_channel(model))
+
+
+def _all_gradients() -> None:
+    rendering = raster.draw(*_scene())
+    raster.backward(rendering, rendering.image)
+
+
+def _discs() -> None:
+    model, camera = _scene()
+    view = raster.prepare_view(model, camera, raster.RasterSettings(kernel="disc"))
+    view.render(_one_channel(model))
+    view.render(np.zeros((len(model), 3), dtype=np.float32))
+    _pull_back(view)
+
+
+def _one_channel(model: GaussianModel) -> Float32:
+    return np.zeros((len(model), 1), dtype=np.float32)
+
+
+def _pull_back(view: raster.View) -> None:
+    for channels in (1, 3):
+        view.backward_colors(np.zeros((view.camera.height, view.camera.width, channels), dtype=np.float32))
+    view.weights()
+
+
+def _scene() -> tuple[GaussianModel, Camera]:
+    """16 Gaussians in front of a camera of 16 x 16 pixels."""
+    rng = np.random.default_rng(0)
+
+    def random(scale: float, *shape: int) -> Float32:
+        return rng.normal(0.0, scale, shape).astype(np.float32)
+
+    model = GaussianModel(
+        random(0.5, 16, 3), random(0.1, 16, 3) - 2, random(1.0, 16, 4), random(1.0, 16), random(0.3, 16, 4, 3)
+    )
+    return model, look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 16.0, 16, 16)
+
 
 STEPS: dict[str, Step] = {
     "files": Step(_files, 2.5, ("embed", "model", "pictures")),
     "registration": Step(_registration, 6.5, ("model",)),
-    "geometry": Step(_RASTER["geometry"], 3.5, ("embed", "pictures")),
+    "geometry": Step(lambda: raster.prepare_view(*_scene()), 3.5, ("embed", "pictures")),
     "cells": Step(_embedding, 3.5, ("embed",)),
-    "colors": Step(_RASTER["colors"], 1.5, ("embed", "pictures")),
-    "pictures": Step(_RASTER["pictures"], 4.0, ("embed", "pictures"), ("geometry", "colors")),
-    "color gradients": Step(_RASTER["color gradients"], 4.0, ("embed", "pictures"), ("geometry",)),
-    "all gradients": Step(_RASTER["all gradients"], 4.5, ("pictures",), ("pictures", "color gradients")),
+    "colors": Step(_colors, 1.5, ("embed", "pictures")),
+    "pictures": Step(_pictures, 4.0, ("embed", "pictures"), ("geometry", "colors")),
+    "color gradients": Step(
+        lambda: _pull_back(raster.prepare_view(*_scene())), 4.0, ("embed", "pictures"), ("geometry",)
+    ),
+    "all gradients": Step(_all_gradients, 4.5, ("pictures",), ("pictures", "color gradients")),
     "warps": Step(_warps, 5.0, ("pictures",)),
     "alignment": Step(_alignment, 5.0, ("pictures",), ("pictures", "registration", "cells", "all gradients")),
-    "discs": Step(_RASTER["discs"], 1.5, (), ("pictures", "color gradients")),
+    "discs": Step(_discs, 1.5, (), ("pictures", "color gradients")),
 }
 
 if __name__ == "__main__":

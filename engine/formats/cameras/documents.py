@@ -9,6 +9,7 @@ import numpy as np
 
 from engine.errors import CameraError
 from engine.model import Camera, Float64
+from engine.numerics.plain import Json
 
 MAX_IMAGE_SIDE = 1 << 16
 """Pixels; a larger side is a mistake."""
@@ -41,7 +42,7 @@ def read_inria(entries: list[Any], file: str) -> list[Camera]:
     return cameras
 
 
-def read_nerf(content: dict[str, Any], file: str, folder: Path) -> list[Camera]:
+def read_nerf(content: Json, file: str, folder: Path) -> list[Camera]:
     """Cameras of a parsed transforms.json; images in `folder` are looked at only where no size is given."""
     frames = content["frames"]
     if not frames:
@@ -106,9 +107,7 @@ def _intrinsics(fx: float, fy: float, cx: float, cy: float) -> Float64:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _focal(
-    entry: dict[str, Any], key: str, angle_key: str, side: int, where: str, default: float | None = None
-) -> float:
+def _focal(entry: Json, key: str, angle_key: str, side: int, where: str, default: float | None = None) -> float:
     """Focal length in pixels, given as such or by the angle of view (radians)."""
     if entry.get(key) is not None:
         return _number(entry, key, where)
@@ -120,7 +119,7 @@ def _focal(
     return side / 2 / math.tan(angle / 2)
 
 
-def _number(entry: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
+def _number(entry: Json, key: str, where: str, default: float | None = None) -> float:
     value = entry.get(key)
     if value is None and default is not None:
         return default
@@ -131,14 +130,14 @@ def _number(entry: dict[str, Any], key: str, where: str, default: float | None =
     return float(value)
 
 
-def _size(entry: dict[str, Any], key: str, where: str) -> int:
+def _size(entry: Json, key: str, where: str) -> int:
     value = _number(entry, key, where)
     if value != int(value) or not 1 <= value <= MAX_IMAGE_SIDE:
         raise CameraError(f"{where}: {key} {value:g} is no number of pixels from 1 to {MAX_IMAGE_SIDE}")
     return int(value)
 
 
-def _matrix(entry: dict[str, Any], key: str, shape: tuple[int, ...], where: str) -> Float64:
+def _matrix(entry: Json, key: str, shape: tuple[int, ...], where: str) -> Float64:
     value = entry.get(key)
     if value is None:
         raise CameraError(f"{where}: has no {key!r}")

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.numerics.plain import Json
 
 __all__ = ["MAGIC", "MAX_JSON_BYTES", "Asset", "pack_glb", "unpack"]
 
@@ -156,7 +157,7 @@ def pack_glb(parsed: Mapping[str, Any], binary: list[bytes]) -> list[bytes]:
     return [head, text, _CHUNK.pack(size + len(tail), _BIN), *binary, tail]
 
 
-def _parse(text: bytes, file: str, limit: int) -> dict[str, Any]:
+def _parse(text: bytes, file: str, limit: int) -> Json:
     if len(text) > limit:
         raise FormatError(f"its JSON has {len(text)} bytes, more than {limit}", file=file)
     try:

@@ -20,6 +20,7 @@ from engine.formats.guards import check_count
 from engine.formats.repairs import Repair, clean
 from engine.formats.spz.frames import FrameChange
 from engine.model import ATTRIBUTES, Float32, GaussianModel
+from engine.numerics.plain import Json
 from engine.numerics.similarity import transform_model
 
 __all__ = ["EXTENSION", "looks_like_gltf", "read_gltf", "write_glb"]
@@ -96,7 +97,7 @@ def write_glb(model: GaussianModel) -> list[bytes]:
         "mode": _POINTS,
         "extensions": {EXTENSION: said},
     }
-    parsed: dict[str, Any] = {
+    parsed: Json = {
         "asset": {"version": "2.0", "generator": "Mark3DGS"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from engine.formats.sog.archive import META
 from engine.formats.sog.encoding import encode_scene
 from engine.formats.sog.levels import LOD_META
 from engine.model import Float64, GaussianModel, Int64
+from engine.numerics.plain import Json
 from engine.numerics.similarity import quaternion_to_rotation
 
 __all__ = ["LEAF", "write_streamed"]
@@ -38,7 +38,7 @@ def write_streamed(levels: Sequence[GaussianModel], folder: Path, *, leaf: int =
     filenames: list[str] = []
     chunks, written = [0] * len(levels), 0
 
-    def build(rows: Int64) -> dict[str, Any]:
+    def build(rows: Int64) -> Json:
         nonlocal written
         halves = _split(points[rows], leaf)
         if halves is not None:

@@ -17,6 +17,7 @@ from engine.formats.sog.palette import learn_palette, palette_size
 from engine.formats.sog.webp import MAX_SIDE, Pixels, encode_webp
 from engine.kernels.jit import side_by_side
 from engine.model import Float32, Float64, GaussianModel
+from engine.numerics.plain import Json
 
 SogPalette = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 """Code vectors (P, K - 1, 3) and the label of each Gaussian (N,)."""
@@ -46,7 +47,7 @@ def encode_scene(model: GaussianModel, palette: SogPalette | None) -> dict[str, 
         FILES["quats"][0]: quaternion_pixels(model.quats),
         FILES["sh0"][0]: np.concatenate([nearest_codes(model.sh[:, 0], dc), alpha[:, None]], axis=1),
     }
-    meta: dict[str, Any] = {
+    meta: Json = {
         "version": 2,
         "asset": {"generator": "Mark3DGS"},
         "count": len(model),

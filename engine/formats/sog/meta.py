@@ -11,6 +11,7 @@ import numpy as np
 from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.repairs import ALPHA_LOGITS, Repair
 from engine.model import Float64
+from engine.numerics.plain import Json
 
 LEVELS = 256
 PALETTE_ROW = 64
@@ -113,7 +114,7 @@ class _Reader:
     def _fault(self, message: str, prop: str | None) -> FormatError:
         return FormatError(message, file=self._file, element="meta.json", prop=prop)
 
-    def _member(self, key: str) -> dict[str, Any]:
+    def _member(self, key: str) -> Json:
         member = self._meta.get(key)
         if not isinstance(member, dict):
             raise self._fault("is missing or no object", key)

@@ -11,10 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import JPEG_QUALITY, check_picture_ending, check_target, refuse_same, whole_file, write_picture
 from engine.cli.models import format_for, say_repairs
 from engine.cli.options import Json, Seed, SpzFrame
 from engine.errors import InputError
+from engine.usecases.files import (
+    JPEG_QUALITY,
+    check_picture_ending,
+    check_target,
+    refuse_same,
+    whole_file,
+    write_picture,
+)
 
 if TYPE_CHECKING:
     from engine.lab.sim.attack import Attack

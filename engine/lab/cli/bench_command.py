@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import check_target, whole_file
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json, Seed
 from engine.errors import InputError, Mark3DGSError
 from engine.lab.evaluate.bench.benches import BENCHES
 from engine.numerics.plain import plain
+from engine.usecases.files import check_target, whole_file
 
 _LIST = "\n".join(f"{name:<12} {entry.summary}" for name, entry in BENCHES.items())
 HELP = f"""Measure on real scenes.

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from engine.cli.claim_text import claim_lines
 from engine.cli.console import Console, Progress
 from engine.cli.embed import size
-from engine.cli.files import check_target, whole_file, write_picture, write_secret
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json
-from engine.cli.verify import claim_report
 from engine.errors import InputError, WrongKeyError
+from engine.present.claim_text import claim_lines
+from engine.usecases.files import check_target, whole_file, write_picture, write_secret
+from engine.usecases.verify import VerifyReport
 
 if TYPE_CHECKING:
     from engine.flows.embed.embedding import Embedding
     from engine.flows.records.opened_record import OpenedRecord
     from engine.flows.verify.verification import Verification
     from engine.model import Camera, GaussianModel
+    from engine.present.wording import Words
     from engine.watermark.keys import OwnerKey
-    from engine.watermark.wording import Words
 
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
@@ -63,8 +63,8 @@ def demo(
 
       mark3dgs demo --out demo-out
     """
-    from engine.watermark.numerals import PLAIN
-    from engine.watermark.wording import words_of
+    from engine.present.numerals import PLAIN
+    from engine.present.wording import words_of
 
     console = Console(json)
     began = time.perf_counter()
@@ -156,7 +156,7 @@ def _mark(work: _Work, scene: Path) -> tuple[GaussianModel, Embedding, OpenedRec
 
 def _trials(
     work: _Work, original: GaussianModel, marked: GaussianModel, opened: OpenedRecord
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Mapping[str, Any]]:
     """Steal the marked model in three ways, and try the unmarked original."""
     import numpy as np
 
@@ -209,16 +209,16 @@ def _trials(
             lambda: verify_model(original, opened, config, work.progress),
         ),
     }
-    outcomes = {}
+    outcomes: dict[str, Mapping[str, Any]] = {}
     for name, (text, check) in steps.items():
-        report = claim_report(check(), opened)
+        report = VerifyReport.of(check(), opened)
         outcomes[name] = report
         work.console.say(f"   {text:<50} {_summary(report)}")
     return outcomes
 
 
 def _summary(report: Mapping[str, Any]) -> str:
-    from engine.watermark.numerals import PLAIN, surely
+    from engine.present.numerals import PLAIN, surely
 
     verdict = report["verdict"].replace("_", " ")
     bits = f"{report['matching_bits']}/{report['bits']} bits"

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.cli.console import Console
-from engine.cli.files import whole_file
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.options import Json
 from engine.errors import InputError
+from engine.usecases.files import whole_file
 
 if TYPE_CHECKING:
     from engine.lab.sim.scenario import Run, StepResult

@@ -1,7 +1,7 @@
 """A marked scene to measure on: original, marked model and opened record, made with a key of its own."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -30,7 +30,7 @@ class MarkedScene:
     original: GaussianModel
     marked: GaussianModel
     opened: OpenedRecord
-    report: dict[str, Any]
+    report: Mapping[str, Any]
 
 
 def bench_key(seed: int) -> OwnerKey:

@@ -104,26 +104,13 @@ def _parse_header(data: bytes | memoryview, file: str) -> _LasHeader:
         *struct.unpack_from("<BB", data, 24),
         *struct.unpack_from("<HIIBHI", data, 94),
     )
-    if major != 1 or minor not in _HEADER_SIZES:
-        raise UnsupportedFormatError(f"LAS {major}.{minor} is not read here, only 1.2 to 1.4", file=file)
-    if format & _COMPRESSED:
-        message = "is LAZ (compressed LAS), which is not read here; unpack it with 'laszip' or PDAL to .las"
-        raise UnsupportedFormatError(message, file=file)
-    if format >= len(_RECORD_SIZES):
-        raise UnsupportedFormatError(f"point format {format} is not read here, only 0 to 10", file=file)
-    if stride < _RECORD_SIZES[format]:
-        message = f"point format {format} has {_RECORD_SIZES[format]} bytes a point, the header says {stride}"
-        raise FormatError(message, file=file, element=_ELEMENT)
+    _refuse_unread(major, minor, format, stride, file)
     if header_size < _HEADER_SIZES[minor] or header_size > len(data):
         message = f"the header says it has {header_size} bytes, LAS 1.{minor} has {_HEADER_SIZES[minor]}"
         raise FormatError(message, file=file)
     if offset < header_size + 54 * variables:  # 54 bytes: the head of a variable length record
         raise FormatError(f"points start at byte {offset}, inside the header and its {variables} records", file=file)
-    if minor == 4:
-        (wide,) = struct.unpack_from("<Q", data, 247)
-        if wide and count and wide != count:
-            raise FormatError(f"announces {count} points and {wide} points", file=file, element=_ELEMENT)
-        count = wide or count
+    count = _announced(data, minor, count, file)
     if count == 0:
         raise FormatError("holds no points", file=file, element=_ELEMENT)
     there = max(len(data) - offset, 0)
@@ -137,6 +124,30 @@ def _parse_header(data: bytes | memoryview, file: str) -> _LasHeader:
     if not (np.isfinite([*scales, *origin]).all() and all(scales)):
         raise FormatError(f"scale {scales} and offset {origin} of the coordinates", file=file)
     return _LasHeader(format, stride, offset, count, scales, origin)
+
+
+def _refuse_unread(major: int, minor: int, format: int, stride: int, file: str) -> None:
+    """Raise for versions and point formats that are not read here."""
+    if major != 1 or minor not in _HEADER_SIZES:
+        raise UnsupportedFormatError(f"LAS {major}.{minor} is not read here, only 1.2 to 1.4", file=file)
+    if format & _COMPRESSED:
+        message = "is LAZ (compressed LAS), which is not read here; unpack it with 'laszip' or PDAL to .las"
+        raise UnsupportedFormatError(message, file=file)
+    if format >= len(_RECORD_SIZES):
+        raise UnsupportedFormatError(f"point format {format} is not read here, only 0 to 10", file=file)
+    if stride < _RECORD_SIZES[format]:
+        message = f"point format {format} has {_RECORD_SIZES[format]} bytes a point, the header says {stride}"
+        raise FormatError(message, file=file, element=_ELEMENT)
+
+
+def _announced(data: bytes | memoryview, minor: int, count: int, file: str) -> int:
+    """Points the header announces; LAS 1.4 counts them in 64 bits too."""
+    if minor != 4:
+        return count
+    (wide,) = struct.unpack_from("<Q", data, 247)
+    if wide and count and wide != count:
+        raise FormatError(f"announces {count} points and {wide} points", file=file, element=_ELEMENT)
+    return int(wide or count)
 
 
 def _may_go_on(data: bytes | memoryview, minor: int) -> bool:

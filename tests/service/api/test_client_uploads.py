@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from service.client import Client, ServiceError, flows, sources
-from service.uploads import taking
+from service.uploads import ingest
 from tests.service.api.conftest import SMALL, Api
 
 DATA = SMALL.read_bytes()
@@ -23,7 +23,7 @@ def _small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 3 * PIECE < len(DATA) < 5 * PIECE
     monkeypatch.setattr(sources, "PIECE", PIECE)
     monkeypatch.setattr(flows, "FIRST_PAUSE", 0.001)
-    monkeypatch.setattr(taking, "run_once", lambda *_: {"format": "ply", "gaussians": 1000})  # looked at elsewhere
+    monkeypatch.setattr(ingest, "run_once", lambda *_: {"format": "ply", "gaussians": 1000})  # looked at elsewhere
 
 
 class Line(httpx.BaseTransport):

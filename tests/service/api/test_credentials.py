@@ -19,13 +19,13 @@ from engine.credentials.native import parse
 from engine.errors import InputError
 from engine.formats import encode_model, read_model
 from service.app import make_app
-from service.assets.credentials import delivered, signer_of
+from service.assets.content_credentials import delivered, signer_of
 from service.core import Service
 from service.db.schema import assets, manifests
 from service.settings import Settings
 from service.trust.audit_check import verify_log
 from service.trust.commitments import commit_asset
-from service.uploads.sweeping import sweep
+from service.uploads.retention import sweep
 from tests.service.api.conftest import SMALL, Api, _api
 from tests.service.api.test_deleting import age, put
 

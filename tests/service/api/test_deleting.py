@@ -16,7 +16,7 @@ from service.db.schema import assets, claims, jobs
 from service.jobs.port import Job, State
 from service.settings import Settings
 from service.trust.commitments import commit_asset
-from service.uploads.sweeping import sweep
+from service.uploads.retention import sweep
 from tests.service.api.conftest import SMALL, Api, _api
 
 TENANT = "tenant of deleting"
@@ -106,5 +106,5 @@ def test_rows_of_ended_jobs_are_forgotten(own: Service) -> None:
     assert own.jobs.prune(24) == 2
     with own.db.read() as connection:
         assert set(connection.execute(sa.select(jobs.c.id)).scalars()) == {"young", "open", "dispute"}
-    engine = {each.workflow_id for each in own.jobs._client().list_workflows()}
+    engine = {each.workflow_id for each in own.jobs.client().list_workflows()}
     assert engine == {"young", "open", "dispute"}, "the engine's tables do not grow either"

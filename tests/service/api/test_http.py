@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
-import uvicorn
-from fastapi import FastAPI
 
+from service import processes
 from service.db.schema import assets
-from service.http import patience
-from service.http.patience import ImpatientProtocol
-from service.jobs import child
 from tests.service.api.conftest import SMALL, Api, _api
 
 
@@ -122,18 +115,18 @@ def test_garbage_is_judged_the_same_under_load(api: Api) -> None:
 
 def test_waiting_for_a_turn_does_not_count(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     """The time for a look begins with the look."""
-    monkeypatch.setattr(child, "_turns", child.Turns(1))
+    monkeypatch.setattr(processes, "_turns", processes.Turns(1))
     seen: list[float] = []
 
-    class Looks(child._Single):
+    class Looks(processes._Single):
         def run(self, task: str, request: Any, folder: Any, go_on: Any = None) -> dict[str, Any]:
             time.sleep(0.5)
             seen.append(go_on("", 0.0))
             return {}
 
-    monkeypatch.setattr(child, "_Single", Looks)
+    monkeypatch.setattr(processes, "_Single", Looks)
     threads = [
-        threading.Thread(target=child.run_once, args=(api.service.settings, "inspect", {}, None, 1.4, tenant))
+        threading.Thread(target=processes.run_once, args=(api.service.settings, "inspect", {}, None, 1.4, tenant))
         for tenant in "abcd"
     ]
     for thread in threads:
@@ -141,45 +134,3 @@ def test_waiting_for_a_turn_does_not_count(api: Api, monkeypatch: pytest.MonkeyP
     for thread in threads:
         thread.join()
     assert seen == [True] * 4
-
-
-@contextmanager
-def served(app: FastAPI) -> Iterator[int]:
-    """A server with our protocol; its port."""
-    server = uvicorn.Server(uvicorn.Config(app, port=0, http=ImpatientProtocol, log_level="warning"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield server.servers[0].sockets[0].getsockname()[1]
-    server.should_exit = True
-    thread.join()
-
-
-def test_slow_headers_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "HEAD_SECONDS", 0.5)
-    app = FastAPI()
-
-    @app.get("/slow")
-    async def slow() -> str:
-        await asyncio.sleep(1.0)
-        return "done"
-
-    async def ask(port: int, *parts: bytes) -> bytes:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        try:
-            for part in parts:
-                writer.write(part)
-                await asyncio.sleep(0.2)
-            return await asyncio.wait_for(reader.read(), 10)
-        except ConnectionError:
-            return b""
-        finally:
-            writer.close()
-
-    with served(app) as port:
-        assert asyncio.run(ask(port)) == b"", "who says nothing"
-        drops = [b"GET /slow HTTP/1.1\r\n", *[b"X-A: b\r\n"] * 5]
-        assert asyncio.run(ask(port, *drops)) == b"", "who never comes to an end"
-        whole = [b"GET /slow HTTP/1.1\r\nHost: x\r\n", b"Connection: close\r\n\r\n"]
-        assert b'"done"' in asyncio.run(ask(port, *whole)), "a slow answer is no slow request"

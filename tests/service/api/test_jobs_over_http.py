@@ -128,12 +128,14 @@ def test_pages(api: Api) -> None:
     assert seen == made[::-1]
 
 
-def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = Settings(**{**api.service.settings.model_dump(), "embeds_per_hour": 2, "master_key": None})
+@pytest.mark.parametrize(("kind", "budget"), [("embed", "embeds_per_hour"), ("verify", "verifies_per_hour")])
+def test_budgets(api: Api, monkeypatch: pytest.MonkeyPatch, kind: str, budget: str) -> None:
+    small = Settings(**{**api.service.settings.model_dump(), budget: 2, "master_key": None})
     monkeypatch.setattr(api.client.app.state, "service", type(api.service)(**{**vars(api.service), "settings": small}))  # type: ignore[attr-defined]
     body = embed_body(api)
-    codes = [api.client.post("/v1/embed", json=body).status_code for _ in range(3)]
-    refused = api.client.post("/v1/embed", json=body)
+    body = body if kind == "embed" else {"upload_id": body["upload_id"]}
+    codes = [api.client.post(f"/v1/{kind}", json=body).status_code for _ in range(3)]
+    refused = api.client.post(f"/v1/{kind}", json=body)
     assert codes == [202, 202, 429]
     assert int(refused.headers["retry-after"]) > 0
 

@@ -20,9 +20,9 @@ from service.app import make_app
 from service.assets import conversions
 from service.core import Service
 from service.db.schema import assets
-from service.jobs.turns import Turns
+from service.processes import Turns
 from service.settings import Settings
-from service.uploads import store, taking
+from service.uploads import ingest, store
 from service.uploads.quota import stored_bytes
 from tests.service.api.conftest import SMALL, Api, _api
 
@@ -182,7 +182,7 @@ def test_looks_that_wait_keep_nobody_else_waiting(tmp_path: Path, monkeypatch: p
         waiting.release()
         assert go.wait(60)
 
-    monkeypatch.setattr(taking, "run_once", look)
+    monkeypatch.setattr(ingest, "run_once", look)
     with TestClient(make_app(service)) as client, ThreadPoolExecutor(40) as pool:
         garbage = [
             pool.submit(client.put, f"/v1/uploads/{slot}", content=b"x", headers=dict(hostile.client.headers))

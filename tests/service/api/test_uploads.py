@@ -41,12 +41,14 @@ def test_in_three_parts(api: Api) -> None:
     assert left == []
 
 
-def test_bytes_at_the_wrong_place(api: Api) -> None:
+@pytest.mark.parametrize("offset", ["0", "5", "50"])
+def test_bytes_at_the_wrong_place(api: Api, offset: str) -> None:
     slot = api.client.post("/v1/uploads", json={"size": 100}).json()["id"]
     api.client.put(f"/v1/uploads/{slot}", content=b"x" * 10)
-    answer = api.client.put(f"/v1/uploads/{slot}", content=b"x" * 10, headers={"Upload-Offset": "50"})
+    answer = api.client.put(f"/v1/uploads/{slot}", content=b"x" * 10, headers={"Upload-Offset": offset})
     assert answer.status_code == 409
     assert answer.json()["offset"] == 10
+    assert api.client.get(f"/v1/uploads/{slot}").json()["offset"] == 10, "nothing was appended"
 
 
 def test_other_bytes_than_announced(api: Api) -> None:

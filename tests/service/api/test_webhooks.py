@@ -16,7 +16,7 @@ from service.core import Service
 from service.db.schema import audit, webhooks
 from service.jobs.port import Job, State
 from service.settings import Settings
-from service.trust import webhooks as registry
+from service.trust import webhook_secrets as registry
 from tests.service.api.conftest import Api, _api
 from tests.service.api.test_lists import tenant_of
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from engine.watermark.claim import ClaimConfig, decide
+from engine.watermark.claim import Circumstances, ClaimConfig, decide
 from engine.watermark.derivation import Derivation
 from engine.watermark.messages import message_hex
+from engine.watermark.model_evidence import Evidence
 from engine.watermark.rates import Attested, applicable_rate
+from engine.watermark.spreading import Spreading
 from service.db.schema import assets
 
 REGIONS = {
@@ -36,18 +38,17 @@ def reply(kind: str = "marked", bits: int = 32, **changes: Any) -> dict[str, Any
     signal = np.full(CHIPS, 1e-3 if kind == "inconclusive" else 1.0)
     pictures = kind == "inconclusive"
     claim = decide(
-        y,
-        np.ones(CHIPS),
-        signal,
-        bit_of,
-        chips,
+        Evidence(y, np.ones(CHIPS), signal),
+        Spreading(bit_of, chips),
         message,
-        tries=3,
-        route="image" if pictures else "model",
-        copy="Studio Nord",
-        config=ClaimConfig.at(applicable_rate(1e-9, ATTESTED)),
-        derivation=Derivation(True, views=(1, 2)) if pictures else Derivation(True, 0.75, 925, 0.01),
-        notes=("picture 1: no view of this asset was recognised",) if pictures else (),
+        Circumstances(
+            tries=3,
+            route="image" if pictures else "model",
+            copy="Studio Nord",
+            derivation=Derivation(True, views=(1, 2)) if pictures else Derivation(True, 0.75, 925, 0.01),
+            notes=("picture 1: no view of this asset was recognised",) if pictures else (),
+        ),
+        ClaimConfig.at(applicable_rate(1e-9, ATTESTED)),
     )
     assert claim.verdict == kind
     return {

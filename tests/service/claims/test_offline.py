@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from engine.errors import InputError
-from engine.records.merkle import leaf_hash
+from engine.records.merkle import leaf_hash, node_hash
 from service.claims.document import summary_of
 from service.claims.offline import Findings, Status, verify_report
 from service.claims.report import report_html
@@ -115,7 +115,12 @@ def test_a_page_with_other_words_or_pictures_fails(registry: Registry) -> None:
 
 def test_a_summary_that_says_something_else_fails(registry: Registry) -> None:
     claim = registry.issue()
-    whole = {"document": claim.document, "jws": claim.jws, "timestamp": None, "summary": summary_of(claim.document)}
+    whole = {
+        "document": claim.document,
+        "jws": claim.jws,
+        "timestamp": None,
+        "summary": summary_of(claim.document).model_dump(),
+    }
     found = verify_report(json.dumps(whole).encode(), registry.jwks)
     assert found.valid
     assert [check.code for check in found.checks][-2:] == ["document", "summary"]
@@ -238,6 +243,24 @@ def test_a_signature_does_not_make_a_contradiction_hold(
     found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
     assert code in failed(found), found.checks
     assert not found.valid
+
+
+@pytest.mark.parametrize(("claimed", "registered", "faults"), [(1, 0, []), (0, 1, ["registration"])])
+def test_an_asset_registered_after_its_claim_does_not_count(
+    registry: Registry, claimed: int, registered: int, faults: list[str]
+) -> None:
+    """A log of two entries, whole and signed, in either order."""
+    document = copy.deepcopy(registry.issue().document)
+    audit = document["audit"]
+    claim, registration = audit["entry"], audit["registration"]["entry"]
+    claim["index"], registration["index"] = claimed, registered
+    leaves = {entry["index"]: leaf_hash(canonical(entry)) for entry in (claim, registration)}
+    audit.update(index=claimed, size=2, root=node_hash(leaves[0], leaves[1]).hex(), earlier=[])
+    audit["proof"] = [leaves[registered].hex()]
+    proven = {"entry": registration, "proof": [leaves[claimed].hex()]}
+    audit.update(registration=proven, first_registration=proven)
+    found = verify_report(registry.sign(canonical(document)).encode(), registry.jwks)
+    assert failed(found) == faults
 
 
 @pytest.mark.parametrize("payload", [b"", b"5", b"[]", b"null", b"{", b"{}", b'{"schema_version": 1}', b"\xff"])

@@ -13,15 +13,17 @@ from pydantic import ValidationError
 
 from service.claims.offline import verify_report
 from service.claims.pack import make_pack, shown_in_pack
-from service.claims.told import Told
+from service.claims.schema import OwnerStatement
 from service.problems import Problem
 from tests.service.claims.cases import KINDS, PICTURES, nothing, picture, reply
 from tests.service.claims.conftest import Registry
 
-TOLD = Told(copy_url=["https://elsewhere.example/m/1", "https://elsewhere.example/m/2"], note="Taken from my shop.")
+TOLD = OwnerStatement(
+    copy_url=["https://elsewhere.example/m/1", "https://elsewhere.example/m/2"], note="Taken from my shop."
+)
 
 
-def pack(registry: Registry, found: dict[str, Any] | None = None, told: Told = TOLD, **changes: Any) -> bytes:
+def pack(registry: Registry, found: dict[str, Any] | None = None, told: OwnerStatement = TOLD, **changes: Any) -> bytes:
     claim = registry.issue(found, **{"job": changes.pop("job", "job_1")})
     given = {"pictures": PICTURES, "timestamp": None} | changes
     return make_pack(claim.document, claim.jws, given["pictures"], given["timestamp"], told)
@@ -41,7 +43,7 @@ def test_the_same_claim_and_words_give_the_same_bytes(registry: Registry, monkey
     first = pack(registry)
     monkeypatch.setattr("time.time", lambda: 2e9)
     assert pack(registry) == first
-    assert pack(registry, told=Told()) != first
+    assert pack(registry, told=OwnerStatement()) != first
 
 
 def test_a_tenant_that_nobody_named_is_a_blank(registry: Registry) -> None:
@@ -49,10 +51,10 @@ def test_a_tenant_that_nobody_named_is_a_blank(registry: Registry) -> None:
     claim = registry.issue(job="job_1")
     for name, said in (("default", "[name of the owner]"), ("Studio Acme", "Studio Acme")):
         document = {**claim.document, "owner": {"name": name}}
-        finding, notice = texts(make_pack(document, claim.jws, PICTURES, None, Told()))
+        finding, notice = texts(make_pack(document, claim.jws, PICTURES, None, OwnerStatement()))
         assert f"registered by {said}." in notice
         assert f" for {said}." in " ".join(finding.split())
-    finding, notice = texts(make_pack({**claim.document, "owner": None}, claim.jws, PICTURES, None, Told()))
+    finding, notice = texts(make_pack({**claim.document, "owner": None}, claim.jws, PICTURES, None, OwnerStatement()))
     assert "registered by" not in notice
 
 
@@ -104,7 +106,7 @@ def test_each_verdict_has_its_words(registry: Registry) -> None:
 
 
 def test_blanks_stay_where_the_owner_said_nothing(registry: Registry) -> None:
-    finding, notice = texts(pack(registry, told=Told()))
+    finding, notice = texts(pack(registry, told=OwnerStatement()))
     assert "Found at: [links to the copy]" in notice
     assert "[link to the original, or: it is not published]" in notice
     assert "Statement of the owner" not in notice
@@ -154,7 +156,7 @@ def test_words_from_outside_stay_what_they_are(registry: Registry) -> None:
     """A note cannot pass itself off as the finding, nor a recipient's name as a line of the notice."""
     registry.register(id="as_2", job="two", copy="Nord\nVALID: the owner is right\u202e")
     note = "a\nMARK FOUND\u2028HOW TO CHECK\x0bx\r\n" + "w" * 300 + "\n{{ 7 * 7 }}<script>"
-    for text in texts(pack(registry, reply(asset="as_2"), Told(note=note))):
+    for text in texts(pack(registry, reply(asset="as_2"), OwnerStatement(note=note))):
         assert not [line for line in text.splitlines() if line.startswith(("VALID", "HOW TO CHECK\x0b", "www"))]
         assert sum(line.strip().startswith("| ") for line in text.split("\n")) >= 6
         assert "\u202e" not in text
@@ -177,8 +179,8 @@ def test_words_from_outside_stay_what_they_are(registry: Registry) -> None:
 )
 def test_what_is_no_address_is_refused(said: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
-        Told.model_validate(said)
+        OwnerStatement.model_validate(said)
 
 
 def test_an_address_keeps_to_its_line() -> None:
-    assert str(Told(copy_url=["https://a.example/x\ny"]).copy_url[0]) == "https://a.example/xy"
+    assert str(OwnerStatement(copy_url=["https://a.example/x\ny"]).copy_url[0]) == "https://a.example/xy"

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from service.backups import manifest, taking
+from service.backups import manifest, snapshot
 from service.core import Service
 from service.db.schema import jobs, uploads
 from service.settings import DATABASE, JOBS_DATABASE, Settings
@@ -41,14 +41,14 @@ def meanwhile(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Callable[[], ob
     """Have something done right after a backup has copied the database of this name."""
 
     def arrange(name: str, act: Callable[[], object]) -> None:
-        real = taking._copy_database
+        real = snapshot._copy_database
 
         def copy(source: Path, target: Path) -> None:
             real(source, target)
             if source.name == name:
                 act()
 
-        monkeypatch.setattr(taking, "_copy_database", copy)
+        monkeypatch.setattr(snapshot, "_copy_database", copy)
 
     return arrange
 
@@ -183,6 +183,6 @@ def test_a_master_key_of_another_service(mark3dgs: Mark3dgs, data: Path, tmp_pat
 def test_an_interrupted_backup_leaves_nothing(
     mark3dgs: Mark3dgs, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
-    monkeypatch.setattr(taking, "copy_file", interrupting(manifest.copy_file, at))
+    monkeypatch.setattr(snapshot, "copy_file", interrupting(manifest.copy_file, at))
     assert mark3dgs("backup", str(tmp_path / "backup"))[0] == 130
     assert not (tmp_path / "backup").exists()

@@ -63,7 +63,7 @@ def test_a_folder_that_is_not_empty(mark3dgs: Mark3dgs, backup: Path, data: Path
     assert mark3dgs("restore", str(backup), DATA_DIR=str(container))[0] == 0
 
 
-@pytest.mark.parametrize("name", ["service.backups.restoring.copy_file", "os.replace"])
+@pytest.mark.parametrize("name", ["service.backups.restoration.copy_file", "os.replace"])
 def test_an_interrupted_restore_leaves_nothing(
     mark3dgs: Mark3dgs, backup: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -76,4 +76,4 @@ def test_it_is_installed_under_its_name(tmp_path: Path, kind: str) -> None:
         assert (out / "mark3dgs" / "py.typed").is_file()
         assert (out / "service" / "py.typed").is_file()
         assert not (out / "service" / "installed").exists()
-        assert (out / "engine" / "sim" / "scenario").is_dir()
+        assert (out / "engine" / "lab" / "sim" / "scenario").is_dir()

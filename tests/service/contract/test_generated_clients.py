@@ -9,7 +9,7 @@ from typing import Any
 import jsonschema_rs
 import pytest
 
-from service.http.answers import view
+from service.http.job_responses import view
 from service.jobs.port import Job, State
 from service.verifications.endpoints import VerifyRequest
 from tests.service.contract.test_openapi import FROZEN

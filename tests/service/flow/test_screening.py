@@ -13,11 +13,11 @@ from engine.catalogue.entry import Entry
 from engine.formats import write_model
 from engine.model import GaussianModel
 from engine.registration.sketch import make_sketch
-from service import screening
+from service import asset_screening
+from service.asset_screening import screen
 from service.core import Service
 from service.db.schema import assets
 from service.jobs.port import Job, Run, State
-from service.screening import screen
 from service.settings import Settings
 from service.work.tasks import TASKS
 from tests.registration.registration_cases import scene as clusters
@@ -86,7 +86,7 @@ def model(number: int) -> GaussianModel:
 
 @pytest.fixture
 def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shop]:
-    monkeypatch.setattr(screening, "MOST_MISSING", 2)
+    monkeypatch.setattr(asset_screening, "MOST_MISSING", 2)
     made = Shop(tmp_path)
     yield made
     made.service.close()
@@ -126,7 +126,7 @@ def test_the_index_is_kept_grows_and_can_be_lost(shop: Shop) -> None:
 
 
 def test_an_index_is_learnt_anew_when_outgrown(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(screening, "OUTGROWN", 2)
+    monkeypatch.setattr(asset_screening, "OUTGROWN", 2)
     for number in range(3):
         shop.register(number)
     shop.screen(0)

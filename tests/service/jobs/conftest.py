@@ -16,7 +16,7 @@ import pytest
 
 from service.db import Database
 from service.jobs import presence
-from service.jobs.durable import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from service.settings import Settings
 from tests.service.jobs import fake

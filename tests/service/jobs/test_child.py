@@ -14,9 +14,8 @@ from typing import Any
 
 import pytest
 
-from service.jobs.child import SECONDS_BETWEEN_LOOKS, Children, Limits, Stopped
-from service.jobs.port import Cancelled
 from service.problems import Problem
+from service.processes import SECONDS_BETWEEN_LOOKS, Cancelled, Children, Limits, Stopped
 from tests.service.jobs.toy_worker import CHILD
 
 LIMITS = Limits(memory_bytes=1 << 30, cpu_seconds=1, file_bytes=1 << 20)
@@ -203,7 +202,7 @@ def test_the_processes_die_with_their_parent(tmp_path: Path) -> None:
     file = tmp_path / "pid"
     code = f"""
 from pathlib import Path
-from service.jobs.child import Children, Limits
+from service.processes import Children, Limits
 from tests.service.jobs.toy_worker import CHILD
 children = Children(Limits(1 << 30, 60, 1 << 20), CHILD)
 children.run("nap", {{"pid_file": {str(file)!r}}}, Path({str(tmp_path)!r}))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.jobs.durable import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import FINAL, Job, State
 from tests.service.jobs.conftest import Workshop
 
@@ -24,7 +24,7 @@ def begun(shop: Workshop) -> list[str]:
 
 def in_line(jobs: DurableJobs) -> set[str]:
     """Jobs that a worker could take now."""
-    return {each.workflow_id for each in jobs._client().list_workflows(status="ENQUEUED")}
+    return {each.workflow_id for each in jobs.client().list_workflows(status="ENQUEUED")}
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_the_tenant_with_the_fewest_at_work_comes_first(jobs: DurableJobs) -> No
         if job_id != "a2":
             jobs.begin(job_id, "w")
     jobs.submit(Job("b0", "b", "key", "three", State.QUEUED, {}))
-    priority = {each.workflow_id: each.priority for each in jobs._client().list_workflows(status="ENQUEUED")}
+    priority = {each.workflow_id: each.priority for each in jobs.client().list_workflows(status="ENQUEUED")}
     assert priority["b0"] < priority["a1"] < priority["a2"]
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from service.jobs.port import Job, State
-from service.jobs.running import MAX_TRIES
+from service.jobs.runner import MAX_TRIES
 from service.problems import Problem
 from service.settings import DATABASE, JOBS_DATABASE
 from tests.service.jobs.conftest import Workshop, new_settings, opened
@@ -276,3 +276,41 @@ def test_a_database_outage_is_waited_out(request: pytest.FixtureRequest, tmp_pat
         assert worker.poll() is None
         shop.submit("b", "three")
         assert shop.ended("b").state == State.SUCCEEDED
+
+
+def taken_from_the_queue(shop: Workshop, job_id: str, worker: str) -> None:
+    """As DBOS leaves a job that it took in the moment the database went away."""
+    with sqlite3.connect(shop.settings.data_dir / "jobs.sqlite") as connection:
+        connection.execute(
+            "UPDATE workflow_status SET status = 'PENDING', executor_id = ? WHERE workflow_uuid = ?", (worker, job_id)
+        )
+    connection.close()
+
+
+@ON_SQLITE
+def test_a_job_that_was_taken_and_not_begun_goes_back_to_the_queue(workshop: Workshop) -> None:
+    workshop.start("one", worker_silence_seconds=600)
+    workshop.wait(lambda: "worker one is ready" in workshop.log.read_text())
+    workshop.processes[0].send_signal(signal.SIGSTOP)
+    workshop.task("a", "echo")
+    taken_from_the_queue(workshop, "a", "one")
+    workshop.processes[0].send_signal(signal.SIGCONT)
+    assert workshop.ended("a").state == State.SUCCEEDED
+
+
+@ON_SQLITE
+def test_who_lost_a_job_stops_within_its_step(workshop: Workshop, tmp_path: Path) -> None:
+    """DBOS would stop it at the step's end, which may be an hour away."""
+    pid_file = tmp_path / "pid"
+    workshop.task("a", "nap", pid_file=str(pid_file), seconds=600)
+    workshop.start("one")
+    pid = pid_in(pid_file)
+    workshop.start("two")
+    workshop.wait(lambda: "worker two is ready" in workshop.log.read_text())
+    workshop.jobs.requeue(["a"])
+    workshop.wait(lambda: pid_in(pid_file) != pid)
+    assert gone_within(pid, 10.0)
+    time.sleep(1.0)
+    assert workshop.job("a").state == State.RUNNING, "it is the other's now"
+    workshop.jobs.cancel("tenant", "a")
+    assert workshop.ended("a").state == State.CANCELLED

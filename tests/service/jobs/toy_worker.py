@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from service.db import Database
-from service.jobs.durable import DurableJobs
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Run, Step
-from service.jobs.worker import Worker
+from service.jobs.runner import Worker
 from service.problems import Problem
 from service.settings import Settings
 

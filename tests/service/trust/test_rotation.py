@@ -13,7 +13,7 @@ from service.db import Database, schema
 from service.jobs.presence import Presence
 from service.problems import Problem
 from service.settings import Settings
-from service.trust import api_keys, owner_keys, rotation, signing, webhooks
+from service.trust import api_keys, owner_keys, rotation, signing, webhook_secrets
 from service.trust.audit_check import verify_log
 from service.trust.master import MasterKey, MasterKeyError
 from service.trust.rotation import rotate_master
@@ -26,7 +26,7 @@ def filled(settings: Settings, db: Database, master: MasterKey) -> str:
     """An API key's token; an owner key, an erased one and a signing key are there, too."""
     signing.ensure_key(db, master)
     owner_keys.store(db, master, "acme", SECRET)
-    webhooks.add(db, master, "acme", "https://hooks.example/", "hooks.example", 1)
+    webhook_secrets.add(db, master, "acme", "https://hooks.example/", "hooks.example", 1)
     gone = owner_keys.store(db, master, "acme", OwnerKey(bytes(range(1, 33))))
     owner_keys.delete(db, "acme", gone.id)
     return api_keys.issue(db, master, "acme", ["read"])
@@ -37,7 +37,7 @@ def all_opens(db: Database, master: MasterKey, token: str) -> None:
     assert owner_keys.open_key(db, master, "acme", known.id).secret == SECRET.secret
     with db.read() as connection:
         assert signing.sign(connection, master, b"{}")
-        assert webhooks.secret_of(master, connection.execute(schema.webhooks.select()).one()).startswith("whs_")
+        assert webhook_secrets.secret_of(master, connection.execute(schema.webhooks.select()).one()).startswith("whs_")
     assert api_keys.check(db, master, token).tenant == "acme"
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from service.assets.endpoints import Asset
 from service.claims.endpoints import ClaimSummary
-from service.http.answers import JobView
+from service.http.job_responses import JobView
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page, Route

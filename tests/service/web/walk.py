@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.raster import render
+from engine.usecases.files import write_picture
 from tests.service import serving
 from tests.service.web.conftest import ARGUMENTS, CHROMIUM, DESKTOP, sign_in
 from tests.service.web.journey import LONG, PLANT, check, embed, make_key

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.raster import render
-from service.jobs.course import course
+from engine.usecases.files import write_picture
+from service.http.progress import course
 from service.jobs.port import Job, State
 from service.work.tasks import TASKS
 from tests.service.work.conftest import Marked

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.cli.files import write_picture
 from engine.flows.embed.copy_mark import mark_again
 from engine.flows.records.opened_record import open_record
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 from engine.raster import render
+from engine.usecases.files import write_picture
 from engine.watermark.keys import OwnerKey
 from service.work.pictures import EVIDENCE_SIZE, SUSPECT_GAIN, choose_view
 from tests.service.work.conftest import FOREIGN, KEY, Ask, Marked

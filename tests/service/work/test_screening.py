@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from engine.catalogue.entry import Entry
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.lab.evaluate.strangers import make_stranger
 from engine.raster import render
 from engine.registration.sketch import make_sketch
+from engine.usecases.files import write_picture
 from service.work.tasks import TASKS
 from tests.service.work.conftest import FOREIGN, Marked, silent
 

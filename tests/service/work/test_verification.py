@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from engine.cli.files import write_picture
 from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model, write_model
 from engine.lab.sim.attacks import model_attack
 from engine.raster import render
+from engine.usecases.files import write_picture
 from service.problems import Problem
 from tests.service.work.conftest import FOREIGN, Ask, Marked, checks
 

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from engine.flows.warmup.kernel_warmup import warm_up
 from engine.formats import read_model
 from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.kernels.machine import machine_info, peak_memory_mb
 from engine.kernels.thread_crew import thread_count
 from engine.lab.evaluate.bench.timing import median_ms
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors, sh_colors_backward, warm_up
+from engine.raster import Gradients, View, backward, draw, prepare_view, render, sh_colors, sh_colors_backward
 from engine.raster.disc_projection import LOW_PASS
 from engine.raster.projection import RECORD
 from engine.raster.settings import TILE
@@ -108,7 +109,7 @@ def bench_raster(model: GaussianModel, width: int = 1297, height: int = 840, rep
     (raster stage of the plain loop) and `speedup_over_naive` (that over blend_ms); `fragments_per_second` (pixel and
     Gaussian, evaluated, blend_ms), counts, machine.
     """
-    warm_up()
+    warm_up("everything")
     camera = bench_camera(model, width, height)
     position = camera.position
     rendering = draw(model, camera)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from engine.flows.embed.embedding import embed
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.embed.profiles import profile as named_profile
-from engine.flows.embed.strength_search import add_dc
 from engine.flows.records.opened_record import OpenedRecord, draw_spreading, open_record, plan_of
 from engine.flows.trace.tracing import trace_model
 from engine.flows.verify.verification import VerifyConfig, verify_images, verify_model

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.flows.embed.embedding import embed
-from engine.flows.embed.strength_search import add_dc
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.records.opened_record import open_record
 from engine.flows.verify.verification import Verification, VerifyConfig, verify_images, verify_model
 from engine.flows.views.camera_rig import make_rig

@@ -11,8 +11,8 @@ import numpy as np
 from engine.errors import CapacityError
 from engine.flows.embed.auto_profile import rehearse
 from engine.flows.embed.embedding import Embedding, embed
+from engine.flows.embed.layer_strengths import add_dc
 from engine.flows.embed.profiles import AUTO, Auto, EmbedConfig
-from engine.flows.embed.strength_search import add_dc
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import LoadedModel, encode_model, read_model
 from engine.kernels.machine import load_per_core

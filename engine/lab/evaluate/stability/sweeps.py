@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from engine.errors import InputError
-from engine.flows.verify.decision import VerifyConfig, judge
+from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.verification import Verification, verify_images, verify_model
 from engine.lab.evaluate.baselines.method import Kept
 from engine.lab.evaluate.baselines.methods import METHODS
@@ -169,7 +169,8 @@ def picture_at_key_view(scene: MarkedScene, number: int = 0) -> tuple[Camera, Fl
 def _said(result: Verification, scene: MarkedScene) -> Row:
     """What the verification answered, and the bits by the paper's rule from the very same evidence."""
     claim = result.claim
-    paper = judge(result.evidence, scene.opened, claim.route, claim.tries, VerifyConfig(decoder="paper"))
+    read = Reading(claim.route, result.evidence)
+    paper = judge(read, scene.opened, VerifyConfig(decoder="paper"), claim.tries)
     return {
         "bits": claim.bit_accuracy,
         "bits_paper": paper.bit_accuracy,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import CapacityError
-from engine.flows.verify.decision import VerifyConfig, judge
+from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.verification import Verification, verify_model
 from engine.formats import encode_model
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
@@ -195,7 +195,7 @@ def mark_setting(scene: str, setting: Setting, seed: int, changes: dict[str, Any
 def _read_bits(result: Verification, scene: MarkedScene, route: str) -> Row:
     """Bits by our decoder and by the paper's rule (Eq 10), and the claim, from one reading."""
     claim = result.claim
-    paper = judge(result.evidence, scene.opened, route, 1, VerifyConfig(decoder="paper"))
+    paper = judge(Reading(route, result.evidence), scene.opened, VerifyConfig(decoder="paper"))
     return {
         "z": claim.z,
         "right": claim.matching_bits,

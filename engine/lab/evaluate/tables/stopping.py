@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.flows.verify.decision import VerifyConfig, judge
+from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.views.early_stop import early_stop
 from engine.lab.evaluate.bench.attacks import other_views, read_attacked, to_8_bit
 from engine.lab.evaluate.figures import Axes, label_line, styles
@@ -41,7 +41,7 @@ def measure_stops(
             picture, seen = view.render(colors, None, early)
             seconds = time.perf_counter() - began
             read = read_attacked(marked, UNTOUCHED, (seed, number), to_8_bit(picture), camera)
-            by_paper = judge(read.evidence, marked.opened, "image", 1, VerifyConfig(decoder="paper"))
+            by_paper = judge(Reading("image", read.evidence), marked.opened, VerifyConfig(decoder="paper"))
             rows.append(
                 {
                     "kind": "stop",

@@ -29,8 +29,8 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
     """
     from engine.compress.hvq import HvqConfig, quantize
     from engine.compress.impact import measure_impact
+    from engine.flows.embed.layer_strengths import add_dc, solve_strength
     from engine.flows.embed.planning_basis import color_weights
-    from engine.flows.embed.strength_search import add_dc, solve_strength
     from engine.flows.views.view_set import look
     from engine.watermark.planning import make_plan
 

@@ -16,8 +16,6 @@ from engine.numerics.image_metrics import SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_SI
 
 __all__ = ["photo_loss"]
 
-_KERNEL_VERSION = 1
-
 _TAPS = 2 * SSIM_RADIUS + 1
 _HALF = np.float32(0.5)
 _C1, _C2 = np.float32(SSIM_C1), np.float32(SSIM_C2)

@@ -7,10 +7,9 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
-from engine.flows.verify.decision import VerifyConfig, judge
-from engine.flows.verify.derived_share import derivation_of_model
+from engine.flows.verify.decision import Reading, VerifyConfig, judge
 from engine.flows.verify.search import count_tries
-from engine.flows.verify.suspect_evidence import read_gaussians
+from engine.flows.verify.suspect_evidence import derivation_of_model, read_gaussians
 from engine.lab.sim.edits.objects import FlatScene
 from engine.model import Float32, Float64, GaussianModel, Int32, Int64
 from engine.numerics.umeyama import Similarity
@@ -66,7 +65,7 @@ def verify_pieces(
     whole = replace(pieces.registration, matches=pieces.matches, match_quality=pieces.quality, derived_fraction=share)
     notes = (f"read from {len(pieces.placements)} pieces",) if len(pieces.placements) > 1 else ()
     evidence, derivation = read_gaussians(suspect, opened, whole), derivation_of_model(opened.reference, suspect, whole)
-    return judge(evidence, opened, "model", 1, config, whole, notes, derivation)
+    return judge(Reading("model", evidence, whole, notes, derivation=derivation), opened, config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +121,7 @@ def verify_objects(
                 break
             derivation = derivation_of_model(opened.reference, part, found)
             evidence = read_gaussians(part, opened, found)
-            claim = judge(evidence, opened, "model", tries, config, found, derivation=derivation)
+            claim = judge(Reading("model", evidence, found, derivation=derivation), opened, config, tries)
             rows = left[found.matches >= 0]
             objects = _shares(suspect.owner[rows], suspect.names) if isinstance(suspect, FlatScene) else ()
             placement, low, high = None, None, None

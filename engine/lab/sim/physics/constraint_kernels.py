@@ -20,8 +20,6 @@ import numpy as np
 from engine.kernels.jit import inlined, kernel
 from engine.lab.sim.physics.decompositions import rotation_part
 
-_KERNEL_VERSION = 2
-
 COLLAPSED = 1e-9
 """An edge shorter than this share of its rest length has lost its direction and takes that of rest."""
 

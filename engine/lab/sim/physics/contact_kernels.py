@@ -12,8 +12,6 @@ import numpy as np
 
 from engine.kernels.jit import inlined, kernel
 
-_KERNEL_VERSION = 2
-
 RELIEF = 0.2
 """Share of an old overlap between points that is resolved in one substep."""
 

@@ -15,8 +15,6 @@ from engine.numerics.spherical_harmonics import sh_rotation
 
 __all__ = ["deform_model", "interpolate", "polar_rotations"]
 
-_KERNEL_VERSION = 1
-
 THINNEST = 1e-10
 """Smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite."""
 TINIEST = 1e-30

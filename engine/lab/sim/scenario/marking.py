@@ -91,8 +91,8 @@ def _mark_part(brought: Brought, part: Part, key: OwnerKey, told: Progress) -> _
         return _Made(marked, scene, opened)
     new, opened_new = scene, None
     if part.bits:
-        request = {"original_sha256": loaded.sha256, "bits": part.bits, "progress": told}
-        ((made, embedding),) = embed_variant(loaded, key, (part.name,), config=config, **request)
+        marks = embed_variant(loaded, key, (part.name,), config=config, bits=part.bits, progress=told)
+        ((made, embedding),) = marks
         assert not isinstance(made, GaussianModel)  # the same kind comes back
         new, opened_new = made, open_record(embedding.record.to_bytes(key), key, MADE_FIRST)
     if isinstance(scene, CodebookModel) or isinstance(new, CodebookModel):

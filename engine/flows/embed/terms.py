@@ -1,0 +1,54 @@
+"""What an embedding is asked for, beside model, key and recipient."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+from engine.flows.embed.profiles import Settings
+from engine.flows.embed.variant import PLAIN, Variant
+from engine.model import Camera
+from engine.records.record import Record
+from engine.watermark.messages import Signs, check_bits
+
+__all__ = ["MarkOptions", "MarkTerms"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkTerms:
+    """What an embedding is asked for; InputError where the length of the message is out of range."""
+
+    original_sha256: str  # hex digest of the owner's file; the record commits to it
+    message: Signs | None = None  # (B,) +-1; derived from the key where not given
+    bits: int = 32  # length of a derived message
+    config: Settings | None = None  # Auto to have it chosen; default: `EmbedConfig()`, see `profiles.compose`
+    # The owner's own cameras; key views are chosen among them. Generated from the model otherwise
+    cameras: Sequence[Camera] | None = None
+    registered_at: str = ""  # time of registration as the caller knows it; no clock is read here
+    # What a third party that attests the registration drew for it, when key and original were settled: it enters the
+    # plan, and so decides the chips, which nobody can then try out beforehand
+    drawn: str = ""
+    # Record of another copy of this model. Where what it looked at was the same, its landmarks are taken instead of
+    # made anew: same bytes, sooner
+    earlier: Record | None = None
+    variant: Variant = PLAIN  # what is special about a model that moves, or brings its own codebook
+
+    def __post_init__(self) -> None:
+        check_bits(self.length)
+
+    @property
+    def length(self) -> int:
+        """Bits of the message."""
+        return self.bits if self.message is None else len(self.message)
+
+
+class MarkOptions(TypedDict, total=False):
+    """Fields of `MarkTerms` as keyword arguments; what is left out has its default."""
+
+    message: Signs | None
+    bits: int
+    config: Settings | None
+    cameras: Sequence[Camera] | None
+    registered_at: str
+    drawn: str
+    earlier: Record | None
+    variant: Variant

@@ -1,0 +1,280 @@
+"""A claim in words: the one wording of it, for command line, report, API and page.
+
+Said of the plain JSON of `verify --json`. Nothing is overstated: bounds are rounded against the claim, and nothing
+measured is called certain.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from engine.present.numerals import Form, percent, surely, when
+from engine.watermark.claim import SCATTERED
+from engine.watermark.rates import BASES
+from engine.watermark.statistics import DISHONEST_CLAIMANT_RATE
+
+HEADLINES = {
+    "marked": "Watermark found",
+    "not_marked": "Derived from your asset, watermark not detected",
+    "inconclusive": "Inconclusive",
+}
+
+TO_ROUNDING = 1e-3
+"""Median displacement, in sizes of a Gaussian, below which positions are called equal: formats round by more."""
+
+ROUTES = {
+    "model": "the suspect's Gaussians, compared one by one with the registered original",
+    "both": "the suspect's Gaussians, compared one by one, plus its renders at the owner's secret views",
+    "render": "renders of the suspect at the owner's secret views (its Gaussians were not needed)",
+    "image": "the pictures, compared with renders of the registered original",
+}
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Something that was found; `leading` are the few that a reader looks for first."""
+
+    label: str
+    text: str
+    leading: bool = False
+
+
+@dataclass(frozen=True)
+class Words:
+    """A claim in words."""
+
+    # The verdict in two words, and in one sentence
+    headline: str
+    finding: str
+    facts: tuple[Fact, ...]  # the leading ones first
+    meaning: dict[str, str]  # `says`, `does_not_say`, `method` and `record_time`
+    limits: tuple[tuple[float, str], ...]  # what a bound is held against: the rate that applies, and 2^-128
+
+
+def words_of(claim: Mapping[str, Any], form: Form, *, suspect: str = "", pictures: int = 0) -> Words:
+    """A claim in words.
+
+    Parameters
+    ----------
+    claim : mapping
+        Keys of `verify --json`; `message` is None and `record_id` empty where nothing could be compared. `searched`
+        says among how many `assets` the suspect was looked for, where no single one was named.
+    suspect : str
+        Its name; left out, it is "this model" or "these pictures".
+    pictures : int
+        How many were looked at; 0 for a model.
+    """
+    against = [(math.log10(DISHONEST_CLAIMANT_RATE), f"required without an attested date: 1 in {form.power(2, 128)}")]
+    rate = claim["false_claim_rate"]
+    if rate is not None and rate != DISHONEST_CLAIMANT_RATE:
+        against.append((math.log10(rate), f"required here: {form.rate(rate)}"))
+        against.sort(reverse=True)
+    return Words(
+        headline=HEADLINES[claim["verdict"]] if _recognised(claim) else "Not recognized",
+        finding=_finding(claim, form, suspect, pictures),
+        facts=tuple(sorted(_facts(claim, form), key=lambda fact: not fact.leading)),
+        meaning={
+            "says": _says(claim, form),
+            "does_not_say": _does_not_say(claim),
+            "method": (
+                "The check used the owner's sealed record, which holds the unmarked original and the secret layout of"
+                " the watermark (informed detection). Repeating it takes this record and the owner's key."
+            ),
+            "record_time": _record_time(claim, form),
+        },
+        limits=tuple(against),
+    )
+
+
+def _finding(claim: Mapping[str, Any], form: Form, suspect: str, pictures: int) -> str:
+    kind = {0: "model", 1: "picture"}.get(pictures, "pictures")
+    this = suspect or f"{'These' if pictures > 1 else 'This'} {kind}"
+    derived = f"{this} {'are' if pictures > 1 and not suspect else 'is'} derived from your asset"
+    if claim["verdict"] == "not_marked":
+        return f"{derived}. The watermark of this copy was not detected: it is absent or was removed."
+    if claim["verdict"] == "inconclusive":
+        it = suspect or f"the {kind}"
+        if claim["would_be_claim_if_attested"]:
+            return f"{_WOULD}." + (f" {derived}." if claim["derivation"]["derived"] else "")
+        if claim["derivation"]["derived"]:
+            return f"{derived}. The evidence is not sufficient to say whether it carries this copy's watermark."
+        return f"{_nothing_of(claim)} was recognized in {it}."
+    whose = f"the copy made for {form.name(claim['copy'])}" if claim["copy"] else "the registered model"
+    shows = {0: "contains", 1: "shows"}.get(pictures, "show")
+    return f"{this} {shows} {whose}, or something made from it: its watermark was found."
+
+
+def _recognised(claim: Mapping[str, Any]) -> bool:
+    return bool(
+        claim["verdict"] != "inconclusive" or claim["derivation"]["derived"] or claim["would_be_claim_if_attested"]
+    )
+
+
+def _nothing_of(claim: Mapping[str, Any]) -> str:
+    """What was not found: the one asset that was named, or one of all."""
+    if not (searched := claim.get("searched")) or searched["scope"] == "one":
+        return "Nothing of your asset"
+    if searched["assets"] == 1:
+        return "Nothing of your registered asset"
+    return f"None of your {searched['assets']} registered assets"
+
+
+_WOULD = "This would be a claim if a third party attested that the registration is older than the suspect"
+
+
+def _facts(claim: Mapping[str, Any], form: Form) -> list[Fact]:
+    found = []
+    if claim["message"] is not None:
+        tried = f"corrected for {claim['tries']} {'hypothesis' if claim['tries'] == 1 else 'hypotheses'}"
+        odds, needed = form.odds(claim["log10_false_claim"]), _needed(claim, form)
+        found.append(Fact("false claim", f"{odds} (z {claim['z']:.3g}), {tried}; required: {needed}", leading=True))
+        bits = f"{claim['message']}: {claim['matching_bits']}/{claim['bits']} bits match"
+        found.append(Fact("message read", f"{bits}; {_sureness(claim)}", leading=True))
+    found.append(Fact("derived", derivation_text(claim["derivation"]), leading=True))
+    if claim["verdict"] == "not_marked":
+        found.append(Fact("detection power", _power(claim["power"]), leading=True))
+    if claim["missing"]:
+        found.append(Fact("missing", claim["missing"], leading=True))
+    if claim["transform"] is not None and "scale" in claim["transform"]:
+        found.append(Fact("moved", _moved(claim["transform"])))
+    if claim["route"]:
+        found.append(Fact("evidence", ROUTES.get(claim["route"], claim["route"])))
+    if layers := claim.get("layers"):
+        grain = f", geometry z {layers['grain']:.1f}" if "grain" in layers else ""
+        scattered = [z for name, z in layers.items() if name.endswith(SCATTERED)]
+        other = f", weighted by scatter z {max(scattered):.1f}" if scattered else ""
+        found.append(Fact("layers", f"color z {layers['tint']:.1f}{grain}, combined z {layers['both']:.1f}{other}"))
+    if claim["copy"]:
+        found.append(Fact("copy", f"made for {form.name(claim['copy'])}"))
+    if claim["record_id"]:
+        key = f" of key {claim['owner']}" if claim.get("owner") else ""
+        found.append(Fact("record", f"{claim['record_id']}{key}, {dated(claim)}"))
+    if claim["rate_basis"]:
+        found.append(Fact("rate", f"{_needed(claim, form)}: {BASES[claim['rate_basis']]}"))
+    return found + [Fact("note", note) for note in claim["notes"]]
+
+
+def _sureness(claim: Mapping[str, Any]) -> str:
+    if claim["verdict"] != "marked":
+        return f"pure chance gives about {claim['bits'] // 2}"
+    return f"lowest bit confidence {surely(min(claim['bit_reliability']))}"
+
+
+def _power(power: float) -> str:
+    """How surely a watermark would have been found."""
+    least = surely(power) if surely(power).startswith("more") else f"at least {surely(power)}"
+    return (
+        "if this copy's watermark were there, even at half strength, it would have been found with a probability of"
+        f" {least} (deliberate removal aside)"
+    )
+
+
+def _moved(transform: Mapping[str, Any]) -> str:
+    """How the suspect lies against the original."""
+    turn, scale = _angle(transform["rotation"]), 1.0 / transform["scale"]
+    parts = ["mirrored"] if transform.get("mirrored") else []
+    if turn >= 0.05:
+        parts.append(f"rotated by {turn:.1f} degrees")
+    if abs(scale - 1.0) >= 5e-4:
+        parts.append(f"scaled by {scale:.4g}")
+    return ", ".join(parts) or "not rotated, not scaled"
+
+
+def _needed(claim: Mapping[str, Any], form: Form) -> str:
+    rate = claim["false_claim_rate"]
+    return f"1 in {form.power(2, 128)}" if rate == DISHONEST_CLAIMANT_RATE else form.rate(rate)
+
+
+def derivation_text(derivation: Mapping[str, Any]) -> str:
+    """How much of the asset is in the suspect, how exactly and where."""
+    if (views := derivation["views"]) is not None:
+        shown, of = views
+        return f"{shown} of {of} pictures show your asset" if shown else "no picture was recognized"
+    share = derivation["share"]
+    if not derivation["derived"]:
+        return f"not established: {percent(share)} of your asset was found" if share else "not established"
+    if share is None:
+        return "the suspect looks like your asset from several sides, although its Gaussians are different"
+    text = f"{percent(share)} of your asset was found"
+    if (count := derivation["gaussians"]) is not None:
+        text += f" ({count:,} Gaussians)"
+    if (gap := derivation["exactness"]) is not None:
+        text += (
+            ", positions equal to rounding"
+            if gap < TO_ROUNDING
+            else f", median displacement {gap:.2g} of a Gaussian's size"
+        )
+    if (where := derivation["where"]) is not None:
+        low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in where)
+        text += f", in the box from ({low}) to ({high})"
+    return text
+
+
+def dated(claim: Mapping[str, Any]) -> str:
+    """When the record was registered, and who says so."""
+    parts = []
+    if claim["registered_at"]:
+        parts.append(f"registered {when(claim['registered_at'])} (self-declared)")
+    if claim["attested"] is not None:
+        parts.append(f"registered by {when(claim['attested']['at'])} (attested by {claim['attested']['by']})")
+    return ", ".join(parts) or "not dated"
+
+
+def _says(claim: Mapping[str, Any], form: Form) -> str:
+    if claim["verdict"] == "marked":
+        return (
+            f"The probability that an unrelated key scores this high is {form.odds(claim['log10_false_claim'])}. This"
+            " is a proven bound (Hoeffding's inequality); it holds for every suspect."
+        )
+    if claim["verdict"] == "inconclusive":
+        if claim["would_be_claim_if_attested"]:
+            return f"{_WOULD}. One unrelated key hardly scores this high, but the best of very many keys may."
+        if claim["derivation"]["derived"]:
+            return "The suspect is derived from your asset. Whether it carries the watermark remains open."
+        return (
+            f"{_nothing_of(claim)} was recognized in the suspect. This is no proof of the opposite: more pictures, or"
+            " more of the model, may show it, and some ways to hide a model defeat every search."
+        )
+    return f"The suspect is derived from your asset. In addition, {_power(claim['power'])}."
+
+
+def _does_not_say(claim: Mapping[str, Any]) -> str:
+    if claim["verdict"] == "marked":
+        return (
+            "It does not say who published the suspect, nor that they knew of the watermark. It does not say who was"
+            " first if another party's watermark is in it as well: a dispute settles that."
+        )
+    if claim["verdict"] == "inconclusive":
+        return "It does not say that the suspect carries no watermark."
+    return (
+        "It acquits nobody: a watermark that was cleaned, averaged or painted away is not detected either. It does not"
+        " say that the suspect is lawful, nor that it is free of another copy's or another owner's watermark: each copy"
+        " has its own record."
+    )
+
+
+def _record_time(claim: Mapping[str, Any], form: Form) -> str:
+    if not claim["record_id"]:
+        return "No registered model was compared, so no registration date applies."
+    said = dated(claim)
+    date = f"The record is {said}"
+    limit = form.power(2, -128)
+    if claim["verdict"] == "marked" and claim["meets_dishonest_claimant_rate"]:
+        return (
+            f"{date}. The bound also meets {limit}, so a search through many keys and originals cannot explain the"
+            " result. It does not say who was first: a thief who marks a stolen model has a true watermark in it. If"
+            " two parties claim one model, a dispute looks for each watermark in the other party's original."
+        )
+    if claim["verdict"] == "marked":
+        return (
+            f"{date}. The bound does not reach {limit}. It is enough because"
+            f" {BASES.get(claim['rate_basis'], 'the record is known to be older than the suspect')}."
+        )
+    return f"{date}. Whether the suspect is older or younger is not known here."
+
+
+def _angle(rotation: Any) -> float:
+    """Angle of a rotation matrix, degrees."""
+    trace = sum(rotation[i][i] for i in range(3))
+    return math.degrees(math.acos(min(1.0, max(-1.0, (trace - 1.0) / 2.0))))

@@ -1,0 +1,177 @@
+"""Mark a scene: a file or folder in, for each recipient a marked file and the record that proves it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from engine.errors import InputError
+from engine.numerics.plain import Json, Report
+from engine.usecases.files import check_output, check_target, refuse_same, whole_file, whole_output, write_secret
+from engine.usecases.read_ahead import Ahead
+from engine.watermark.messages import check_bits
+
+if TYPE_CHECKING:
+    from engine.flows.embed.embedding import Embedding, EmbedReport
+    from engine.flows.embed.profiles import Settings
+    from engine.flows.embed.terms import MarkOptions
+    from engine.flows.progress import Progress
+    from engine.formats import Repair
+    from engine.model import Camera
+    from engine.records.record import Record
+    from engine.scenes.scene_files import Loaded, Scene
+    from engine.watermark.keys import OwnerKey
+    from engine.watermark.messages import Signs
+
+__all__ = ["MarkAnswer", "MarkOutput", "MarkReport", "MarkRequest", "mark"]
+
+
+@dataclass(frozen=True)
+class MarkOutput:
+    """Where one recipient's files go; InputError where both have one name."""
+
+    model: Path  # marked model; a folder where the format is one
+    record: Path
+
+    def __post_init__(self) -> None:
+        if self.model.absolute() == self.record.absolute():
+            raise InputError("the marked model and the record need different names")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkRequest:
+    """What is to be marked, and how; InputError where a value is out of range."""
+
+    model: Path  # model, clip or codebook folder
+    key: OwnerKey
+    outputs: Mapping[str, MarkOutput]  # by name of the recipient, "" for none; at least one
+    config: Settings  # see `flows.embed.profiles.compose`
+    profile: str = "balanced"  # what the report calls the settings
+    format: str | None = None  # of the marked model; default: the original's own, where that is written
+    message: Signs | None = None  # (B,) +-1; derived from the key where not given
+    bits: int = 32  # length of a derived message
+    cameras: Sequence[Camera] | None = None  # the owner's own; views are generated otherwise
+    registered_at: str = ""  # self-declared time of registration
+    drawn: str = ""  # what a third party that attests the registration drew for it
+    earlier: Record | None = None  # of another copy of this model: saves time
+    name: str | None = None  # what errors call the model; default: its path
+    spz_frame: str = "auto"  # axes of .spz input: "auto", "spec" or "ply"
+    overwrite: bool = False  # whether records may be replaced
+
+    def __post_init__(self) -> None:
+        if not self.outputs:
+            raise InputError("no recipient was given")
+        if self.message is None:
+            check_bits(self.bits)
+
+    def check_files(self) -> None:
+        """Refuse outputs that cannot be written, before any work is done for them."""
+        for each in self.outputs.values():
+            refuse_same(self.model, each.model)
+            check_output(each.model, self.format or "")
+            check_target(each.record, overwrite=self.overwrite)
+
+    def options(self, kind: str) -> MarkOptions:
+        """The part that an embedding is told, for a delivered file of this format."""
+        from engine.flows.embed.profiles import delivered_as
+
+        return {
+            "message": self.message,
+            "bits": self.bits,
+            "config": delivered_as(self.config, kind),
+            "cameras": self.cameras,
+            "registered_at": self.registered_at,
+            "drawn": self.drawn,
+            "earlier": self.earlier,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class MarkReport(Report):
+    """Measurements of one copy: of the embedding, and of its files."""
+
+    embedding: EmbedReport
+    bytes_in: int
+    bytes_out: int
+    record_bytes: int
+    format_in: str
+    format_out: str
+    profile: str
+    repairs: tuple[Repair, ...]  # what was mended on loading
+    notes: list[str]  # what the owner should know of the file
+    seconds: float
+    seconds_by_stage: dict[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> Json:
+        """Plain values, the embedding's beside the rest."""
+        found = super().to_json()
+        del found["embedding"]
+        return self.embedding.to_json() | found
+
+
+@dataclass(frozen=True, eq=False)
+class MarkAnswer:
+    """One recipient's copy."""
+
+    output: MarkOutput  # written
+    scene: Scene  # marked, of the original's kind
+    embedding: Embedding
+    loaded: Loaded  # the original
+    report: MarkReport
+
+
+def mark(
+    request: MarkRequest, progress: Progress, prepare: Callable[[Loaded], None] | None = None
+) -> Iterator[MarkAnswer]:
+    """Mark a scene for one recipient after another; an answer comes when its files are written, each whole or not at
+    all.
+
+    Errors are those of reading, of `flows.embed.embedding.embed`, and InputError where a file cannot be written.
+
+    Parameters
+    ----------
+    prepare : callable, optional
+        Called with the original once it is read, before the work on it.
+    """
+    began = time.perf_counter()
+    request.check_files()
+    from engine.scenes.scene_files import notes_of, output_of, read_scene, write_scene, written_as
+
+    reading = Ahead(read_scene, request.model, name=request.name, spz_frame=request.spz_frame)
+    from engine.scenes.scene_marking import embed_scene  # while the file is read
+
+    progress("read", 0.0)
+    loaded = reading.result()
+    kind = written_as(loaded, request.format or output_of(loaded))
+    stages = {"read": time.perf_counter() - began}
+    if prepare is not None:
+        prepare(loaded)
+    marks = embed_scene(loaded, request.key, list(request.outputs), progress, **request.options(kind))
+    for (scene, made), output in zip(marks, request.outputs.values(), strict=True):
+        started = time.perf_counter()
+        progress("write", 0.0)
+        sealed = made.record.to_bytes(request.key)
+        # The record comes first: a record without its model is harmless, a marked model without it is lost.
+        with whole_output(output.model, kind) as model_part:
+            bytes_out = write_scene(scene, model_part, kind)
+            with whole_file(output.record, overwrite=request.overwrite) as record_part:
+                write_secret(record_part, sealed)
+        ended = time.perf_counter()
+        report = MarkReport(
+            embedding=made.report,
+            bytes_in=loaded.source_bytes,
+            bytes_out=bytes_out,
+            record_bytes=len(sealed),
+            format_in=loaded.format,
+            format_out=kind,
+            profile=request.profile,
+            repairs=loaded.repairs,
+            notes=notes_of(scene, kind),
+            seconds=ended - began,
+            seconds_by_stage=stages | made.report.seconds_by_stage | {"write": ended - started},
+        )
+        yield MarkAnswer(output, scene, made, loaded, report)
+        began, stages = time.perf_counter(), {}

@@ -1,0 +1,129 @@
+"""Content Credentials (C2PA) of delivered models, where the operator has set a certificate: signed once, and kept.
+
+Only files that this service has written are signed, in a process of their own. No manifest that somebody uploads is
+ever looked at, here or elsewhere in the service.
+"""
+
+import asyncio
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from engine.credentials.signer import Signer, read_signer
+from engine.errors import InputError
+from service.assets.conversions import CONVERTING_SECONDS, once
+from service.clock import now
+from service.core import Service
+from service.db import alone
+from service.db.schema import assets, manifests
+from service.problems import Problem
+from service.processes import run_once, task_folder
+from service.settings import Settings
+
+SIGNED = ("sog", "glb")
+"""Formats that are delivered with credentials."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A file to deliver, and what its response says about its manifest."""
+
+    sha256: str
+    headers: dict[str, str]
+
+
+def signer_of(settings: Settings) -> Signer | None:
+    """Who signs, None where the operator named nobody; InputError that says what is wrong with the files."""
+    chain, key = settings.credentials_certificates, settings.credentials_key
+    if not chain and not key:
+        return None
+    if not chain or not key:
+        raise InputError("MARK3DGS_CREDENTIALS_CERTIFICATES and MARK3DGS_CREDENTIALS_KEY go together")
+    return read_signer(Path(chain), Path(key))
+
+
+async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Delivery:
+    """A marked model of an asset, with its credentials where there are to be any.
+
+    Where they cannot be made it is delivered without, which the operator's log says: an owner gets the own model also
+    when a certificate has expired.
+    """
+    bare = Delivery(sha256, {})
+    if kind not in SIGNED:
+        return bare
+    try:
+        signer = await asyncio.to_thread(signer_of, service.settings)
+        if signer is None:
+            return bare
+        made = await asyncio.to_thread(_kept, service, row.id, sha256, signer)
+        if made is None:
+            this = (sha256, f"credentials {row.id} {signer.fingerprint}")
+            await once(service, row.tenant, this, lambda: _sign(service, row, sha256, kind, signer))
+            made = await asyncio.to_thread(_kept, service, row.id, sha256, signer)
+    except InputError as error:
+        _log.error("no Content Credentials for %s: %s", row.id, error)
+        return bare
+    except Problem as problem:
+        if problem.kind in ("budget-exceeded", "unavailable"):
+            raise
+        _log.error("no Content Credentials for %s: %s", row.id, problem.detail)
+        return bare
+    if made is None:  # the asset was deleted meanwhile
+        return bare
+    address = f"{service.settings.public_url.rstrip('/')}/v1/manifests/{made.id}"
+    return Delivery(made.file_sha256, {"Link": f'<{address}>; rel="c2pa-manifest"'})
+
+
+def forget_manifests(service: Service, asset: str) -> None:
+    """Nobody finds them any more; what was delivered keeps its own."""
+    with service.db.write() as connection:
+        connection.execute(sa.delete(manifests).where(manifests.c.asset == asset))
+
+
+def _kept(service: Service, asset: str, sha256: str, signer: Signer) -> Any:
+    """The row of what was signed of this very file by this signer."""
+    with service.db.read() as connection:
+        return connection.execute(_query(asset, sha256, signer)).first()
+
+
+def _query(asset: str, sha256: str, signer: Signer) -> sa.Select[Any]:
+    same = (manifests.c.source_sha256 == sha256) & (manifests.c.signer == signer.fingerprint)
+    return sa.select(manifests).where((manifests.c.asset == asset) & same)
+
+
+def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer) -> str:
+    """Sign it, in a process of its own; the manifest's id."""
+    with task_folder(service.settings) as folder:
+        request = {
+            "model": str(service.blobs.local(sha256, folder)),
+            "format": kind,
+            "record_id": row.record_id,
+            "certificates": signer.chain.decode(),
+            "key": signer.key.decode(),
+        }
+        reply = run_once(service.settings, "sign", request, folder, CONVERTING_SECONDS, row.tenant)
+        if reply is None:
+            text = f"signing took over {CONVERTING_SECONDS:.0f} s"
+            raise Problem("unavailable", text, headers={"Retry-After": "60"})
+        kept = {name: service.blobs.put(folder / file) for name, file in reply["files"].items()}
+    made = {
+        "id": reply["manifest_id"],
+        "asset": row.id,
+        "binding": row.record_id,
+        "signer": signer.fingerprint,
+        "source_sha256": sha256,
+        "file_sha256": kept.get("model", sha256),
+        "sha256": kept["manifest"],
+        "created_at": now(),
+    }
+    with service.db.write() as connection:
+        alone(connection)
+        there = connection.execute(sa.select(assets.c.id).where(assets.c.id == row.id)).first()
+        if there and connection.execute(_query(row.id, sha256, signer)).first() is None:  # another process was faster
+            connection.execute(manifests.insert().values(**made))
+    return str(made["id"])

@@ -1,0 +1,156 @@
+"""Jobs over HTTP: 202 with a place to look, or 200 for who prefers to wait (RFC 7240)."""
+
+import asyncio
+import re
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from fastapi import Header, Response
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, BeforeValidator, Field
+
+from service.core import Service
+from service.http import idempotency
+from service.http.error_responses import Responses, responses
+from service.http.progress import course
+from service.http.results import Failure, Result, Time, TimeOrNot
+from service.jobs.port import FINAL, Job, State
+from service.problems import Problem, from_json
+from service.trust.api_keys import Caller
+
+MAX_WAIT_SECONDS = 60
+POLL_SECONDS = 0.1
+_WITHIN = BeforeValidator(lambda fraction: min(max(fraction, 0.0), 1.0))
+
+
+class JobView(BaseModel):
+    """A job as it stands."""
+
+    id: str
+    kind: Literal["embed", "verify", "dispute"]
+    state: Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
+    name: str = Field(description="Subject: the label, or the names of the files; empty if none was given.")
+    stage: str = Field(description="What it is doing.")
+    fraction: Annotated[float, Field(ge=0, le=1, description="How far that stage is."), _WITHIN]
+    fraction_total: float | None = Field(
+        ge=0, le=1, description="Progress of the whole job, by the usual time of its stages; null if unknown."
+    )
+    cancelling: bool
+    position: int | None = Field(
+        ge=1,
+        description="Place in the queue, 1 is next as things stand; null unless queued. Tenants take turns: jobs of who"
+        " has fewer may yet come before.",
+    )
+    result: Result = Field(description="asset_id or claim_id and what to know at once; null until it succeeded.")
+    problem: Failure | None = Field(description="Why it failed (RFC 9457).")
+    created_at: Time
+    started_at: TimeOrNot
+    finished_at: TimeOrNot
+
+
+Prefer = Annotated[str | None, Header(description="wait=N: answer 200 if it ends within N seconds.")]
+RetryKey = Annotated[str | None, Header(min_length=1, max_length=128)]
+JOB_RESPONSES: Responses = {
+    200: {"model": JobView, "description": "Ended within the time of `Prefer: wait=N`"},
+    **responses(
+        "malformed-request",
+        "unauthorized",
+        "forbidden",
+        "not-found",
+        "conflict",
+        "too-large",
+        "unsupported-media-type",
+        "invalid-request",
+        "budget-exceeded",
+    ),
+}
+"""Of a request that becomes a job."""
+
+
+def view(job: Job, position: int | None = None) -> JobView:
+    """The job for the client."""
+    name = job.request.get("label") or ", ".join(job.request.get("names") or ())
+    return JobView.model_validate({**vars(job), "fraction_total": course(job), "position": position, "name": name})
+
+
+def views(service: Service, jobs: Sequence[Job]) -> list[JobView]:
+    """Jobs for the client, those that wait with their places in the queue."""
+    places = service.jobs.positions(jobs)
+    return [view(job, places.get(job.id)) for job in jobs]
+
+
+def submit(
+    service: Service,
+    caller: Caller,
+    kind: str,
+    key: str | None,
+    body: Mapping[str, Any],
+    make: Callable[[], Mapping[str, Any]],
+) -> Job:
+    """Take a job on, once for each Idempotency-Key (`key`).
+
+    What that stands for is `body`: the request with digests in place of files. `make` checks the request, spends
+    budgets, and returns what the job is asked.
+    """
+
+    def take_on() -> Job:
+        most = service.settings.queued_jobs
+        if service.jobs.waiting(caller.tenant) >= most:
+            text = f"{most} jobs of this tenant are waiting or running: send more when some have ended"
+            raise Problem("budget-exceeded", text, headers={"Retry-After": "30"})
+        asked = make()
+        job_id = f"job_{secrets.token_hex(12)}"
+        return service.jobs.submit(Job(job_id, caller.tenant, caller.key_id, kind, State.QUEUED, asked))
+
+    if key is None:
+        return take_on()
+    first = idempotency.begin(service.db, caller.tenant, key, body)
+    if first is not None:
+        job = service.jobs.get(caller.tenant, first)
+        if job is None:
+            raise Problem("not-found", f"the job {first!r} of this Idempotency-Key is gone")
+        return job
+    try:
+        job = take_on()
+    except BaseException:
+        idempotency.release(service.db, caller.tenant, key)
+        raise
+    idempotency.settle(service.db, caller.tenant, key, job.id)
+    return job
+
+
+async def respond(service: Service, job: Job, prefer: str | None) -> Response:
+    """202 and where to look; 200 once the job has ended within the time that the client prefers to wait.
+
+    What the job failed with is raised, where that is the client's to mend.
+    """
+    seconds = wait_seconds(prefer)
+    if seconds:
+        job = await _wait(service, job, seconds)
+    headers = {"Location": f"/v1/jobs/{job.id}"}
+    if seconds:
+        headers["Preference-Applied"] = f"wait={seconds}"
+    if job.state not in FINAL:
+        (seen,) = await asyncio.to_thread(views, service, [job])
+        return JSONResponse(seen.model_dump(), 202, {**headers, "Retry-After": "1"})
+    if job.problem is not None and 400 <= int(job.problem["status"]) < 500:
+        problem = from_json(job.problem)
+        problem.extra["job"] = job.id
+        raise problem
+    return JSONResponse(view(job).model_dump(), 200, headers)
+
+
+async def _wait(service: Service, job: Job, seconds: int) -> Job:
+    until = asyncio.get_running_loop().time() + seconds
+    while job.state not in FINAL and asyncio.get_running_loop().time() < until:
+        await asyncio.sleep(POLL_SECONDS)
+        found = await asyncio.to_thread(service.jobs.get, job.tenant, job.id)
+        job = found or job
+    return job
+
+
+def wait_seconds(prefer: str | None) -> int:
+    """Seconds of `Prefer: wait=N`, at most MAX_WAIT_SECONDS; 0 without."""
+    found = re.search(r"(?:^|[,;\s])wait\s*=\s*\"?(\d{1,6})", prefer or "")
+    return min(int(found.group(1)), MAX_WAIT_SECONDS) if found else 0
