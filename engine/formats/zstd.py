@@ -1,6 +1,7 @@
-"""One zstd frame to bytes and back, by what Python 3.14 has built in and `backports.zstd` brings to earlier versions."""
+"""One zstd frame to bytes and back, by what Python 3.14 has built in (`backports.zstd` before)."""
 
 import sys
+from io import BytesIO
 
 if sys.version_info >= (3, 14):
     from compression.zstd import ZstdCompressor, ZstdDecompressor, ZstdError, get_frame_info, zstd_version_info
@@ -8,6 +9,8 @@ else:
     from backports.zstd import ZstdCompressor, ZstdDecompressor, ZstdError, get_frame_info, zstd_version_info
 
 __all__ = ["ZstdError", "compress", "content_size", "decompress", "zstd_version_info"]
+
+_PIECE = 1 << 17
 
 
 def compress(data: bytes, level: int) -> bytes:
@@ -21,13 +24,16 @@ def content_size(frame: bytes) -> int | None:
 
 
 def decompress(frame: bytes, size: int) -> bytes:
-    """The content of a frame, of at most `size` bytes; ZstdError if it is damaged, cut off, longer, or followed by more."""
-    opened = ZstdDecompressor()
-    content = opened.decompress(frame, size + 1)  # one more byte than may be there: it reaches the end of the frame
-    if len(content) > size:
-        raise ZstdError(f"more than {size} bytes")
+    """The content of a frame, of at most `size` bytes; ZstdError if it is damaged, cut off, longer or not alone."""
+    opened, content, given = ZstdDecompressor(), BytesIO(), 0
+    while given < len(frame) and not opened.eof:
+        piece = memoryview(frame)[given : given + _PIECE]  # pieces, as the decompressor copies what it has not used
+        given += len(piece)
+        content.write(opened.decompress(piece, size + 1 - content.tell()))  # one more: it reaches the frame's end
+        if content.tell() > size:
+            raise ZstdError(f"more than {size} bytes")
     if not opened.eof:
         raise ZstdError("cut off")
-    if opened.unused_data:
-        raise ZstdError(f"{len(opened.unused_data)} bytes follow")
-    return content
+    if given < len(frame) or opened.unused_data:
+        raise ZstdError("more follows the frame")
+    return content.getvalue()
