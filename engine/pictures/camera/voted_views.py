@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from engine.model import Camera, Float32, Float64, Int64
+from engine.model import Camera, Float64, Int64
 from engine.pictures.camera.camera_motion import project, swung
 from engine.pictures.camera.view_agreement import TOLERANCE, agreement_of_views
 from engine.pictures.landmarks.keypoints import Keypoints
