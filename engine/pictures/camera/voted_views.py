@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from engine.model import Camera, Float32, Float64, Int64
+from engine.model import Camera, Float64, Int64
 from engine.pictures.camera.camera_motion import project, swung
 from engine.pictures.camera.view_agreement import TOLERANCE, agreement_of_views
 from engine.pictures.landmarks.keypoints import Keypoints
@@ -43,7 +44,7 @@ def vote_for_views(
     """
     if len(landmarks) <= NEAREST or not len(keypoints):
         return []
-    nearest, gain = _neighbours(keypoints.descriptors.astype(np.float32), landmarks.descriptors.astype(np.float32))
+    nearest, gain = _neighbours(keypoints.descriptors, landmarks.descriptors)
     spots = np.repeat(keypoints.points, NEAREST, axis=0)
     views = landmarks.views[nearest].astype(np.int64)
     places = np.empty((len(nearest), 2))
@@ -62,16 +63,15 @@ def vote_for_views(
     return found
 
 
-def _neighbours(queries: Float32, targets: Float32) -> tuple[Int64, Float64]:
+def _neighbours(queries: npt.NDArray[np.uint8], targets: npt.NDArray[np.uint8]) -> tuple[Int64, Float64]:
     """The NEAREST of each query, one behind the other, and how much nearer each is than the next one, 0 to 1."""
-    import faiss
+    import cv2
 
-    index = faiss.IndexFlatL2(targets.shape[1])
-    index.add(targets)
-    distance, near = index.search(queries, NEAREST + 1)
+    # Squares of whole numbers: exact, whatever the machine.
+    distance, near = cv2.batchDistance(queries, targets, cv2.CV_32S, normType=cv2.NORM_L2SQR, K=NEAREST + 1)
     away = np.sqrt(distance, dtype=np.float64)
     gains = 1.0 - away[:, :NEAREST] / np.maximum(away[:, NEAREST:], 1e-12)
-    return near[:, :NEAREST].reshape(-1), gains.reshape(-1)
+    return near[:, :NEAREST].reshape(-1).astype(np.int64), gains.reshape(-1)
 
 
 def _camera(view: Camera, carried: Float64, size: tuple[int, int]) -> Camera:
