@@ -64,8 +64,8 @@ def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel)
     refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
     assert refined is not None
     assert refined.alike
-    assert refined.telling > pose_refinement.LEAST_TELLING
-    assert not replace(refined, telling=pose_refinement.LEAST_TELLING - 1.0).alike
+    assert refined.detail_z > pose_refinement.LEAST_DETAIL_Z
+    assert not replace(refined, detail_z=pose_refinement.LEAST_DETAIL_Z - 1.0).alike
 
 
 def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:
@@ -78,7 +78,7 @@ def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:
     refined = pose_refinement.refine_level(plant, resized(picture, small.width, small.height), small, 8, 0.05)
     assert refined is not None
     assert refined.correlation < 0.8
-    assert refined.clear > 0.97
+    assert refined.uncovered_correlation > 0.97
     assert refined.alike
 
 
