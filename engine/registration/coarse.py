@@ -37,7 +37,7 @@ VOXEL, APART = 0.2, 1 / 3
 REACH = 2.5
 """Where a window ends, in neighbourhoods."""
 LEAST_VOXELS = 8
-"""Voxels within reach of a place, below which it tells nothing."""
+"""Voxels within reach of a place, below which it is not described."""
 LADDER = 1.25
 """Step between the sizes of neighbourhood that a suspect is described at."""
 MOST_GAUSSIANS = 300_000
@@ -118,9 +118,9 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
             places = places[np.sort(np.random.default_rng(0).choice(len(places), most, replace=False))]
         moments, count = np.zeros((len(places), 2, 22)), np.zeros(len(places), np.int64)
         _moments(weight, where, color, places, window, REACH * window, moments, count)
-        told = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
-        features = np.concatenate([_features(moments[told, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
-        found.append((places[told], features, np.full(told.sum(), window)))
+        usable = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
+        features = np.concatenate([_features(moments[usable, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
+        found.append((places[usable], features, np.full(usable.sum(), window)))
     if not found:
         return Coarse(np.zeros((0, 3), np.float32), np.zeros((0, FEATURES), np.float32), np.zeros(0, np.float32))
     return Coarse(*(np.concatenate(parts).astype(np.float32) for parts in zip(*found, strict=True)))

@@ -1,6 +1,6 @@
 """Registration of a suspect whose Gaussians are merged ones (`mixtures`): hardly any is one of the reference's.
 
-Where those that were never merged gave the similarity away, it is known. Else merging helps: it keeps mass, mean and
+Where unmerged Gaussians gave the similarity, it is known. Else merging helps: it keeps mass, mean and
 covariance of whatever is merged, so those of the whole model, too, and their axes give the similarity but for signs.
 """
 
@@ -90,7 +90,7 @@ def register_merged(
 
 
 def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Generator) -> float:
-    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are not asked."""
+    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are left out."""
     spots = wholes.centres[sample_rows(len(wholes.centres), SPOTS, rng)]
     distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centres)))
     reach, spot = scipy.spatial.cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Float64, Int64
 
@@ -140,6 +140,53 @@ def _room(dims: int, members: int, codes: int) -> tuple[npt.NDArray[Any], ...]:
     return books, scores, errors, sums, np.empty((threads, members), np.int64), np.empty((threads, codes), np.int64)
 
 
+@inlined
+def _assign_codes(vectors, first, book, half, score, own, error):
+    """Nearest code `own` (M,) of each of the vectors from `first` on, and its squared `error` (n,); book (d, P)."""
+    dims, count = book.shape
+    half[:] = 0.0
+    for k in range(dims):
+        for j in range(count):
+            half[j] += np.float32(0.5) * book[k, j] * book[k, j]
+    for i in range(len(error)):
+        for j in range(count):
+            score[j] = half[j]
+        square = np.float32(0.0)
+        for k in range(dims):
+            v = vectors[first + i, k]
+            square += v * v
+            for j in range(count):
+                score[j] -= v * book[k, j]
+        best = 0
+        for j in range(1, count):
+            if score[j] < score[best]:
+                best = j
+        own[i], error[i] = best, square + np.float32(2.0) * score[best]
+
+
+@inlined
+def _update_codes(vectors, first, book, own, error, sums, held):
+    """Moves each code to the mean of its vectors; an idle one to the vector with the largest error."""
+    dims, count = book.shape
+    for j in range(count):
+        held[j] = 0
+        for k in range(dims):
+            sums[j, k] = 0.0
+    for i in range(len(error)):
+        held[own[i]] += 1
+        for k in range(dims):
+            sums[own[i], k] += vectors[first + i, k]
+    for j in range(count):
+        if held[j] > 0:
+            for k in range(dims):
+                book[k, j] = sums[j, k] / held[j]
+        elif len(error) > 0:
+            worst = np.argmax(error)
+            error[worst] = 0.0
+            for k in range(dims):
+                book[k, j] = vectors[first + worst, k]
+
+
 @parallel_kernel
 def _refine_groups(vectors, rows, codes, slots, labels, rounds, scratch, call):
     """k-means inside every group; rows and slots bound the vectors and the codes of group g; `scratch` from `_room`."""
@@ -154,43 +201,9 @@ def _refine_groups(vectors, rows, codes, slots, labels, rounds, scratch, call):
             for k in range(dims):
                 book[k, j] = vectors[first + j * n // count, k] if n > 0 else np.float32(0.0)
         for step in range(rounds + 1):
-            half[:] = 0.0
-            for k in range(dims):
-                for j in range(count):
-                    half[j] += np.float32(0.5) * book[k, j] * book[k, j]
-            for i in range(n):
-                for j in range(count):
-                    score[j] = half[j]
-                square = np.float32(0.0)
-                for k in range(dims):
-                    v = vectors[first + i, k]
-                    square += v * v
-                    for j in range(count):
-                        score[j] -= v * book[k, j]
-                best = 0
-                for j in range(1, count):
-                    if score[j] < score[best]:
-                        best = j
-                own[i], error[i] = best, square + np.float32(2.0) * score[best]
-            if step == rounds:
-                break
-            for j in range(count):
-                held[j] = 0
-                for k in range(dims):
-                    sums[j, k] = 0.0
-            for i in range(n):
-                held[own[i]] += 1
-                for k in range(dims):
-                    sums[own[i], k] += vectors[first + i, k]
-            for j in range(count):
-                if held[j] > 0:
-                    for k in range(dims):
-                        book[k, j] = sums[j, k] / held[j]
-                elif n > 0:  # an idle code takes over the vector that is served worst
-                    worst = np.argmax(error)
-                    error[worst] = 0.0
-                    for k in range(dims):
-                        book[k, j] = vectors[first + worst, k]
+            _assign_codes(vectors, first, book, half, score, own, error)
+            if step < rounds:
+                _update_codes(vectors, first, book, own, error, sums, held)
         for i in range(n):
             labels[first + i] = slot + own[i]
         for j in range(count):
