@@ -1,7 +1,7 @@
 """The nearest of many points in a space of up to about ten coordinates, without a bound on how far they may be.
 
-SciPy has such a tree, but importing `scipy.spatial` takes 0.24 CPU seconds, and a verification of a model, which loads no
-other part of SciPy, 0.6 to 1.0 in all.
+SciPy has such a tree, but importing `scipy.spatial` takes 0.24 CPU seconds; a verification of a model loads no other
+part of SciPy, and takes 0.6 to 1.0.
 """
 
 # mypy: allow-untyped-defs
