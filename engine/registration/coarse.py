@@ -30,7 +30,7 @@ __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 FEATURES = 20
 """Of each of two scales: mean colour (3), spreads along the principal axes (3), distance of the centroid from the
 place, gradients of the three colours."""
-NEIGHBOURHOOD = 0.2
+NEIGHBORHOOD = 0.2
 """Standard deviation of the window about a place, in extents of the model; the finer scale has half of it."""
 VOXEL, APART = 0.2, 1 / 3
 """Side of a voxel, and distance between places, in neighbourhoods."""
@@ -108,7 +108,7 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
     matter = mass, model.means.astype(np.float64), np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     found = []
     for step in range(steps if extent > 0 else 0):
-        window = NEIGHBOURHOOD * extent * LADDER**step
+        window = NEIGHBORHOOD * extent * LADDER**step
         weight, where, color = _voxels(matter, VOXEL * window)
         heavy, at, _ = _voxels(matter, APART * window)
         if step == 0:
@@ -150,7 +150,7 @@ def agreement(sketch: Coarse, suspect: Crowd) -> float:
         return 0.0
     partner = suspect.partners(sketch)
     y = sketch.places.astype(np.float64)
-    extent = float(np.median(sketch.sizes)) / NEIGHBOURHOOD
+    extent = float(np.median(sketch.sizes)) / NEIGHBORHOOD
     chance = chance_table(y, extent, np.random.default_rng(0), samples=20_000)
     size = np.log(sketch.sizes.astype(np.float64) / suspect.suspect.sizes[partner])
     turn = np.zeros((len(y), 4))
@@ -180,8 +180,8 @@ def _mass(model: GaussianModel) -> Float64:
 
 def _extent(means: Float32, mass: Float64) -> float:
     """Median distance from the median centre, by mass, scene units."""
-    centre = np.array([_median(means[:, axis].astype(np.float64), mass) for axis in range(3)])
-    return _median(np.linalg.norm(means - centre, axis=1), mass)
+    center = np.array([_median(means[:, axis].astype(np.float64), mass) for axis in range(3)])
+    return _median(np.linalg.norm(means - center, axis=1), mass)
 
 
 def _median(values: Float64, weights: Float64) -> float:

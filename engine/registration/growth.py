@@ -93,9 +93,9 @@ def grow(
             return None
         use = fitted[home]
         moved = warped(part.take(use), blend(nodes[fitted], maps[fitted], points[use]))
-        neighbours = matcher.match(moved, same, deviations)
-        hit = np.flatnonzero(neighbours.index >= 0)
-        trust = neighbours.probability[hit]
+        neighbors = matcher.match(moved, same, deviations)
+        hit = np.flatnonzero(neighbors.index >= 0)
+        trust = neighbors.probability[hit]
         used = np.flatnonzero(use)
         weight = np.bincount(home[used[hit]], trust, len(nodes))
         explained = fitted & (weight > EXPLAINED * members) & (weight > 2.0)
@@ -103,12 +103,12 @@ def grow(
         if len(sure) < 16:
             return None
         source = points[used[sure]]
-        target = reference.means[neighbours.index[sure]].astype(np.float64)
+        target = reference.means[neighbors.index[sure]].astype(np.float64)
         if len(sure) <= 1.004 * last:
             break
         last = len(sure)
         fitted = explained
-    measured = _measure(reference, moved, paired(neighbours), floor)
+    measured = _measure(reference, moved, paired(neighbors), floor)
     return Field(nodes, maps, explained, Matcher(reference, measured), measured, rounds)
 
 

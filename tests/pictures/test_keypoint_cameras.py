@@ -67,9 +67,9 @@ def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
 @pytest.mark.parametrize("zoom", [0.4, 0.55])
 def test_a_small_model_among_other_things_is_found_from_nearly_there(plant: GaussianModel, zoom: float) -> None:
     true = small_view(plant, zoom)
-    grey = busy(plant, true)
+    gray = busy(plant, true)
     rough = moved(true, OFF, 2.0)
-    found = match_closer(plant, grey, rough)
+    found = match_closer(plant, gray, rough)
     assert found is not None
     assert found.support >= 30
     points = plant.means[::500].astype(np.float64)
@@ -87,8 +87,8 @@ def test_a_glance_tells_what_is_worth_a_look(plant: GaussianModel) -> None:
         "steps washed out": smooth(seen, 30.0),
         "over white": seen + nothing,
     }
-    for name, grey in like.items():
-        window = Window.around(plant, rough, grey)
+    for name, gray in like.items():
+        window = Window.around(plant, rough, gray)
         assert window is not None, name
         assert window.resemblance > 0.6, name
     for other in (wall(true), busy(plant, true)[:, ::-1]):

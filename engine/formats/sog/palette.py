@@ -84,13 +84,13 @@ def _groups(vectors: Float32, count: int) -> Int64:
     """(N,) group of each row: k-means learnt on a sample."""
     rng = np.random.default_rng(_SEED)
     sample = vectors[np.sort(rng.choice(len(vectors), min(_SAMPLE, len(vectors)), replace=False))]
-    centres = sample[rng.choice(len(sample), min(count, len(sample)), replace=False)]
+    centers = sample[rng.choice(len(sample), min(count, len(sample)), replace=False)]
     for _ in range(_GROUP_ROUNDS):
-        labels = _nearest(sample, centres)
-        held = np.bincount(labels, minlength=len(centres))[:, None]
-        means = _group_sums(sample, labels, len(centres)) / np.maximum(held, 1)
-        centres = np.where(held > 0, means, centres).astype(np.float32)
-    return _nearest(vectors, centres)
+        labels = _nearest(sample, centers)
+        held = np.bincount(labels, minlength=len(centers))[:, None]
+        means = _group_sums(sample, labels, len(centers)) / np.maximum(held, 1)
+        centers = np.where(held > 0, means, centers).astype(np.float32)
+    return _nearest(vectors, centers)
 
 
 def _group_sums(values: npt.NDArray[Any], labels: Int64, count: int) -> Float64:
@@ -105,18 +105,18 @@ def _group_errors(vectors: Float32, groups: Int64, held: npt.NDArray[Any]) -> Fl
     return np.asarray(np.maximum(squares - (sums**2).sum(axis=1) / np.maximum(held, 1), 0.0))
 
 
-def _nearest(vectors: Float32, centres: Float32) -> Int64:
+def _nearest(vectors: Float32, centers: Float32) -> Int64:
     labels = np.empty(len(vectors), dtype=np.int64)
-    half = (0.5 * (centres.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
+    half = (0.5 * (centers.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
     scores = np.empty((thread_count(), len(half)), dtype=np.float32)
-    _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, scores, labels)
+    _nearest_kernel(vectors, np.ascontiguousarray(centers.T), half, scores, labels)
     return labels
 
 
 @parallel_kernel
-def _nearest_kernel(vectors, centres, half, scores, labels, call):
+def _nearest_kernel(vectors, centers, half, scores, labels, call):
     """argmin |c|^2 / 2 - x.c for each row; centres (d, P), so that the innermost loop runs over lanes."""
-    dims, count = centres.shape
+    dims, count = centers.shape
     score = scores[call[0]]
     for i in share_of(len(vectors), call):
         for j in range(count):
@@ -124,7 +124,7 @@ def _nearest_kernel(vectors, centres, half, scores, labels, call):
         for k in range(dims):
             v = vectors[i, k]
             for j in range(count):
-                score[j] -= v * centres[k, j]
+                score[j] -= v * centers[k, j]
         best = 0
         for j in range(1, count):
             if score[j] < score[best]:

@@ -270,6 +270,7 @@ def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera 
         if refined is None or not refined.alike:
             return None
         camera, max_error = picture.full(refined.camera), CONFIG.error_per_step * refined.step / level.side
+    assert refined is not None  # there is always a last level
     if refined.shift > CONFIG.principal_point_step:  # without its principal point a camera is wrong in all else
         shifted = picture.refined(camera, full_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS)
         if shifted is not None and shifted.gain > CONFIG.clearly_better * refined.gain:

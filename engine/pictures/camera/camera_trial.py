@@ -1,4 +1,4 @@
-"""A picture held against renders of a model: how well a camera explains it, and the same camera made better."""
+"""A picture compared with renders of a model: how well a camera explains it, and refinement of the camera."""
 
 from __future__ import annotations
 
