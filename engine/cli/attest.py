@@ -25,13 +25,13 @@ def attest(
     ] = None,
     attestation: Annotated[
         list[Path] | None,
-        typer.Option("--attestation", help="A reply of such a service, or a service's signed word; repeatable."),
+        typer.Option("--attestation", help="Reply of a time-stamping service, or a signed attestation; repeatable."),
     ] = None,
     tsa_certificates: TsaCertificates = None,
     jwks: Jwks = None,
     json: Json = False,
 ) -> int:
-    """Have a record's date attested by somebody else.
+    """Let a third party attest a record's date.
 
     A claim at 1 in 10^9 needs that; without it a claim must reach 1 in 2^128.
     Do it when you mark a model, before you publish it: what counts is that the

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 def dispute(
-    record: Annotated[list[Path], typer.Option("--record", help="Record of party A, then that of party B.")],
-    key: Annotated[list[Path], typer.Option("--key", help="Owner key of party A, then that of party B.")],
+    record: Annotated[list[Path], typer.Option("--record", help="Record of party A, then the record of party B.")],
+    key: Annotated[list[Path], typer.Option("--key", help="Owner key of party A, then the key of party B.")],
     model: Annotated[list[Path], typer.Option("--model", help="What party A published, then what party B published.")],
     tsa_certificates: TsaCertificates = None,
     jwks: Jwks = None,

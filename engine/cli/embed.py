@@ -211,20 +211,20 @@ def _decibels(budget: str) -> float | None:
 def _say(console: Console, report: CopyReport, model: Path) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in report.seconds_by_stage.items())
     made = report.mark.embedding
-    fit = f"{made.picture_bits} fit a picture, {made.capacity_bits} a model"
+    capacity = f"capacity: {made.picture_bits:,} per image, {made.capacity_bits:,} per model"
     lines = {
-        "message": f"{made.message} ({made.bits} bits; {fit})",
-        "fidelity": f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (mark alone, worst key view)",
-        "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantisation",
+        "payload": f"{made.message}, {made.bits} bits ({capacity})",
+        "fidelity": f"{made.psnr_worst_view:.2f} dB, SSIM {made.ssim_worst_view:.4f} (watermark alone, worst key view)",
+        "in total": f"{made.psnr_total_worst_view:.2f} dB, with pruning and quantization",
         "Gaussians": f"{made.gaussians_in:,} -> {made.gaussians_out:,}",
-        "strength": f"{made.predicted_z_per_bit:.0f} standard deviations a bit, predicted, from one bad picture",
+        "strength": f"predicted: {made.predicted_z_per_bit:.0f} sigma per bit from one JPEG-10 image",
         "files": f"model {size(report.mark.bytes_out)}, record {size(report.mark.record_bytes)}",
         "time": f"{report.seconds:.1f} s: {stages}",
     }
     if (choice := made.choice) is not None:
         lines["chosen"] = (
-            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: z of one bad picture"
-            f" {choice.predicted_z:.0f} predicted, {choice.wanted_z:.0f} wanted"
+            f"{choice.views} views of {choice.view_size}, {choice.psnr_db:g} dB: predicted z of one"
+            f" JPEG-10 image {choice.predicted_z:.0f}, required {choice.wanted_z:.0f}"
         )
         if choice.spent is not None:
             lines["allowed"] = _spending(choice.spent)
@@ -235,7 +235,9 @@ def _say(console: Console, report: CopyReport, model: Path) -> None:
         console.say(f"  {label:<11} {text}")
     for note in report.mark.notes:
         console.say(f"  {'note':<11} {note}")
-    console.say(f"Keep {report.record} and your key: together they prove the mark. Keep the unmarked original private.")
+    console.say(
+        f"Keep {report.record} and your key: together they prove the watermark. Keep the unmarked original private."
+    )
 
 
 def _spending(spent: Spent) -> str:
@@ -243,7 +245,7 @@ def _spending(spent: Spent) -> str:
     allowed = f"{spent.allowed_db:g} dB"
     way = next((way for way in spent.ways if way.sh_degree == spent.sh_degree), None)
     if way is None:
-        return f"{allowed}: kept whole, since no smaller file shows the mark well enough"
+        return f"{allowed}: not pruned, because no smaller file keeps the watermark readable"
     file = f"{size(way.bytes)} instead of {size(spent.bytes_whole)}"
     return f"{allowed}: pruned, harmonics to degree {way.sh_degree}: {file}"
 

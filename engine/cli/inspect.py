@@ -26,9 +26,9 @@ DRAWN = {
 """How a model is to be drawn, in words."""
 
 HOLDS = {
-    "Trusted": "hold, and the signer is one you trust",
+    "Trusted": "valid; you trust the signer",
     "Valid": "valid; the signer is not one that you trust",
-    "Invalid": "DO NOT HOLD: altered, or of another file",
+    "Invalid": "INVALID: altered, or made for another file",
     "Unread": "could not be read",
 }
 """The states of Content Credentials, in words."""
@@ -70,10 +70,10 @@ def inspect(
     low, high = report["bounds"]
     console.say(f"{model}: {report['format']}, {size(report['bytes'])}")
     console.say(f"  Gaussians   {report['gaussians']:,}, {report['bytes'] / report['gaussians']:.1f} bytes each")
-    console.say(f"  colour      spherical harmonics of degree {report['sh_degree']}")
-    console.say(f"  drawn       {DRAWN[report['render_mode']]}")
+    console.say(f"  color       spherical harmonics of degree {report['sh_degree']}")
+    console.say(f"  rendered    {DRAWN[report['render_mode']]}")
     console.say(f"  kind        {'room, seen from inside' if report['is_room'] else 'object, seen from around'}")
-    console.say(f"  centre      {_vector(report['center'])}, radius {report['radius']:.4g}")
+    console.say(f"  center      {_vector(report['center'])}, radius {report['radius']:.4g}")
     console.say(f"  bounds      {_vector(low)} to {_vector(high)}")
     console.say(f"  opacity     median {report['opacity_median']:.3f}")
     console.say(f"  scale       median {report['scale_median']:.3g}")

@@ -43,10 +43,10 @@ def trace(
     ] = 1e-9,
     json: Json = False,
 ) -> int:
-    """Name the copies behind a suspect: one reading, every record of a folder.
+    """Traitor tracing: identify the recipients whose copies the suspect derives from.
 
-    Several are named when several buyers put their copies together. The bound on
-    naming an innocent one counts every record that was asked about.
+    Several recipients are named if several copies were combined. The bound on
+    naming an innocent recipient is corrected for every record that was tested.
 
     Exit codes: 0 some copy is named, 3 none is, 2 wrong key or input.
 

@@ -57,7 +57,7 @@ def verify(
     ] = "auto",
     attestation: Annotated[
         list[Path] | None,
-        typer.Option("--attestation", help="Somebody's word on the record's date, beside those in it; repeatable."),
+        typer.Option("--attestation", help="Additional time stamp or log proof for the record; repeatable."),
     ] = None,
     tsa_certificates: TsaCertificates = None,
     jwks: Jwks = None,

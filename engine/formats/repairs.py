@@ -91,7 +91,9 @@ def clean(
         if bad.all():
             message = f"no Gaussian is usable; the value here is {value}"
             raise FormatError(message, file=file, element=element, row=first, prop=prop)
-        log.note("rows_dropped", np.flatnonzero(bad), f"left out, a value is no number ({prop} = {value})")
+        log.note(
+            "rows_dropped", np.flatnonzero(bad), f"left out, because a value is not a finite number ({prop} = {value})"
+        )
         log.origin = np.flatnonzero(~bad)
         means, log_scales, quats, opacity_logits, sh = (
             array[~bad] for array in (means, log_scales, quats, opacity_logits, sh)
@@ -161,7 +163,11 @@ def _clamp_opacities(logits: Float32, log: _Log) -> Float32:
     if logits.min() >= -limit and logits.max() <= limit:
         return logits
     infinite = np.isinf(logits)
-    log.note("opacities_infinite", np.flatnonzero(infinite), "opacity of exactly 0 or 1 became 1/512 or 511/512")
+    log.note(
+        "opacities_infinite",
+        np.flatnonzero(infinite),
+        "opacity of exactly 0 or 1, usual in 8-bit files, became 1/512 or 511/512",
+    )
     absurd = (np.abs(logits) > limit) & ~infinite
     log.note("opacities_clamped", np.flatnonzero(absurd), f"opacity logit clamped to +-{limit:g}")
     finite = np.clip(logits, np.float32(-limit), np.float32(limit))
@@ -181,6 +187,6 @@ def _normalize(quats: Float32, log: _Log) -> Float32:
     result = quats.copy()
     result[zero] = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
     result[scaled] = (quats[scaled] / norms[scaled, None]).astype(np.float32)
-    log.note("quaternions_zero", zero, "zero quaternion taken as no rotation")
-    log.note("quaternions_normalized", scaled, "quaternion brought to unit length")
+    log.note("quaternions_zero", zero, "zero quaternion read as no rotation")
+    log.note("quaternions_normalized", scaled, "quaternion normalized")
     return result
