@@ -1,6 +1,7 @@
-# make install  -> .venv with everything; make demo -> the main job on a real scene;
+# make install  -> .venv with everything; make demo -> the main job on a real scene, with core and lab alone;
 # make test -> what must hold before a change lands; make full -> that, and every study, bench and viewer: before a release;
 # make quick -> the checks for daily work, under three minutes on two cores: rules and units, no long flow;
+# make core-test -> the core alone, in a new environment of each Python that is here; make lab-test -> the long studies;
 # make mutants -> breaks one line at a time and counts who notices (half an hour; part of it: MUTANTS="--only TEXT");
 # make results -> the README's figure, measured anew on the shipped scene (about half an hour on two cores);
 # make docker-test -> the image and both compose files, built, started and hurt (as root it brings its own engine).
@@ -8,6 +9,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-demo
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt
 # One more than there are cores: some tests wait for servers and browsers.
 WORKERS ?= $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 UNITS := architecture cli compress credentials formats numerics pictures pipeline raster records registration theory watermark
@@ -15,16 +18,22 @@ UNITS := architecture cli compress credentials formats numerics pictures pipelin
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist loadfile
 
-.PHONY: install demo test full quick mutants results docker-test check kernels clean
+.PHONY: install demo test full quick core-test lab-test mutants results docker-test check kernels clean
 
 install: $(STAMP) kernels
 
 $(STAMP): pyproject.toml .ci/constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[test]'
+	$(PIP_INSTALL) -e '.[test]'
 	touch $(STAMP)
 
-demo: $(STAMP)
+# Without bytecode: what is imported is compiled then, a tenth of it all.
+$(DEMO_STAMP): pyproject.toml .ci/constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --no-compile -e '.[lab]'
+	touch $(DEMO_STAMP)
+
+demo: $(or $(wildcard $(STAMP)),$(DEMO_STAMP))
 	$(BIN)/mark3dgs demo
 
 check: $(STAMP)
@@ -48,6 +57,12 @@ quick: $(STAMP)
 	$(MAKE) --jobs=2 --output-sync check kernels
 	$(PYTEST) -m 'not docker and not lab and not slow and not long' $(addprefix tests/,$(UNITS))
 
+core-test: $(STAMP)
+	$(BIN)/python -m pytest -m long -ra --numprocesses 2 tests/install
+
+lab-test: $(STAMP) kernels
+	$(PYTEST) -m 'long and not docker' tests/lab
+
 mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
@@ -56,7 +71,7 @@ results: $(STAMP)
 	cp out/results/figures/pareto.png out/results/figures/pareto.svg docs/
 
 docker-test: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c .ci/constraints.txt -e '.[docker-test]'
+	$(PIP_INSTALL) -e '.[docker-test]'
 	$(BIN)/python -m pytest -m docker -ra --durations=10 tests/docker
 
 clean:

@@ -80,10 +80,10 @@ def installed_core(version: str, folder: Path) -> Path:
         pytest.skip(f"there is no Python {version} here")
     run([python, "-m", "venv", str(folder)], folder.parent)
     tree = folder.parent / "tree"
-    shutil.copytree(
-        ROOT, tree, ignore=shutil.ignore_patterns(".*", "tests", "docs", "*.egg-info", "build", "__pycache__")
-    )
-    shutil.copytree(ROOT / "engine" / "lab", tree / "engine" / "lab", dirs_exist_ok=True)
+    for name in ("engine", "service"):  # without what an earlier build has left there
+        shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
     pip = [str(folder / "bin" / "python"), "-m", "pip", "install", "--disable-pip-version-check", "--no-compile"]
     command = [*pip, "--only-binary=:all:", "-c", str(ROOT / ".ci" / "constraints.txt"), str(tree)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=540, check=False)

@@ -26,6 +26,8 @@ OF_AN_EXTRA = {
     "service.client": "client",
 }
 """Rooms that are an extra's, the nearest counts; everything else is the core's."""
+OURS = {"engine", "service", "mark3dgs", "_typeshed", "backports", "compression"}
+"""And what is there for types, or in Python itself from 3.14 on and before that in a namespace that many share."""
 LATER = {"torch": "train", "gsplat": "cuda"}
 """Imported inside functions or by modules that only such functions import, behind a message of their own."""
 STUDIES = {"distributed", "imwatermark", "kiss_icp", "laspy", "lpips", "onnxruntime", "pycolmap", "pypcd4"}
