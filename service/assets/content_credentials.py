@@ -1,6 +1,6 @@
 """Content Credentials (C2PA) of delivered models, where the operator has set a certificate: signed once, and kept.
 
-Only files that this service has written are signed, in a process of their own. No manifest that somebody uploads is
+Only files that this service has written are signed, in a process of their own. No uploaded manifest is
 ever looked at, here or elsewhere in the service.
 """
 
@@ -38,7 +38,7 @@ class Delivery:
 
 
 def signer_of(settings: Settings) -> Signer | None:
-    """Who signs, None where the operator named nobody; InputError that says what is wrong with the files."""
+    """Who signs, None where the operator configured no signer; InputError that says what is wrong with the files."""
     chain, key = settings.credentials_certificates, settings.credentials_key
     if not chain and not key:
         return None
@@ -80,7 +80,7 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
 
 
 def forget_manifests(service: Service, asset: str) -> None:
-    """Nobody finds them any more; what was delivered keeps its own."""
+    """They are no longer served; delivered files keep theirs."""
     with service.db.write() as connection:
         connection.execute(sa.delete(manifests).where(manifests.c.asset == asset))
 

@@ -1,4 +1,4 @@
-"""What is made of stored files when somebody asks for it, and kept: made once, also for many who ask at a time."""
+"""Files derived from stored ones on request, and kept: made once, also for simultaneous requests."""
 
 import asyncio
 from collections.abc import Callable
@@ -50,7 +50,7 @@ async def converted(service: Service, tenant: str, sha256: str, kind: str) -> st
 
 
 async def once(service: Service, tenant: str, this: tuple[str, str], make: Callable[[], str]) -> str:
-    """What `make` makes of a file, once for all who ask meanwhile; budget-exceeded as `converted`."""
+    """What `make` makes of a file, once for all simultaneous requests; budget-exceeded as `converted`."""
     making, work = service.making, service.making.get(this)
     if work is None:
         most = service.settings.conversions_at_once

@@ -1,6 +1,6 @@
 """The query and fetch routes of C2PA's Soft Binding Resolution API 2.4, under /v1: a mark leads to its manifest.
 
-Open to all, as manifests are: whoever names a record's id (128 bits, in the file, in its claims and nowhere to be
+Open to all, as manifests are: a caller who names a record's id (128 bits, in the file, in its claims and nowhere to be
 guessed) gets what the owner let out with the file, and nothing else.
 """
 
@@ -42,7 +42,7 @@ class Algorithm(BaseModel):
 
 
 class Algorithms(BaseModel):
-    """Algorithms that can be asked for."""
+    """Supported algorithms."""
 
     watermarks: list[Algorithm]
 

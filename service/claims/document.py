@@ -24,7 +24,7 @@ class Fact(BaseModel):
 
 
 class Bar(BaseModel):
-    """What a bound is held against."""
+    """The threshold of a bound."""
 
     log10: float
     text: str
@@ -51,7 +51,7 @@ class Summary(BaseModel):
 
 
 def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The reply of the task `verify` with what was `searched` told in full; of all of an owner's assets, it speaks of
+    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it speaks of
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
     recognised = claim is not None and bool(

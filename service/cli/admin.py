@@ -1,4 +1,4 @@
-"""`mark3dgs apikey`, `audit` and `rotate-signing-key`: for whoever runs the service, on its own data."""
+"""`mark3dgs apikey`, `audit` and `rotate-signing-key`: for the operator, on the service's own data."""
 
 from __future__ import annotations
 

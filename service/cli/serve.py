@@ -114,7 +114,7 @@ def init(json: Json = False) -> int:
 
 
 def settings_of() -> Settings:
-    """The settings of this process; from here on what it writes is nobody else's. InputError names a wrong variable."""
+    """The settings of this process, whose files other users cannot read from here on. InputError names a wrong variable."""
     from pydantic import ValidationError
 
     from service.settings import Settings
@@ -128,7 +128,7 @@ def settings_of() -> Settings:
 
 
 def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
-    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
+    """Open the service; the first start makes its keys and prints a note. InputError where there is none to open."""
     from service.core import Service
     from service.db import Database
     from service.trust.api_keys import issue_first

@@ -36,7 +36,7 @@ class EmbedOptions(TypedDict, total=False):
 
 
 class VerifyOptions(TypedDict, total=False):
-    """Of POST /v1/verify; without `asset_id` the suspect is held against all assets of the tenant."""
+    """Of POST /v1/verify; without `asset_id` the suspect is compared with all assets of the tenant."""
 
     asset_id: str
     false_claim_rate: float
@@ -46,7 +46,7 @@ class VerifyOptions(TypedDict, total=False):
 
 
 def silent(stage: str, fraction: float) -> None:
-    """Progress that nobody watches."""
+    """Progress that is not reported."""
 
 
 def call(method: str, path: str, *, json: Any = None, params: Params | None = None) -> Flow[Any]:
@@ -80,7 +80,7 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
         reply: Reply = yield Request("PUT", path, headers=headers, content=data)
         if not reply.good and reply.status not in (0, 409):
             raise reply.error()
-        # No answer: some of it may have come, or all. 409: somebody else sends the same file.
+        # No answer: some of it may have come, or all. 409: another process sends the same file.
         before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _look(path)))
         breaks = breaks + 1 if slot.offset == before.offset else 0
         if breaks > BREAKS:

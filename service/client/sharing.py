@@ -6,7 +6,7 @@ from service.client.wire import Flow
 
 
 def share(claim_id: str, *, days: int = 14) -> Flow[Share]:
-    """Make one that stands for 1 to 90 days; its `url` is told this once."""
+    """Make one that stands for 1 to 90 days; its `url` is shown only once."""
     return read(Share, (yield from call("POST", address("claims", claim_id, "share"), json={"days": days})))
 
 

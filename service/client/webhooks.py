@@ -18,7 +18,7 @@ from service.client.wire import Flow
 
 HEADER = "Mark3DGS-Signature"
 TOLERANCE = 300.0
-"""Seconds that a message may have been on its way; an older one may be somebody's repetition."""
+"""Seconds that a message may have been on its way; an older one may be a replay."""
 
 
 def signature(secret: str, at: int, body: bytes) -> str:
@@ -36,7 +36,7 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
     header : str
         Mark3DGS-Signature of the request.
     body : bytes
-        As it came, before anybody parsed it.
+        As it came, before any parsing.
     tolerance : float
         Seconds by which the message's time may differ from this machine's clock. Within it a message may come twice,
         as it may after a broken connection: `job.id` tells.
@@ -51,7 +51,7 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
 
 
 def add_webhook(url: str) -> Flow[Webhook]:
-    """Have the end of every job of the tenant told to an address; its `secret` is told this once."""
+    """Send a message to an address at the end of every job of the tenant; its `secret` is shown only once."""
     return read(Webhook, (yield from call("POST", "/v1/webhooks", json={"url": url, "events": ["job.ended"]})))
 
 
@@ -62,5 +62,5 @@ def webhooks() -> Flow[list[Webhook]]:
 
 
 def delete_webhook(webhook_id: str) -> Flow[None]:
-    """Tell an address nothing any more."""
+    """Delete a webhook."""
     yield from call("DELETE", address("webhooks", webhook_id))

@@ -1,6 +1,6 @@
-"""Who may have two assets held against each other: whoever runs the service, or both owners.
+"""Who may start a dispute between two assets: the operator, or both owners.
 
-A consent is an entry of the audit log. Nobody learns whether another's asset exists.
+A consent is an entry of the audit log. It reveals nothing about whether another tenant's asset exists.
 """
 
 import sqlalchemy as sa

@@ -29,7 +29,7 @@ _EXAMPLE: JsonValue = {"asset_a": "as_d40313a36c48f4baf73fb30a", "asset_b": "as_
 
 
 class DisputeRequest(BaseModel):
-    """Which two registered assets are held against each other."""
+    """The two registered assets of a dispute."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
@@ -57,7 +57,7 @@ class Settled(BaseModel):
 async def dispute(
     body: DisputeRequest, core: Core, caller: Verifier, prefer: Prefer = None, idempotency_key: RetryKey = None
 ) -> Response:
-    """Settle whose mark is in the other's original. Whoever runs the service may ask, or both owners: the first of them
+    """Find out whose mark is in the other's original. The operator may request this, or both owners: the first of them
     leaves a consent (409), the second starts the job."""
     job = await asyncio.to_thread(_submit, core, caller, body, idempotency_key)
     return await respond(core, job, prefer)
@@ -65,7 +65,7 @@ async def dispute(
 
 @router.get("/{dispute_id}", operation_id="getDispute", responses=OF_OWN)
 def get_dispute(dispute_id: str, core: Core, caller: Reader) -> Settled:
-    """A settled dispute, for both owners and whoever runs the service."""
+    """A settled dispute, for both owners and the operator."""
     result = _found(core, caller, dispute_id)
     words = dispute_words(result["document"]["finding"])
     said = {"headline": words.headline, "finding": words.finding, "reasons": list(words.reasons)}

@@ -38,7 +38,7 @@ def embed_flow(service: Service) -> Flow:
 
 
 def _embed(service: Service, run: Run) -> Reply:
-    """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest.
+    """Look for registered marks in the upload; where no other owner's is found, mark it. Files are kept by digest.
 
     No owner key but the one that marks enters a process that reads the upload.
     """
@@ -131,7 +131,7 @@ def _commit(service: Service, run: Run) -> Ending:
                 audit.append(connection, job.tenant, "embed.disputed", payload, job.id)
         text = (
             "This model already carries a mark that another party registered here. It was not marked again. If you"
-            " made it, mark your original, which carries nobody's mark, and have the two held against each other"
+            " made it, mark your original, which carries no mark, and start a dispute between the two"
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED, "result": {"text": text}}

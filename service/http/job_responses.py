@@ -1,4 +1,4 @@
-"""Jobs over HTTP: 202 with a place to look, or 200 for who prefers to wait (RFC 7240)."""
+"""Jobs over HTTP: 202 with the job's address, or 200 where the client prefers to wait (RFC 7240)."""
 
 import asyncio
 import re
@@ -39,8 +39,8 @@ class JobView(BaseModel):
     cancelling: bool
     position: int | None = Field(
         ge=1,
-        description="Place in the queue, 1 is next as things stand; null unless queued. Tenants take turns: jobs of who"
-        " has fewer may yet come before.",
+        description="Place in the queue, 1 is next as things stand; null unless queued. Tenants take turns: later"
+        " jobs of tenants with fewer jobs may still go first.",
     )
     result: Result = Field(description="asset_id or claim_id and what to know at once; null until it succeeded.")
     problem: Failure | None = Field(description="Why it failed (RFC 9457).")

@@ -1,8 +1,8 @@
 """The job engine: the `jobs` table says where a job stands, DBOS runs it to its end whatever dies.
 
 What DBOS does not offer, and is therefore here: turns of tenants (it dequeues the partitions of a queue in random
-order, so a job's place could not be told), and finding workers that died (`presence`). On SQLite the two have a file
-each, so a job can be in one and not yet in the other: `reconcile` mends that.
+order, so a job would have no place in the queue), and finding workers that died (`presence`). On SQLite the two have a
+file each, so a job can be in one and not yet in the other: `reconcile` mends that.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def dumps(value: Mapping[str, Any]) -> str:
 
 
 def _announce(connection: sa.Connection, job_id: str) -> None:
-    """What the end of a job, in its own transaction, leaves to be told to its tenant's webhooks."""
+    """What the end of a job, in its own transaction, adds to the messages of its tenant's webhooks."""
     told = sa.select(webhooks.c.id, jobs.c.id, sa.literal(now()), sa.literal(0))
     told = told.join_from(webhooks, jobs, webhooks.c.tenant == jobs.c.tenant).where(jobs.c.id == job_id)
     connection.execute(deliveries.insert().from_select(["webhook", "job", "due_at", "tries"], told))

@@ -32,7 +32,7 @@ class Used(BaseModel):
 
 
 class Limits(BaseModel):
-    """Limits of the tenant; those of an hour are counted by key and told when they are met (429)."""
+    """Limits of the tenant; hourly limits are counted per key and reported when they are reached (429)."""
 
     queued_jobs: Used = Field(description="Jobs that wait or run.")
     open_uploads: Used = Field(description="Uploads under way.")
@@ -40,7 +40,7 @@ class Limits(BaseModel):
 
 
 class Me(BaseModel):
-    """Who asks."""
+    """The API key of the request."""
 
     tenant: str
     name: str = Field(description="Display name of the tenant; its id if none was entered.")

@@ -18,7 +18,7 @@ from service.trust.tenants import check_tenant
 OPERATOR = "operator"
 SCOPES = ("embed", "verify", "read", "originals", "admin", OPERATOR)
 """`originals`: unmarked originals and records. `admin` implies those before it, within its tenant; `operator` is for
-whoever runs the service: metrics, and disputes between any two tenants."""
+the operator: metrics, and disputes between any two tenants."""
 
 _TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
 PURPOSE = "api key"
@@ -26,7 +26,7 @@ PURPOSE = "api key"
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks: tenant, public id of the key, and what it may do (all of it, where `admin` is among it)."""
+    """The caller: tenant, public id of the key, and what it may do (all of it, where `admin` is among it)."""
 
     tenant: str
     key_id: str
@@ -49,7 +49,7 @@ class ApiKey:
 
 
 def issue(db: Database, master: MasterKey, tenant: str, scopes: Iterable[str], label: str = "") -> str:
-    """A new key's token. It is nowhere kept: whoever loses it needs another. "invalid-request" for unknown scopes."""
+    """A new key's token. It is not stored, so a lost key is replaced. "invalid-request" for unknown scopes."""
     with db.write() as connection:
         return _issue(connection, master, tenant, scopes, label)
 

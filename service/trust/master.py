@@ -57,7 +57,7 @@ class MasterKey:
         Processes that start at the same time agree on one key. MasterKeyError if the file cannot be read, others may
         read it, it holds no key, or the key is not the one that sealed this database.
         """
-        # Asked before the file is looked at: whoever made the file wrote the check value after it.
+        # Read before the file is: its maker writes the check value after it.
         expected = _expected_check(db)
         if settings.master_key is not None:
             source = "MARK3DGS_MASTER_KEY"

@@ -1,7 +1,7 @@
 """Another master key: every secret is sealed anew, in one transaction, and nothing that was handed out changes.
 
 1. The new key is written beside the old one.     2. All secrets are sealed under it, and the log says so.
-3. It takes the old one's place. Whoever opens the service after a death between 2 and 3 does 3.
+3. It takes the old one's place. After a crash between 2 and 3 the next start does 3.
 """
 
 import secrets

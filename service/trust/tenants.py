@@ -9,7 +9,7 @@ from service.trust import audit
 
 MOST_CHARACTERS = 100
 FIRST_TENANT = "default"
-"""Whom the first API key is of: nobody's name."""
+"""Tenant of the first API key; not a name."""
 
 
 def check_tenant(tenant: str) -> None:
@@ -20,7 +20,7 @@ def check_tenant(tenant: str) -> None:
 
 
 def display_name(connection: sa.Connection, tenant: str) -> str:
-    """What people call a tenant; its id where nobody said."""
+    """What people call a tenant; its id where none was set."""
     found = connection.execute(sa.select(tenants.c.name).where(tenants.c.id == tenant)).scalar_one_or_none()
     return str(found or tenant)
 

@@ -35,7 +35,7 @@ def add(db: Database, master: MasterKey, tenant: str, url: str, host: str, most:
 
 
 def delete(db: Database, tenant: str, name: str) -> None:
-    """Delete a webhook and what it was still to be told."""
+    """Delete a webhook and its pending messages."""
     with db.write() as connection:
         alone(connection)
         this = (webhooks.c.id == name) & (webhooks.c.tenant == tenant)

@@ -1,4 +1,4 @@
-"""How much a tenant stores: uploads, and what was made of them. Counted when asked for, so deleting helps at once."""
+"""How much a tenant stores: uploads, and what was made of them. Counted on request, so deleting helps at once."""
 
 import sqlalchemy as sa
 

@@ -1,4 +1,4 @@
-"""What nobody needs any more: uploads never finished or never used, and blobs that no row names."""
+"""What is no longer needed: uploads never finished or never used, and blobs that no row names."""
 
 import json
 from datetime import UTC, datetime, timedelta

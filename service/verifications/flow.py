@@ -20,7 +20,7 @@ def verify_flow(service: Service) -> Flow:
 
 def spend_subject(service: Service, asset_id: str) -> None:
     """Count one verification of a suspect that derives from an asset: all such suspects are near duplicates, and a
-    detector asked often enough about slight changes of one model tells how to remove its mark."""
+    detector queried often enough with slight changes of one model tells how to remove its mark."""
     limit = service.settings.subject_verifies_per_day
     spend(service.db, f"subject:{asset_id}", limit, 24, "verifications of suspects that derive from one asset")
 

@@ -1,7 +1,7 @@
 """Telling webhooks that jobs have ended: at least once, again after a while where that failed, and not for ever.
 
-What is to be told is a row of `deliveries`. Whoever takes one moves its time on by a lease: should that process die,
-another takes it then. Of each webhook a process takes one at a time, so that a slow receiver delays its own alone.
+A pending message is a row of `deliveries`. The process that takes one moves its time on by a lease: should it die,
+another takes the message then. Of each webhook a process takes one at a time, so that a slow receiver delays its own alone.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ async def _deliver_all(service: Service) -> NoReturn:
             for row in await asyncio.to_thread(take, service.db, set(under_way), AT_ONCE - len(under_way)):
                 under_way[row.webhook] = asyncio.create_task(_deliver(service, row))
                 under_way[row.webhook].add_done_callback(partial(_done, under_way, row.webhook))
-        except Exception as error:  # the database is away: what is to be told waits there
+        except Exception as error:  # the database is away: pending messages wait there
             _log.warning("webhooks wait: %s", error)
         await asyncio.sleep(POLL_SECONDS)
 
