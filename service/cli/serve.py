@@ -114,7 +114,7 @@ def init(json: Json = False) -> int:
 
 
 def settings_of() -> Settings:
-    """The settings of this process, whose files other users cannot read from here on. InputError names a wrong variable."""
+    """The settings of this process; what it writes is its user's alone. InputError names a wrong variable."""
     from pydantic import ValidationError
 
     from service.settings import Settings

@@ -1,7 +1,7 @@
 """Telling webhooks that jobs have ended: at least once, again after a while where that failed, and not for ever.
 
 A pending message is a row of `deliveries`. The process that takes one moves its time on by a lease: should it die,
-another takes the message then. Of each webhook a process takes one at a time, so that a slow receiver delays its own alone.
+another takes the message then. Of each webhook a process takes one at a time: a slow receiver delays its own alone.
 """
 
 from __future__ import annotations
