@@ -24,7 +24,7 @@ from service.core import Service
 from service.db import Database
 from service.db.schema import deliveries, jobs, webhooks
 from service.http.job_responses import view
-from service.jobs.rows import job_of
+from service.jobs.durable_jobs import job_of
 from service.trust.webhook_secrets import secret_of
 from service.webhooks.sending import DELIVERED, send
 
