@@ -19,8 +19,7 @@ _threads = ThreadPoolExecutor(32, "convert")
 def kept(service: Service, sha256: str, kind: str) -> str | None:
     """Digest of what was made of a file."""
     known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
-    with service.db.read() as connection:
-        found: str | None = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
+    found: str | None = service.db.query(sa.select(conversions.c.sha256).where(known)).scalar()
     return found
 
 
@@ -34,8 +33,7 @@ def keep(service: Service, sha256: str, kind: str, digest: str) -> None:
 
 def drop(service: Service, *sha256: str) -> None:
     """Forget what was made of these files. Who has the same file may have it made again."""
-    with service.db.write() as connection:
-        connection.execute(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
+    service.db.change(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
 
 
 async def converted(service: Service, tenant: str, sha256: str, kind: str) -> str:

@@ -58,8 +58,7 @@ def query_by_binding(
     record = bound_record(value) if alg == ALG else ""
     joined = manifests.join(assets, manifests.c.asset == assets.c.id)
     query = sa.select(manifests.c.id).select_from(joined).where(manifests.c.binding == record)
-    with core.db.read() as connection:
-        found = connection.execute(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
+    found = core.db.query(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
     return Matches(matches=[Match(manifestId=each) for each in found])
 
 
@@ -74,8 +73,7 @@ def get_manifest(manifest_id: str, core: Core) -> Response:
     was made from."""
     joined = manifests.join(assets, manifests.c.asset == assets.c.id)
     query = sa.select(manifests.c.sha256).select_from(joined).where(manifests.c.id == manifest_id)
-    with core.db.read() as connection:
-        digest = connection.execute(query).scalar()
+    digest = core.db.query(query).scalar()
     if digest is None:
         raise missing(manifests, manifest_id)
     headers = {"Content-Disposition": 'attachment; filename="manifest.c2pa"'}

@@ -74,8 +74,7 @@ def take(
         copied = settings.model_copy(update={"data_dir": target})
         db = Database(copied.database())
         with closing(db):
-            with db.write() as connection:
-                connection.execute(sa.delete(uploads).where(uploads.c.state == "open"))
+            db.change(sa.delete(uploads).where(uploads.c.state == "open"))
             _copy(data, target, _stored(data), files, tell)  # 3
             _copy(data, target, _others(data, master_key), files, lambda share: None)  # 4
             if master_key:

@@ -6,7 +6,6 @@ A consent is an entry of the audit log. It reveals nothing about whether another
 import sqlalchemy as sa
 
 from service.core import Service
-from service.db import alone
 from service.db.schema import assets
 from service.problems import Problem
 from service.trust import audit
@@ -29,8 +28,7 @@ def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
         return
     if caller.tenant not in owners.values():
         raise Problem("not-found", "neither asset is yours")
-    with service.db.write() as connection:
-        alone(connection)
+    with service.db.exclusive() as connection:
         _consent(connection, caller.tenant, pair)
         tenants = set(owners.values()) if len(owners) == 2 else {caller.tenant, None}
         waiting = [each for each in tenants if each is None or not _has_consented(connection, each, pair)]
@@ -41,8 +39,7 @@ def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
 
 def _owners(service: Service, pair: tuple[str, str]) -> dict[str, str]:
     """Tenant of each of the assets that exist."""
-    with service.db.read() as connection:
-        rows = connection.execute(sa.select(assets.c.id, assets.c.tenant).where(assets.c.id.in_(pair))).all()
+    rows = service.db.query(sa.select(assets.c.id, assets.c.tenant).where(assets.c.id.in_(pair))).all()
     return {row.id: row.tenant for row in rows}
 
 

@@ -10,7 +10,6 @@ import sqlalchemy as sa
 from service.asset_screening import screen
 from service.clock import now
 from service.core import Service
-from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
@@ -72,8 +71,7 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
     An asset made from this very file is left out: the file is its unmarked original.
     """
     query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
-    with service.db.read() as connection:
-        rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
+    rows = service.db.query(query.order_by(assets.c.registered_at.desc())).all()
     alike = screen(service, run, {**model, "plain": PLAIN}, rows)
     chosen = choose(alike, run.job.tenant)
     known = service.candidates(chosen, run)
@@ -116,8 +114,7 @@ def _earlier(service: Service, run: Run) -> str:
     asked = run.job.request
     mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
     query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
-    with service.db.read() as connection:
-        row = connection.execute(query.order_by(assets.c.registered_at.desc())).first()
+    row = service.db.query(query.order_by(assets.c.registered_at.desc())).first()
     return "" if row is None else service.local_or_gone(row.record_sha256, run)
 
 
@@ -135,8 +132,7 @@ def _commit(service: Service, run: Run) -> Ending:
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED, "result": {"text": text}}
-    with service.db.write() as connection:
-        alone(connection)  # so that the log's times follow one another
+    with service.db.exclusive() as connection:  # so that the log's times follow one another
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))

@@ -17,6 +17,7 @@ import logging
 import sqlite3
 import threading
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -69,11 +70,8 @@ class DurableJobs:
         """Take a job on; when this returns, it will be done whatever dies. The same id twice is one job."""
         values = {name: getattr(job, name) for name in ("id", "tenant", "api_key", "kind")}
         values |= {"state": State.QUEUED.value, "stage": "", "created_at": job.created_at or now()}
-        try:
-            with self._db.write() as connection:
-                connection.execute(jobs.insert().values(**values, request=json.dumps(job.request, sort_keys=True)))
-        except IntegrityError:
-            pass  # the id is taken: the same job sent again
+        with suppress(IntegrityError):  # the id is taken: the same job sent again
+            self._db.change(jobs.insert().values(**values, request=json.dumps(job.request, sort_keys=True)))
         known = self.get(job.tenant, job.id)
         if known is None:
             raise Problem("conflict", f"the job id {job.id!r} is taken")
@@ -83,8 +81,7 @@ class DurableJobs:
 
     def get(self, tenant: str, job_id: str) -> Job | None:
         """A tenant's job."""
-        with self._db.read() as connection:
-            row = connection.execute(sa.select(jobs).where(_mine(tenant, job_id))).first()
+        row = self._db.query(sa.select(jobs).where(_mine(tenant, job_id))).first()
         return None if row is None else job_of(row)
 
     def list(
@@ -119,8 +116,7 @@ class DurableJobs:
         """Say how far a job is. False: cancellation was asked for (or the job is gone, or another's); stop."""
         held = jobs.c.attempts == attempt if attempt is not None else sa.true()
         going_on = (jobs.c.id == job_id) & held & _RUNNING & sa.not_(jobs.c.cancelling)
-        with self._db.read() as connection:
-            row = connection.execute(sa.select(jobs.c.stage, jobs.c.fraction).where(going_on)).first()
+        row = self._db.query(sa.select(jobs.c.stage, jobs.c.fraction).where(going_on)).first()
         if row is None or row == (stage, fraction):
             return row is not None
         with self._db.write() as connection:
@@ -144,20 +140,17 @@ class DurableJobs:
     def settled(self, job: Job) -> None:
         """A step of a job, as it was begun, is done: what is tried next is another."""
         held = (jobs.c.id == job.id) & (jobs.c.attempts == job.attempts)
-        with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(held).values(tries=1))
+        self._db.change(sa.update(jobs).where(held).values(tries=1))
 
     def handed_back(self, worker: str) -> None:
         """A worker shuts down: that is no fault of the jobs it was at."""
         its = (jobs.c.worker == worker) & _RUNNING & (jobs.c.tries > 0)
-        with self._db.write() as connection:
-            connection.execute(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
+        self._db.change(sa.update(jobs).where(its).values(tries=jobs.c.tries - 1))
 
     def waiting(self, tenant: str) -> int:
         """How many jobs of a tenant are not final."""
         mine = sa.select(sa.func.count()).select_from(jobs).where((jobs.c.tenant == tenant) & _OPEN)
-        with self._db.read() as connection:
-            return int(connection.execute(mine).scalar_one())
+        return int(self._db.query(mine).scalar_one())
 
     def begin(self, job_id: str, worker: str) -> Job | None:
         """A worker starts on a job, for the first time or again; None where there is nothing left to do. The next job
@@ -246,8 +239,7 @@ class DurableJobs:
         for start in range(0, len(old), _PAGE):
             ids = list(old[start : start + _PAGE])
             self.client().delete_workflows(ids)
-            with self._db.write() as connection:
-                connection.execute(sa.delete(jobs).where(jobs.c.id.in_(ids)))
+            self._db.change(sa.delete(jobs).where(jobs.c.id.in_(ids)))
         return len(old)
 
     def close(self) -> None:
@@ -292,14 +284,12 @@ class DurableJobs:
         turn = sa.func.row_number().over(partition_by=[jobs.c.tenant, jobs.c.state], order_by=_ORDER).label("turn")
         known = sa.select(jobs.c.id, jobs.c.state, jobs.c.created_at, turn).where(_OPEN).subquery()
         due = (known.c.created_at < time) & ((known.c.state == State.RUNNING.value) | (known.c.turn == 1))
-        with self._db.read() as connection:
-            return connection.execute(sa.select(known.c.id).where(due)).scalars().all()
+        return self._db.query(sa.select(known.c.id).where(due)).scalars().all()
 
     def _ended_before(self, time: str) -> Sequence[str]:
         """Ids of jobs that ended before that time. A dispute's finding is in its row: these stay."""
         old = sa.not_(_OPEN) & (jobs.c.finished_at < time) & (jobs.c.kind != "dispute")
-        with self._db.read() as connection:
-            return connection.execute(sa.select(jobs.c.id).where(old)).scalars().all()
+        return self._db.query(sa.select(jobs.c.id).where(old)).scalars().all()
 
     def _advance(self, tenant: str) -> None:
         """Keep the tenant's oldest job in the queue; the fewer of its jobs are at work, the further in front."""

@@ -106,5 +106,4 @@ def delete_key(
 
 def _assets(core: Service, tenant: str, key_id: str) -> int:
     mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
-    with core.db.read() as connection:
-        return int(connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())
+    return int(core.db.query(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from service.clock import now
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import api_keys
 from service.problems import Problem
 from service.trust import audit
@@ -56,8 +56,7 @@ def issue(db: Database, master: MasterKey, tenant: str, scopes: Iterable[str], l
 
 def issue_first(db: Database, master: MasterKey, tenant: str, label: str = "") -> str | None:
     """The token of an admin key where there was no key at all; None otherwise, also for the second of two."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         if connection.execute(sa.select(api_keys.c.id).limit(1)).first() is not None:
             return None
         return _issue(connection, master, tenant, ("admin",), label)
@@ -67,8 +66,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
     """Whose token this is; "unauthorized" for malformed, unknown, wrong and revoked ones alike, after the same work."""
     match = _TOKEN.fullmatch(token)
     key_id, secret = match.groups() if match else ("", "")
-    with db.read() as connection:
-        row = connection.execute(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
+    row = db.query(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
     expected = row.digest if row is not None else ""
     right = master.recognises(expected, PURPOSE, key_id, secret)
     if row is None or not right or row.revoked_at is not None:
@@ -78,8 +76,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
 
 def revoke(db: Database, tenant: str, key_id: str) -> None:
     """End a key of this tenant ("not-found" where it has no such key) for good. Twice is once."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         this = (api_keys.c.id == key_id) & (api_keys.c.tenant == tenant)
         row = connection.execute(api_keys.select().where(this)).one_or_none()
         if row is None:
@@ -92,8 +89,7 @@ def revoke(db: Database, tenant: str, key_id: str) -> None:
 def list_keys(db: Database, tenant: str) -> list[ApiKey]:
     """Keys of a tenant, revoked ones too, oldest first."""
     query = api_keys.select().where(api_keys.c.tenant == tenant)
-    with db.read() as connection:
-        rows = connection.execute(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
+    rows = db.query(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
     return [ApiKey(row.id, row.label, tuple(row.scopes.split()), row.created_at, row.revoked_at or "") for row in rows]
 
 

@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import api_keys, tenants
 from service.problems import Problem
 from service.trust import audit
@@ -28,8 +28,7 @@ def display_name(connection: sa.Connection, tenant: str) -> str:
 def name_tenant(db: Database, tenant: str, name: str) -> None:
     """Claims from now on call a tenant so; "not-found" where it has no API key. The log says who was called what."""
     check_tenant(name)
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         if connection.execute(sa.select(api_keys.c.id).where(api_keys.c.tenant == tenant).limit(1)).first() is None:
             raise Problem("not-found", f"there is no tenant {tenant!r}: it has no API key")
         connection.execute(sa.delete(tenants).where(tenants.c.id == tenant))

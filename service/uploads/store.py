@@ -33,16 +33,14 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
         raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
-    with service.db.write() as connection:
-        connection.execute(uploads.insert().values(**values, received=0, state="open", created_at=now()))
+    service.db.change(uploads.insert().values(**values, received=0, state="open", created_at=now()))
     return get(service, tenant, upload_id)
 
 
 def under_way(service: Service, tenant: str) -> int:
     """How many slots of a tenant wait for bytes."""
     opened = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
-    with service.db.read() as connection:
-        return int(connection.execute(opened).scalar_one())
+    return int(service.db.query(opened).scalar_one())
 
 
 def get(service: Service, tenant: str, upload_id: str) -> Any:
@@ -88,8 +86,7 @@ def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -
 
 def note(service: Service, row: Any, info: Mapping[str, object]) -> Any:
     """What the inspection found."""
-    with service.db.write() as connection:
-        connection.execute(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
+    service.db.change(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
     return get(service, row.tenant, row.id)
 
 
@@ -97,8 +94,7 @@ def drop(service: Service, row: Any) -> None:
     """Forget a slot and its parts. Its blob, if nothing else uses it, goes with the next sweep."""
     for offset, _ in json.loads(row.parts):
         service.blobs.remove_part(part_name(row.id, offset))
-    with service.db.write() as connection:
-        connection.execute(sa.delete(uploads).where(uploads.c.id == row.id))
+    service.db.change(sa.delete(uploads).where(uploads.c.id == row.id))
 
 
 def kind_of(path: Path, name: str) -> str:
@@ -120,9 +116,8 @@ def part_name(upload_id: str, offset: int) -> str:
 
 def _advance(service: Service, row: Any, **values: Any) -> None:
     unchanged = (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
-    with service.db.write() as connection:
-        if connection.execute(sa.update(uploads).where(unchanged).values(**values)).rowcount == 0:
-            raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
+    if service.db.change(sa.update(uploads).where(unchanged).values(**values)) == 0:
+        raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
 
 
 def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path) -> str:

@@ -30,8 +30,7 @@ def _verify(service: Service, run: Run) -> Reply:
     query = sa.select(assets).where(assets.c.tenant == run.job.tenant).order_by(assets.c.registered_at.desc())
     if asked["asset_id"] is not None:
         query = query.where(assets.c.id == asked["asset_id"])
-    with service.db.read() as connection:
-        rows = connection.execute(query).all()
+    rows = service.db.query(query).all()
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
     suspect = {

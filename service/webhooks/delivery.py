@@ -68,8 +68,7 @@ def take(db: Database, busy: Collection[str] = (), most: int = AT_ONCE) -> list[
     the time of a lease."""
     nth = sa.func.row_number().over(partition_by=deliveries.c.webhook, order_by=deliveries.c.due_at).label("nth")
     due = sa.select(deliveries, nth).where(deliveries.c.due_at <= now(), deliveries.c.webhook.not_in(busy)).subquery()
-    with db.read() as connection:
-        rows = connection.execute(sa.select(due).where(due.c.nth == 1).order_by(due.c.due_at).limit(most)).all()
+    rows = db.query(sa.select(due).where(due.c.nth == 1).order_by(due.c.due_at).limit(most)).all()
     lease = _after(LEASE_SECONDS)
     return [row for row in rows if _set(db, row, row.tries, {"due_at": lease, "tries": row.tries + 1})]
 
@@ -117,8 +116,7 @@ def _settle(db: Database, row: Any, status: int | None, outcome: str) -> None:
 
 
 def _drop(db: Database, row: Any) -> None:
-    with db.write() as connection:
-        connection.execute(sa.delete(deliveries).where(_this(row)))
+    db.change(sa.delete(deliveries).where(_this(row)))
 
 
 def _set(db: Database, row: Any, tries: int, values: Mapping[str, object]) -> bool:

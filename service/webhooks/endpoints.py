@@ -79,8 +79,7 @@ def list_webhooks(core: Core, caller: Admin) -> WebhookList:
     """Webhooks of this tenant, with what came of the last message to each."""
     waiting = sa.select(sa.func.count()).where(deliveries.c.webhook == webhooks.c.id).scalar_subquery()
     query = sa.select(webhooks, waiting.label("waiting")).where(webhooks.c.tenant == caller.tenant)
-    with core.db.read() as connection:
-        rows: list[Any] = list(connection.execute(query.order_by(webhooks.c.created_at, webhooks.c.id)))
+    rows: list[Any] = list(core.db.query(query.order_by(webhooks.c.created_at, webhooks.c.id)))
     return WebhookList(items=[WebhookView.model_validate(row._asdict()) for row in rows])
 
 
