@@ -88,7 +88,7 @@ def tenant(
 
       mark3dgs tenant acme "Studio Acme, Hamburg"
     """
-    from service.trust.tenants import name_tenant
+    from service.trust.api_keys import name_tenant
 
     console, service = _opened(json)
     name_tenant(service.db, tenant, name)

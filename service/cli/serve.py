@@ -131,9 +131,8 @@ def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Servic
     """Open the service; the first start makes its keys and prints a note. InputError where there is none to open."""
     from service.core import Service
     from service.db import Database
-    from service.trust.api_keys import issue_first
+    from service.trust.api_keys import FIRST_TENANT, issue_first
     from service.trust.signing import ensure_key
-    from service.trust.tenants import FIRST_TENANT
 
     settings = settings_of()
     if not may_make and not Database(settings.database()).exists:

@@ -7,10 +7,8 @@ from pydantic import BaseModel, Field
 from service.db.schema import api_keys
 from service.http.access import Anyone, Core
 from service.http.error_responses import responses
-from service.trust.api_keys import SCOPES
-from service.trust.tenants import display_name
-from service.uploads.quota import stored_bytes
-from service.uploads.store import under_way
+from service.trust.api_keys import SCOPES, display_name
+from service.uploads.store import stored_bytes, under_way
 
 router = APIRouter(prefix="/v1/me", tags=["keys"])
 
