@@ -57,7 +57,7 @@ async def once(service: Service, tenant: str, this: tuple[str, str], make: Calla
             raise Problem("budget-exceeded", text, headers={"Retry-After": "5"})
         work = making[this] = tenant, _threads.submit(make)
         work[1].add_done_callback(lambda _: making.pop(this, None))  # in its thread, or here if it is done already
-    # Shielded: one who breaks off takes the work from nobody else.
+    # Shielded: a client that breaks off does not stop the work for the others.
     return await asyncio.shield(asyncio.wrap_future(work[1]))
 
 

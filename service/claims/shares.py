@@ -82,5 +82,5 @@ def _standing(connection: sa.Connection, claim_id: str) -> list[Any]:
 
 
 def _digest(token: str) -> str:
-    """A plain hash does: nobody guesses 256 random bits."""
+    """A plain hash is enough: 256 random bits cannot be guessed."""
     return sha256(token.encode()).hexdigest()

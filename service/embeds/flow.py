@@ -88,8 +88,8 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
 def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     """At most SCREENED rows of `assets`, those of one original next to each other.
 
-    Owners take turns, others before the tenant that asks, and so do the originals of each: nobody hides a copy behind
-    many of his own.
+    Owners take turns, others before the tenant that asks, and so do the originals of each: a copy cannot be hidden behind
+    many of the same owner.
     """
     seen: Counter[Any] = Counter()
 
@@ -105,7 +105,7 @@ def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
 
 
 def _drawn(service: Service, job: Job) -> str:
-    """What the service puts into the plan: nobody knows it before the job is there, so nobody can try records out."""
+    """The service's random part of the plan: unknown before the job exists, so records cannot be tried out."""
     return service.master.mac("drawn for a record", job.id)
 
 

@@ -1,6 +1,6 @@
 """Another master key: every secret is sealed anew, in one transaction, and nothing that was handed out changes.
 
-1. The new key is written beside the old one.     2. All secrets are sealed under it, and the log says so.
+1. The new key is written beside the old one.     2. All secrets are sealed under it, and it is logged.
 3. It takes the old one's place. After a crash between 2 and 3 the next start does 3.
 """
 
