@@ -60,8 +60,7 @@ def screen(
 def _entries(service: Service) -> dict[str, str]:
     """Of each original, the digest of the newest entry."""
     query = sa.select(assets.c.original_sha256, assets.c.sketch_sha256).order_by(assets.c.registered_at)
-    with service.db.read() as connection:
-        return {row.original_sha256: row.sketch_sha256 for row in connection.execute(query)}
+    return {row.original_sha256: row.sketch_sha256 for row in service.db.query(query)}
 
 
 def _kept(folder: Path) -> tuple[Path | None, set[str]]:

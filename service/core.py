@@ -69,7 +69,7 @@ class Service:
         return str(self.blobs.local(sha256, run.folder)) if sha256 else None
 
     def local_or_gone(self, sha256: str, run: Run) -> str:
-        """The same of a blob that others rely on, too; "" where it is gone, so that whoever reads it can say so."""
+        """The same of a blob that others rely on, too; "" where it is gone, for its reader to report."""
         try:
             return self.local(sha256, run) or ""
         except Problem as problem:
@@ -117,7 +117,7 @@ class Service:
 
 
 def _keep_apart(folder: Path) -> None:
-    """Make the data folder, or take the others' rights to it away: what is in it is nobody else's.
+    """Make the data folder, or take the others' rights to it away: other users cannot read it.
 
     InputError where a restore was broken off in it.
     """

@@ -38,7 +38,7 @@ KINDS: dict[str, tuple[int, str]] = {
 
 
 class Problem(Mark3DGSError):
-    """An error that the client is told: `kind` is a key of KINDS, `detail` what is wrong, with the offending value.
+    """An error that the client receives: `kind` is a key of KINDS, `detail` what is wrong, with the offending value.
 
     `headers` are of the response, such as Retry-After; `extra` are further members of the problem object.
     """

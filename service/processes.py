@@ -84,12 +84,12 @@ class Children:
         self._stopped = False
 
     def prepare(self) -> None:
-        """Have a process ready for the next task; imports and kernels are loaded while nobody waits."""
+        """Have a process ready for the next task; imports and kernels are loaded in idle time."""
         with self._lock:
             if not self._stopped and (self._spare is None or self._spare.poll() is not None):
                 try:
                     self._spare = self._start()
-                except OSError as error:  # the next task says so, if it is still true then
+                except OSError as error:  # the next task reports it, if it is still true then
                     _log.warning("no process could be made ready: %s", error)
                     self._spare = None
 
@@ -102,7 +102,7 @@ class Children:
     ) -> Reply:
         """Do a task and return its reply; its files lie in `folder`. A request, with its secrets, goes through a pipe.
 
-        `go_on` is told stage and fraction about three times a second, changed or not; False ends the task with
+        `go_on` is called with stage and fraction about three times a second, changed or not; False ends the task with
         `Cancelled`. Raises `Stopped` after `stop`, and the `Problem` that the task replied, or engine-limit where the
         process died.
         """
@@ -142,7 +142,7 @@ class Children:
                 _kill(process)
                 if fresh:
                     return process  # it died of itself; `_follow` says of what
-                # The spare had died while it waited, which is nobody's fault; take a new one.
+                # The spare had died while it waited, which is no fault of this task; take a new one.
 
     def _follow(self, process: subprocess.Popen[bytes], go_on: Callable[[str, float], bool]) -> Reply:
         lines: queue.Queue[bytes] = queue.Queue()

@@ -21,7 +21,7 @@ def attested_record(service: Service, row: Any) -> str:
     data = service.blobs.read(row.record_sha256)
     with service.db.read() as connection:
         entry = registration_of(connection, row.id)
-        size = entry.index + 1  # the log as it stood then: what it proves does not depend on when it is asked for
+        size = entry.index + 1  # the log as it stood then: what it proves does not depend on the time of the request
         said = {
             "header_sha256": header_digest(data),
             "entry": entry.to_json(),

@@ -1,6 +1,6 @@
 """Content Credentials (C2PA) of delivered models, where the operator has set a certificate: signed once, and kept.
 
-Only files that this service has written are signed, in a process of their own. No manifest that somebody uploads is
+Only files that this service has written are signed, in a process of their own. No uploaded manifest is
 ever looked at, here or elsewhere in the service.
 """
 
@@ -17,7 +17,6 @@ from engine.errors import InputError
 from service.assets.conversions import CONVERTING_SECONDS, once
 from service.clock import now
 from service.core import Service
-from service.db import alone
 from service.db.schema import assets, manifests
 from service.problems import Problem
 from service.processes import run_once, task_folder
@@ -38,7 +37,7 @@ class Delivery:
 
 
 def signer_of(settings: Settings) -> Signer | None:
-    """Who signs, None where the operator named nobody; InputError that says what is wrong with the files."""
+    """Who signs, None where the operator configured no signer; InputError that says what is wrong with the files."""
     chain, key = settings.credentials_certificates, settings.credentials_key
     if not chain and not key:
         return None
@@ -80,15 +79,13 @@ async def delivered(service: Service, row: Any, sha256: str, kind: str) -> Deliv
 
 
 def forget_manifests(service: Service, asset: str) -> None:
-    """Nobody finds them any more; what was delivered keeps its own."""
-    with service.db.write() as connection:
-        connection.execute(sa.delete(manifests).where(manifests.c.asset == asset))
+    """They are no longer served; delivered files keep theirs."""
+    service.db.change(sa.delete(manifests).where(manifests.c.asset == asset))
 
 
 def _kept(service: Service, asset: str, sha256: str, signer: Signer) -> Any:
     """The row of what was signed of this very file by this signer."""
-    with service.db.read() as connection:
-        return connection.execute(_query(asset, sha256, signer)).first()
+    return service.db.query(_query(asset, sha256, signer)).first()
 
 
 def _query(asset: str, sha256: str, signer: Signer) -> sa.Select[Any]:
@@ -121,8 +118,7 @@ def _sign(service: Service, row: Any, sha256: str, kind: str, signer: Signer) ->
         "sha256": kept["manifest"],
         "created_at": now(),
     }
-    with service.db.write() as connection:
-        alone(connection)
+    with service.db.exclusive() as connection:
         there = connection.execute(sa.select(assets.c.id).where(assets.c.id == row.id)).first()
         if there and connection.execute(_query(row.id, sha256, signer)).first() is None:  # another process was faster
             connection.execute(manifests.insert().values(**made))

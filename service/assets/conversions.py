@@ -1,4 +1,4 @@
-"""What is made of stored files when somebody asks for it, and kept: made once, also for many who ask at a time."""
+"""Files derived from stored ones on request, and kept: made once, also for simultaneous requests."""
 
 import asyncio
 from collections.abc import Callable
@@ -19,8 +19,7 @@ _threads = ThreadPoolExecutor(32, "convert")
 def kept(service: Service, sha256: str, kind: str) -> str | None:
     """Digest of what was made of a file."""
     known = (conversions.c.model_sha256 == sha256) & (conversions.c.format == kind)
-    with service.db.read() as connection:
-        found: str | None = connection.execute(sa.select(conversions.c.sha256).where(known)).scalar()
+    found: str | None = service.db.query(sa.select(conversions.c.sha256).where(known)).scalar()
     return found
 
 
@@ -34,8 +33,7 @@ def keep(service: Service, sha256: str, kind: str, digest: str) -> None:
 
 def drop(service: Service, *sha256: str) -> None:
     """Forget what was made of these files. Who has the same file may have it made again."""
-    with service.db.write() as connection:
-        connection.execute(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
+    service.db.change(sa.delete(conversions).where(conversions.c.model_sha256.in_(sha256)))
 
 
 async def converted(service: Service, tenant: str, sha256: str, kind: str) -> str:
@@ -50,7 +48,7 @@ async def converted(service: Service, tenant: str, sha256: str, kind: str) -> st
 
 
 async def once(service: Service, tenant: str, this: tuple[str, str], make: Callable[[], str]) -> str:
-    """What `make` makes of a file, once for all who ask meanwhile; budget-exceeded as `converted`."""
+    """What `make` makes of a file, once for all simultaneous requests; budget-exceeded as `converted`."""
     making, work = service.making, service.making.get(this)
     if work is None:
         most = service.settings.conversions_at_once
@@ -59,7 +57,7 @@ async def once(service: Service, tenant: str, this: tuple[str, str], make: Calla
             raise Problem("budget-exceeded", text, headers={"Retry-After": "5"})
         work = making[this] = tenant, _threads.submit(make)
         work[1].add_done_callback(lambda _: making.pop(this, None))  # in its thread, or here if it is done already
-    # Shielded: one who breaks off takes the work from nobody else.
+    # Shielded: a client that breaks off does not stop the work for the others.
     return await asyncio.shield(asyncio.wrap_future(work[1]))
 
 

@@ -88,7 +88,7 @@ async def get_model(
     wanted: Annotated[Format | None, Query(alias="format", description="As stored if left out.")] = None,
     version: Annotated[Literal["marked", "original"], Query(description="Publish the marked one only.")] = "marked",
 ) -> Response:
-    """The marked model (or your original), converted where another format is asked for.
+    """The marked model (or your original), converted to another `format` if requested.
 
     Where the operator signs Content Credentials, a marked .sog has them inside, and the header Link leads to those of
     a .sog or .glb.
@@ -111,7 +111,7 @@ async def get_model(
 )
 def get_record(asset_id: str, core: Core, caller: OriginalsReader, want: Want) -> Response:
     """The sealed record, and this service's signed word on when it was registered: with the owner key it proves the
-    mark without this service, at 1 in 10^9 for whoever trusts its public keys."""
+    mark without this service, at 1 in 10^9 for anyone who trusts its public keys."""
     row = own(core.db, assets, caller.tenant, asset_id)
     return send_blob(core, attested_record(core, row), f"{row.id}.record", RECORD_TYPE, want)
 

@@ -1,6 +1,6 @@
 """The query and fetch routes of C2PA's Soft Binding Resolution API 2.4, under /v1: a mark leads to its manifest.
 
-Open to all, as manifests are: whoever names a record's id (128 bits, in the file, in its claims and nowhere to be
+Open to all, as manifests are: a caller who names a record's id (128 bits, in the file, in its claims and nowhere to be
 guessed) gets what the owner let out with the file, and nothing else.
 """
 
@@ -42,7 +42,7 @@ class Algorithm(BaseModel):
 
 
 class Algorithms(BaseModel):
-    """Algorithms that can be asked for."""
+    """Supported algorithms."""
 
     watermarks: list[Algorithm]
 
@@ -58,8 +58,7 @@ def query_by_binding(
     record = bound_record(value) if alg == ALG else ""
     joined = manifests.join(assets, manifests.c.asset == assets.c.id)
     query = sa.select(manifests.c.id).select_from(joined).where(manifests.c.binding == record)
-    with core.db.read() as connection:
-        found = connection.execute(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
+    found = core.db.query(query.order_by(manifests.c.created_at.desc()).limit(most)).scalars().all()
     return Matches(matches=[Match(manifestId=each) for each in found])
 
 
@@ -74,8 +73,7 @@ def get_manifest(manifest_id: str, core: Core) -> Response:
     was made from."""
     joined = manifests.join(assets, manifests.c.asset == assets.c.id)
     query = sa.select(manifests.c.sha256).select_from(joined).where(manifests.c.id == manifest_id)
-    with core.db.read() as connection:
-        digest = connection.execute(query).scalar()
+    digest = core.db.query(query).scalar()
     if digest is None:
         raise missing(manifests, manifest_id)
     headers = {"Content-Disposition": 'attachment; filename="manifest.c2pa"'}

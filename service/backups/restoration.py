@@ -1,8 +1,8 @@
 """Restoring a backup into an empty data folder: laid out beside its place, checked whole, then moved there.
 
-1. Every file of the backup is copied and held against its digest; one that is missing or differs ends it.
+1. Every file of the backup is copied and checked against its digest; one that is missing or differs ends it.
 2. The copy is opened as the service would open it: its tables are brought up to this version, its master key must fit.
-3. It is audited. What is found now was so when the backup was taken; it is told, and ends nothing.
+3. It is audited. What is found now was so when the backup was taken; it is reported, and does not stop the restoration.
 4. Everything moves to its place, the database last: before, no command sees a service there. Until it is over, a
    marker keeps `serve` from making a new one in what is half there.
 """

@@ -49,16 +49,16 @@ def take(
 ) -> tuple[Manifest, LogReport]:
     """Back a service up into a folder that is empty or not there; its files, and what the audit of the copy found.
 
-    A damaged file of the service is copied as it is, and told. InputError if the service does not keep everything in
-    its data folder, is of another version, or is none; MasterKeyError if its master key is another one's. Whatever
+    A damaged file of the service is copied as it is, and reported. InputError if the service does not keep everything
+    in its data folder, is of another version, or is none; MasterKeyError if its master key is another one's. Whatever
     ends this early leaves no backup behind.
 
     Parameters
     ----------
     tell : callable
-        Told the share of the stored files that is copied.
+        Called with the share of the stored files that is copied.
     master_key : bool
-        Whether the master key's file goes along. With it, whoever gets hold of the backup has every owner key.
+        Whether the master key's file goes along. With it, the backup gives access to every owner key.
     """
     check_local(settings)
     data, made_at = settings.data_dir.absolute(), now()
@@ -74,8 +74,7 @@ def take(
         copied = settings.model_copy(update={"data_dir": target})
         db = Database(copied.database())
         with closing(db):
-            with db.write() as connection:
-                connection.execute(sa.delete(uploads).where(uploads.c.state == "open"))
+            db.change(sa.delete(uploads).where(uploads.c.state == "open"))
             _copy(data, target, _stored(data), files, tell)  # 3
             _copy(data, target, _others(data, master_key), files, lambda share: None)  # 4
             if master_key:
@@ -116,7 +115,7 @@ def _others(data: Path, master_key: bool) -> list[str]:
 def _copy(
     data: Path, target: Path, names: Iterable[str], files: dict[str, File], tell: Callable[[float], None]
 ) -> None:
-    """Copy what has not been copied; a file that is gone by now was nobody's."""
+    """Copy what has not been copied; a file that is gone by now belonged to no row."""
     missing = [name for name in names if name not in files]
     for number, name in enumerate(missing, start=1):
         with suppress(FileNotFoundError):

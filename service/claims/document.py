@@ -24,7 +24,7 @@ class Fact(BaseModel):
 
 
 class Bar(BaseModel):
-    """What a bound is held against."""
+    """The threshold of a bound."""
 
     log10: float
     text: str
@@ -51,7 +51,7 @@ class Summary(BaseModel):
 
 
 def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The reply of the task `verify` with what was `searched` told in full; of all of an owner's assets, it speaks of
+    """The reply of the task `verify` with what was `searched` in full; of all of an owner's assets, it speaks of
     one only where that one was recognised."""
     claim, tried = reply["claim"], reply["tried"]
     recognised = claim is not None and bool(
@@ -64,9 +64,9 @@ def of_what_was_found(reply: Mapping[str, Any]) -> Mapping[str, Any]:
         return told
     text = f"None of {reply['searched']['assets']} registered assets was recognised; records compared: {len(tried)}"
     text += f", of which {unreadable} could not be opened." if unreadable else "."
-    nobody = dict.fromkeys(("asset", "claim", "attested", "registered_message", "regions"))
+    unnamed = dict.fromkeys(("asset", "claim", "attested", "registered_message", "regions"))
     kept = {name: digest for name, digest in reply["kept"].items() if name == "suspect"}  # the others show an asset
-    return told | nobody | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
+    return told | unnamed | {"kept": kept, "checks": [{"code": "derived", "ok": None, "text": text}]}
 
 
 def build_document(

@@ -78,7 +78,7 @@ def list_claims(
     responses={200: {"content": {JWS_TYPE: {"schema": {"type": "string"}}}, "description": "Compact JWS"}, **OF_OWN},
 )
 def get_jws(claim_id: str, core: Core, caller: Follower) -> Response:
-    """The signed claim alone: hand it to whoever must be convinced."""
+    """The signed claim alone, to hand to a third party."""
     row = visible(core, caller, claims, claim_id)
     headers = {"Content-Disposition": f'attachment; filename="{row.id}.jws"'}
     return Response(row.jws, media_type=JWS_TYPE, headers=headers)

@@ -16,12 +16,12 @@ from service.db import Database, alone
 from service.db.schema import assets, claims
 from service.jobs.port import Job
 from service.problems import Problem
+from service.trust.api_keys import display_name
 from service.trust.audit import Entry
 from service.trust.canonical import canonical
 from service.trust.commitments import commit_claim, registration_of
 from service.trust.master import MasterKey
 from service.trust.signing import sign
-from service.trust.tenants import display_name
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from service.claims.document import document_words
 from service.claims.report import captions_of, timeline
 from service.claims.schema import OwnerStatement
 from service.problems import Problem
-from service.trust.tenants import FIRST_TENANT
+from service.trust.api_keys import FIRST_TENANT
 
 PICTURES = ("suspect", "asset", "difference", "heatmap")
 """What a pack may show; `heatmap` where it is drawn over the `asset`, so not in claims of before."""

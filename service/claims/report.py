@@ -111,7 +111,7 @@ def _bits(text: str, count: int) -> list[int]:
 
 
 def _bound_scale(log10_bound: float, limits: Sequence[tuple[float, str]]) -> dict[str, Any]:
-    """The false-claim bound, and what it is held against, on an axis from 1 (left) down to 10^-60 (right)."""
+    """The false-claim bound and its threshold on an axis from 1 (left) down to 10^-60 (right)."""
     return {
         "left": _AXIS_LEFT,
         "right": _AXIS_RIGHT,

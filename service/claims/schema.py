@@ -50,7 +50,7 @@ class Searched(_Part):
 
     scope: Literal["one", "all"] = Field(description="One asset that was named, or all of the owner's.")
     assets: int = Field(gt=0)
-    compared: int = Field(ge=0, description="Records that were held against the suspect; the index ruled out the rest.")
+    compared: int = Field(ge=0, description="Records compared with the suspect; the index ruled out the rest.")
     unreadable: int = Field(ge=0, description="Of these, records that could not be opened.")
     recognised: bool = Field(description="Something of the asset named below was found in the suspect.")
 

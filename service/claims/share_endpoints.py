@@ -1,4 +1,4 @@
-"""Sharing a claim's report for a time, and what whoever has the address sees, without an API key."""
+"""Sharing a claim's report for a time, and what the holders of its address see without an API key."""
 
 from typing import Annotated
 
@@ -73,7 +73,7 @@ def share_claim(
 
 @router.get("/v1/claims/{claim_id}/shares", operation_id="listShares", responses=OF_OWN)
 def list_shares(claim_id: str, core: Core, caller: Follower) -> ShareList:
-    """Addresses of a claim that stand; what they are is known to whoever was told."""
+    """Active shares of a claim; the addresses themselves are not stored."""
     visible(core, caller, schema.claims, claim_id)
     return ShareList(items=[Share.model_validate(row) for row in shares.shares_of(core.db, claim_id)])
 
@@ -93,13 +93,13 @@ def revoke_share(share_id: str, core: Core, caller: Verifier) -> None:
     responses={**PAGE, **responses("not-found")},
 )
 def shared_report(token: str, core: Core) -> Response:
-    """The report, for whoever has its address."""
+    """The report, for anyone with its address."""
     return report_page(core, shares.shared(core.db, token))
 
 
 @router.get("/shared/{token}/claim.json", operation_id="sharedClaim", responses=responses("not-found"))
 def shared_claim(token: str, core: Core) -> SignedClaim:
-    """The claim, for whoever has the address of its report."""
+    """The claim, for anyone with the address of its report."""
     return signed(shares.shared(core.db, token))
 
 
@@ -110,5 +110,5 @@ def shared_claim(token: str, core: Core) -> SignedClaim:
     responses={**ZIP, **responses("not-found", "conflict")},
 )
 def shared_pack(token: str, core: Core) -> Response:
-    """The pack, for whoever has the address of the report. No words are taken for it: they would be no owner's."""
+    """The pack, for anyone with the address of the report. It takes no note: a note is the owner's statement."""
     return pack_file(core, shares.shared(core.db, token), OwnerStatement())

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from service.clock import now
 from service.core import Service
-from service.db import Database, alone, missing
+from service.db import Database, missing
 from service.db.schema import claims, shares
 from service.problems import Problem
 from service.trust import audit
@@ -36,8 +36,7 @@ def share(service: Service, caller: Caller, claim: Any, days: int) -> tuple[str,
     token, share_id = secrets.token_urlsafe(TOKEN_BYTES), f"sh_{secrets.token_hex(12)}"
     until = (datetime.now(UTC) + timedelta(days=days)).isoformat(timespec="microseconds")
     values = {"id": share_id, "tenant": caller.tenant, "claim": claim.id, "digest": _digest(token)}
-    with service.db.write() as connection:
-        alone(connection)
+    with service.db.exclusive() as connection:
         if len(_standing(connection, claim.id)) >= MOST:
             raise Problem("budget-exceeded", f"{MOST} addresses of this claim stand: revoke one")
         connection.execute(shares.insert().values(**values, created_at=now(), expires_at=until))
@@ -55,8 +54,7 @@ def shares_of(db: Database, claim_id: str) -> list[Any]:
 
 def revoke(db: Database, caller: Caller, row: Any) -> None:
     """End a share; not-found where another request was faster."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         if connection.execute(sa.delete(shares).where(shares.c.id == row.id)).rowcount == 0:
             raise missing(shares, row.id)
         told = {"share": row.id, "api_key": caller.key_id}
@@ -66,8 +64,7 @@ def revoke(db: Database, caller: Caller, row: Any) -> None:
 def shared(db: Database, token: str) -> Any:
     """The row of the claim that a token is for; not-found alike for unknown, expired and revoked ones."""
     this = (shares.c.digest == _digest(token)) & (shares.c.expires_at > now())
-    with db.read() as connection:
-        row = connection.execute(sa.select(claims).join(shares, shares.c.claim == claims.c.id).where(this)).first()
+    row = db.query(sa.select(claims).join(shares, shares.c.claim == claims.c.id).where(this)).first()
     if row is None:
         raise Problem("not-found", "there is nothing at this address, or not any more")
     return row
@@ -76,8 +73,7 @@ def shared(db: Database, token: str) -> Any:
 def sweep(db: Database) -> int:
     """Forget shares that have expired, and those of claims that are gone; how many."""
     gone = (shares.c.expires_at <= now()) | shares.c.claim.not_in(sa.select(claims.c.id))
-    with db.write() as connection:
-        return connection.execute(sa.delete(shares).where(gone)).rowcount
+    return db.change(sa.delete(shares).where(gone))
 
 
 def _standing(connection: sa.Connection, claim_id: str) -> list[Any]:
@@ -86,5 +82,5 @@ def _standing(connection: sa.Connection, claim_id: str) -> list[Any]:
 
 
 def _digest(token: str) -> str:
-    """A plain hash does: nobody guesses 256 random bits."""
+    """A plain hash is enough: 256 random bits cannot be guessed."""
     return sha256(token.encode()).hexdigest()

@@ -1,1 +1,1 @@
-"""Commands of the service, beside those of the engine. `app` is the command `mark3dgs` itself; nobody comes in."""
+"""Commands of the service, beside those of the engine. No other part imports them."""

@@ -1,4 +1,4 @@
-"""`mark3dgs apikey`, `audit` and `rotate-signing-key`: for whoever runs the service, on its own data."""
+"""`mark3dgs apikey`, `audit` and `rotate-signing-key`: for the operator, on the service's own data."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def tenant(
 
       mark3dgs tenant acme "Studio Acme, Hamburg"
     """
-    from service.trust.tenants import name_tenant
+    from service.trust.api_keys import name_tenant
 
     console, service = _opened(json)
     name_tenant(service.db, tenant, name)

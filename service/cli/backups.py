@@ -1,4 +1,4 @@
-"""`mark3dgs backup` and `mark3dgs restore`: for whoever runs a service that keeps everything in its data folder."""
+"""`mark3dgs backup` and `mark3dgs restore`: for operators of a service that keeps everything in its data folder."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def backup(
     """Copy a service, which may go on running: databases, stored files and keys.
 
     The copy is consistent and was audited as it was made; 'mark3dgs restore'
-    makes a service of it. With the master key in it whoever gets hold of it has
-    every owner key: keep it as you keep the data folder, or leave that key out.
+    makes a service of it. With the master key it gives access to every
+    owner key: protect it like the data folder, or leave that key out.
     A service with PostgreSQL or S3 is backed up by their own tools: see
     docs/OPERATIONS.md. Exit codes: 0 done, 3 done, and the audit found faults.
 
@@ -53,7 +53,7 @@ def restore(
 ) -> int:
     """Make a service of a backup, in an empty data folder (MARK3DGS_DATA_DIR).
 
-    Every file is held against its digest before any takes its place, and the
+    Every file is checked against its digest before any takes its place, and the
     log is audited; a damaged or half-written backup is refused. Do not run two
     services from one backup: their logs would contradict each other.
     Exit codes: 0 done, 3 done, and the audit found what was damaged already

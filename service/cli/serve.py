@@ -114,7 +114,7 @@ def init(json: Json = False) -> int:
 
 
 def settings_of() -> Settings:
-    """The settings of this process; from here on what it writes is nobody else's. InputError names a wrong variable."""
+    """The settings of this process; what it writes is its user's alone. InputError names a wrong variable."""
     from pydantic import ValidationError
 
     from service.settings import Settings
@@ -128,12 +128,11 @@ def settings_of() -> Settings:
 
 
 def start(console: Console, *, may_make: bool = False) -> tuple[Settings, Service]:
-    """Open the service; the very first start makes its keys, and says so. InputError where there is none to open."""
+    """Open the service; the first start makes its keys and prints a note. InputError where there is none to open."""
     from service.core import Service
     from service.db import Database
-    from service.trust.api_keys import issue_first
+    from service.trust.api_keys import FIRST_TENANT, issue_first
     from service.trust.signing import ensure_key
-    from service.trust.tenants import FIRST_TENANT
 
     settings = settings_of()
     if not may_make and not Database(settings.database()).exists:

@@ -53,7 +53,7 @@ class Job:
     finished_at: str | None
     position: int | None = None  # in the queue, 1 is next; None unless queued
     name: str = ""  # what it is about: the label, or the names of the files
-    fraction_total: float | None = None  # of the whole job; None where nobody knows
+    fraction_total: float | None = None  # of the whole job; None if unknown
 
     @property
     def ended(self) -> bool:
@@ -164,12 +164,12 @@ class Share:
     claim_id: str
     created_at: str
     expires_at: str
-    url: str | None = None  # told once, to who made it
+    url: str | None = None  # shown only once, on creation
 
 
 @dataclass(frozen=True)
 class Webhook:
-    """An address that is told when jobs end."""
+    """An address that receives a message when a job ends."""
 
     id: str
     url: str
@@ -179,7 +179,7 @@ class Webhook:
     last_at: str | None = None  # of the last try
     last_status: int | None = None  # HTTP; None where no answer came
     last_outcome: str | None = None  # in words
-    secret: str | None = None  # told once, to who made it
+    secret: str | None = None  # shown only once, on creation
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,11 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial, wraps
 from types import TracebackType
-from typing import Any, BinaryIO, Concatenate, ParamSpec, Self, TypeVar
+from typing import Any, BinaryIO, Generic, ParamSpec, Self, TypeVar, overload
 
 import httpx
 
-from service.client import downloads, flows, lists, sharing
-from service.client import webhooks as hooks
+from service.client import downloads, flows
 from service.client.wire import Fetch, Flow, Pause, Progress, Reply, Request, Work, patient
 
 P = ParamSpec("P")
@@ -22,23 +21,61 @@ TIMEOUT_SECONDS = 120.0
 _CHUNK = 1 << 20
 
 
-def _now(flow: Callable[P, Flow[T]]) -> "Callable[Concatenate[Client, P], T]":
-    @wraps(flow)
-    def method(self: "Client", /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return self.run(flow(*args, **kwargs))
+class _Method(Generic[P, T]):
+    """A flow as a method: `Client` returns its result, `AsyncClient` an awaitable of it."""
 
-    return method
+    def __init__(self, flow: Callable[P, Flow[T]]) -> None:
+        self._flow = flow
+        self.__doc__ = flow.__doc__
+
+    @overload
+    def __get__(self, client: "Client", kind: object = None) -> Callable[P, T]: ...
+    @overload
+    def __get__(self, client: "AsyncClient", kind: object = None) -> Callable[P, Awaitable[T]]: ...
+    @overload
+    def __get__(self, client: None, kind: object = None) -> Callable[P, Flow[T]]: ...
+    def __get__(self, client: "Client | AsyncClient | None", kind: object = None) -> Callable[P, Any]:
+        if client is None:
+            return self._flow
+
+        @wraps(self._flow)
+        def method(*args: P.args, **kwargs: P.kwargs) -> Any:
+            return client.run(self._flow(*args, **kwargs))
+
+        return method
 
 
-def _soon(flow: Callable[P, Flow[T]]) -> "Callable[Concatenate[AsyncClient, P], Awaitable[T]]":
-    @wraps(flow)
-    def method(self: "AsyncClient", /, *args: P.args, **kwargs: P.kwargs) -> Awaitable[T]:
-        return self.run(flow(*args, **kwargs))
+class _Methods:
+    """What both clients can do."""
 
-    return method
+    add_webhook = _Method(flows.add_webhook)
+    asset = _Method(flows.asset)
+    assets = _Method(flows.assets)
+    call = _Method(flows.call)
+    cancel = _Method(flows.cancel)
+    claim = _Method(flows.claim)
+    claims = _Method(flows.claims)
+    delete_webhook = _Method(flows.delete_webhook)
+    download = _Method(downloads.download)
+    embed = _Method(flows.embed)
+    job = _Method(flows.job)
+    jobs = _Method(flows.jobs)
+    jws = _Method(downloads.jws)
+    me = _Method(flows.me)
+    record = _Method(downloads.record)
+    report = _Method(downloads.report)
+    revoke_share = _Method(flows.revoke_share)
+    share = _Method(flows.share)
+    shares = _Method(flows.shares)
+    submit_embed = _Method(flows.submit_embed)
+    submit_verify = _Method(flows.submit_verify)
+    upload = _Method(flows.upload)
+    verify = _Method(flows.verify)
+    wait = _Method(flows.wait)
+    webhooks = _Method(flows.webhooks)
 
 
-class Client:
+class Client(_Methods):
     """A tenant's client of one service; closes its connections at the end of a `with`.
 
     Parameters
@@ -80,21 +117,15 @@ class Client:
                 elif isinstance(action, Work):
                     got = action.do()
                 elif isinstance(action, Fetch):
-                    got = self._fetch(action)
+                    got = self._send(action.request, action)
                 else:
                     got = self._send(action)
 
-    def _send(self, request: Request) -> Reply:
-        try:
-            return _reply(self._http.request(**_arguments(request)))
-        except httpx.RequestError as error:
-            return _broken(error)
-
-    def _fetch(self, fetch: Fetch) -> Reply:
+    def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
         headers: dict[str, str] = {}
         try:
-            with self._http.stream(**_arguments(fetch.request)) as answer:
-                if not answer.is_success:
+            with self._http.stream(**_arguments(request)) as answer:
+                if fetch is None or not answer.is_success:
                     answer.read()
                     return _reply(answer)
                 headers = _headers(answer)
@@ -115,34 +146,8 @@ class Client:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
-    add_webhook = _now(hooks.add_webhook)
-    asset = _now(flows.asset)
-    assets = _now(lists.assets)
-    call = _now(flows.call)
-    cancel = _now(flows.cancel)
-    claim = _now(flows.claim)
-    claims = _now(lists.claims)
-    delete_webhook = _now(hooks.delete_webhook)
-    download = _now(downloads.download)
-    embed = _now(flows.embed)
-    job = _now(flows.job)
-    jobs = _now(lists.jobs)
-    jws = _now(downloads.jws)
-    me = _now(lists.me)
-    record = _now(downloads.record)
-    report = _now(downloads.report)
-    revoke_share = _now(sharing.revoke_share)
-    share = _now(sharing.share)
-    shares = _now(sharing.shares)
-    submit_embed = _now(flows.submit_embed)
-    submit_verify = _now(flows.submit_verify)
-    upload = _now(flows.upload)
-    verify = _now(flows.verify)
-    wait = _now(flows.wait)
-    webhooks = _now(hooks.webhooks)
 
-
-class AsyncClient:
+class AsyncClient(_Methods):
     """As `Client`, each method awaited, in an `async with`."""
 
     def __init__(
@@ -172,21 +177,15 @@ class AsyncClient:
                 elif isinstance(action, Work):
                     got = await asyncio.to_thread(action.do)
                 elif isinstance(action, Fetch):
-                    got = await self._fetch(action)
+                    got = await self._send(action.request, action)
                 else:
                     got = await self._send(action)
 
-    async def _send(self, request: Request) -> Reply:
-        try:
-            return _reply(await self._http.request(**_arguments(request)))
-        except httpx.RequestError as error:
-            return _broken(error)
-
-    async def _fetch(self, fetch: Fetch) -> Reply:
+    async def _send(self, request: Request, fetch: Fetch | None = None) -> Reply:
         headers: dict[str, str] = {}
         try:
-            async with self._http.stream(**_arguments(fetch.request)) as answer:
-                if not answer.is_success:
+            async with self._http.stream(**_arguments(request)) as answer:
+                if fetch is None or not answer.is_success:
                     await answer.aread()
                     return _reply(answer)
                 headers = _headers(answer)
@@ -208,32 +207,6 @@ class AsyncClient:
         self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
     ) -> None:
         await self.close()
-
-    add_webhook = _soon(hooks.add_webhook)
-    asset = _soon(flows.asset)
-    assets = _soon(lists.assets)
-    call = _soon(flows.call)
-    cancel = _soon(flows.cancel)
-    claim = _soon(flows.claim)
-    claims = _soon(lists.claims)
-    delete_webhook = _soon(hooks.delete_webhook)
-    download = _soon(downloads.download)
-    embed = _soon(flows.embed)
-    job = _soon(flows.job)
-    jobs = _soon(lists.jobs)
-    jws = _soon(downloads.jws)
-    me = _soon(lists.me)
-    record = _soon(downloads.record)
-    report = _soon(downloads.report)
-    revoke_share = _soon(sharing.revoke_share)
-    share = _soon(sharing.share)
-    shares = _soon(sharing.shares)
-    submit_embed = _soon(flows.submit_embed)
-    submit_verify = _soon(flows.submit_verify)
-    upload = _soon(flows.upload)
-    verify = _soon(flows.verify)
-    wait = _soon(flows.wait)
-    webhooks = _soon(hooks.webhooks)
 
 
 def _settings(address: str, api_key: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ def download(
     version: Literal["marked", "original"] = "marked",
     progress: Progress = silent,
 ) -> Flow[Path]:
-    """Fetch a model to a file, converted where another format is asked for. See `_fetch` for the file."""
+    """Fetch a model to a file, converted if a `format` is given. See `_fetch` for the file."""
     params: dict[str, str] = {"version": version} | ({"format": format} if format else {})
     return (yield from _fetch(f"/v1/assets/{quote(asset_id, safe='')}/model", target, params, progress))
 
@@ -40,7 +40,7 @@ def report(claim_id: str, target: Target) -> Flow[Path]:
 
 
 def jws(claim_id: str, target: Target) -> Flow[Path]:
-    """Fetch the signed claim alone to a file, for `mark3dgs verify-report` and whoever must be convinced."""
+    """Fetch the signed claim alone to a file, for `mark3dgs verify-report` and third parties."""
     return (yield from _fetch(f"/v1/claims/{quote(claim_id, safe='')}.jws", target, {}, silent))
 
 

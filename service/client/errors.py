@@ -1,4 +1,4 @@
-"""The one error of the client: what the service said, or that it could not be asked."""
+"""The one error of the client: the service's problem, or that it could not be reached."""
 
 from collections.abc import Mapping
 from typing import Any

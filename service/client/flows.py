@@ -5,13 +5,30 @@ import secrets
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
 from urllib.parse import quote
 
-from service.client.answers import Asset, Claim, Embedded, Job, Upload, Verified, embedded, read, verified
+from service.client.answers import (
+    Asset,
+    Claim,
+    ClaimSummary,
+    Embedded,
+    Job,
+    Me,
+    Share,
+    Upload,
+    Verified,
+    Webhook,
+    embedded,
+    read,
+    verified,
+)
 from service.client.errors import ServiceError
 from service.client.sources import Measured, Source, measure, piece
 from service.client.wire import BREAKS, FIRST_PAUSE, Flow, Params, Pause, Progress, Reply, Request, Work, ask
+
+A = TypeVar("A")
+State = Literal["queued", "running", "succeeded", "disputed", "failed", "cancelled"]
 
 FIRST_LOOK, LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks at a job: doubled while nothing changes."""
@@ -36,7 +53,7 @@ class EmbedOptions(TypedDict, total=False):
 
 
 class VerifyOptions(TypedDict, total=False):
-    """Of POST /v1/verify; without `asset_id` the suspect is held against all assets of the tenant."""
+    """Of POST /v1/verify; without `asset_id` the suspect is compared with all assets of the tenant."""
 
     asset_id: str
     false_claim_rate: float
@@ -46,7 +63,7 @@ class VerifyOptions(TypedDict, total=False):
 
 
 def silent(stage: str, fraction: float) -> None:
-    """Progress that nobody watches."""
+    """Progress that is not reported."""
 
 
 def call(method: str, path: str, *, json: Any = None, params: Params | None = None) -> Flow[Any]:
@@ -80,7 +97,7 @@ def upload(source: Source, *, progress: Progress = silent) -> Flow[Upload]:
         reply: Reply = yield Request("PUT", path, headers=headers, content=data)
         if not reply.good and reply.status not in (0, 409):
             raise reply.error()
-        # No answer: some of it may have come, or all. 409: somebody else sends the same file.
+        # No answer: some of it may have come, or all. 409: another process sends the same file.
         before, slot = slot, read(Upload, reply.json() if reply.good else (yield from _look(path)))
         breaks = breaks + 1 if slot.offset == before.offset else 0
         if breaks > BREAKS:
@@ -213,6 +230,61 @@ def claim(claim_id: str) -> Flow[Claim]:
     return read(Claim, (yield from _get(address("claims", claim_id))))
 
 
+def me() -> Flow[Me]:
+    """Whose API key this is, what it may do, and how much of the tenant's limits is used."""
+    return read(Me, (yield from call("GET", "/v1/me")))
+
+
+def assets(*, q: str = "", original: str = "") -> Flow[list[Asset]]:
+    """Assets of the tenant: all, whose label, copy name, id or record id holds `q`, or of one original (SHA-256)."""
+    return (yield from _all(Asset, "/v1/assets", {"q": q, "original": original}))
+
+
+def claims(
+    *, q: str = "", verdict: Literal["", "marked", "not_marked", "inconclusive"] = "", asset: str = ""
+) -> Flow[list[ClaimSummary]]:
+    """Claims of the tenant: all; with a verdict; about the asset of an id; or found by `q`, a part of a suspect's file
+    name, of an id, label or copy name, or a suspect's SHA-256."""
+    return (yield from _all(ClaimSummary, "/v1/claims", {"q": q, "verdict": verdict, "asset": asset}))
+
+
+def jobs(*, state: Sequence[State] = (), kind: Literal["", "embed", "verify", "dispute"] = "") -> Flow[list[Job]]:
+    """Jobs of the tenant: all, in one of some states, or of a kind."""
+    return (yield from _all(Job, "/v1/jobs", {"state": state, "kind": kind}))
+
+
+def share(claim_id: str, *, days: int = 14) -> Flow[Share]:
+    """Make one that stands for 1 to 90 days; its `url` is shown only once."""
+    return read(Share, (yield from call("POST", address("claims", claim_id, "share"), json={"days": days})))
+
+
+def shares(claim_id: str) -> Flow[list[Share]]:
+    """Those of a claim that stand, newest first."""
+    found = yield from call("GET", address("claims", claim_id, "shares"))
+    return [read(Share, each) for each in found["items"]]
+
+
+def revoke_share(share_id: str) -> Flow[None]:
+    """End one before its time."""
+    yield from call("DELETE", address("shares", share_id))
+
+
+def add_webhook(url: str) -> Flow[Webhook]:
+    """Send a message to an address at the end of every job of the tenant; its `secret` is shown only once."""
+    return read(Webhook, (yield from call("POST", "/v1/webhooks", json={"url": url, "events": ["job.ended"]})))
+
+
+def webhooks() -> Flow[list[Webhook]]:
+    """Those of the tenant, with what came of the last message to each."""
+    found = yield from call("GET", "/v1/webhooks")
+    return [read(Webhook, each) for each in found["items"]]
+
+
+def delete_webhook(webhook_id: str) -> Flow[None]:
+    """Delete a webhook."""
+    yield from call("DELETE", address("webhooks", webhook_id))
+
+
 def _look(path: str) -> Flow[Any]:
     """As `_get`, again where no answer comes."""
     return (yield from ask(Request("GET", path, again=True))).json()
@@ -225,3 +297,14 @@ def _get(path: str, params: Params | None = None) -> Flow[Any]:
 def address(kind: str, *parts: str) -> str:
     """Of one thing, or of what belongs to it; an id is never more than one part of a path."""
     return "/".join((f"/v1/{kind}", *(quote(part, safe="") for part in parts)))
+
+
+def _all(kind: type[A], path: str, narrowed: Mapping[str, str | Sequence[str]]) -> Flow[list[A]]:
+    found: list[A] = []
+    given = {name: value for name, value in narrowed.items() if value}
+    after: str | None = ""
+    while after is not None:
+        page = yield from call("GET", path, params={"limit": "100", "after": after, **given})
+        found += [read(kind, each) for each in page["items"]]
+        after = page["next"]
+    return found

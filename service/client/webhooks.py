@@ -1,4 +1,4 @@
-"""Webhooks: the tenant's list of them, and what makes a receiver sure of a message.
+"""What makes a receiver of a webhook sure of a message.
 
 A message is signed in the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`, HEX being the HMAC-SHA256 of "SECONDS.BODY"
 under the webhook's secret, SECONDS when it was sent (Unix time).
@@ -8,17 +8,13 @@ import hmac
 import json
 import re
 import time
-from collections.abc import Mapping
 
-from service.client.answers import Event, Webhook, read
-from service.client.answers import Job as JobAnswer
+from service.client.answers import Event, Job, read
 from service.client.errors import ServiceError
-from service.client.flows import address, call
-from service.client.wire import Flow
 
 HEADER = "Mark3DGS-Signature"
 TOLERANCE = 300.0
-"""Seconds that a message may have been on its way; an older one may be somebody's repetition."""
+"""Seconds that a message may have been on its way; an older one may be a replay."""
 
 
 def signature(secret: str, at: int, body: bytes) -> str:
@@ -36,7 +32,7 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
     header : str
         Mark3DGS-Signature of the request.
     body : bytes
-        As it came, before anybody parsed it.
+        As it came, before any parsing.
     tolerance : float
         Seconds by which the message's time may differ from this machine's clock. Within it a message may come twice,
         as it may after a broken connection: `job.id` tells.
@@ -47,20 +43,4 @@ def check_webhook(secret: str, header: str, body: bytes, tolerance: float = TOLE
     if abs(time.time() - int(found[1])) > tolerance:
         raise ServiceError("untrusted", f"the message was sent {time.time() - int(found[1]):.0f} s ago")
     plain = json.loads(body)
-    return Event(plain["event"], plain["at"], read(JobAnswer, plain["job"]))
-
-
-def add_webhook(url: str) -> Flow[Webhook]:
-    """Have the end of every job of the tenant told to an address; its `secret` is told this once."""
-    return read(Webhook, (yield from call("POST", "/v1/webhooks", json={"url": url, "events": ["job.ended"]})))
-
-
-def webhooks() -> Flow[list[Webhook]]:
-    """Those of the tenant, with what came of the last message to each."""
-    found: Mapping[str, list[object]] = yield from call("GET", "/v1/webhooks")
-    return [read(Webhook, each) for each in found["items"]]
-
-
-def delete_webhook(webhook_id: str) -> Flow[None]:
-    """Tell an address nothing any more."""
-    yield from call("DELETE", address("webhooks", webhook_id))
+    return Event(plain["event"], plain["at"], read(Job, plain["job"]))

@@ -1,4 +1,4 @@
-"""What a driver is asked to do, as values, and what requests are sent again. No input or output here.
+"""The actions of a driver as values, and which requests are sent again. No input or output here.
 
 A *flow* is a generator: it yields actions, is handed what came of each, and returns its result. The two drivers
 (`clients.py`) differ only in how they do an action.

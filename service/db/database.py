@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -18,6 +18,7 @@ from service.problems import Problem
 if TYPE_CHECKING:
     from alembic.config import Config
 
+Ts = TypeVarTuple("Ts")
 _LOCK = 0x6D61726B  # "mark"
 BUSY_MILLISECONDS = 15_000
 POSTGRES_CONNECT = {
@@ -84,6 +85,23 @@ class Database:
         """A transaction; committed when the block ends, rolled back when it raises."""
         with _as_problems(), self.engine.begin() as connection:
             yield connection
+
+    @contextmanager
+    def exclusive(self) -> Iterator[sa.Connection]:
+        """As `write`, with one such transaction at a time: what it reads stays true until it ends."""
+        with self.write() as connection:
+            alone(connection)
+            yield connection
+
+    def query(self, statement: sa.Select[*Ts]) -> sa.Result[*Ts]:
+        """The rows of one statement, fetched whole."""
+        with self.read() as connection:
+            return connection.execute(statement).freeze()()
+
+    def change(self, statement: sa.UpdateBase) -> int:
+        """Do one statement in a transaction of its own; how many rows it changed."""
+        with self.write() as connection:
+            return connection.execute(statement).rowcount
 
     def migrate(self) -> None:
         """Bring the tables up to this version of the program: an empty database is made as the schema says, an older

@@ -176,7 +176,7 @@ webhooks = Table(
     _number("last_status", None),  # HTTP, NULL where no answer came
 )
 
-# What webhooks are still to be told: written by the transaction that ends a job, gone once delivered or given up.
+# Pending messages of webhooks: written by the transaction that ends a job, gone once delivered or given up.
 deliveries = Table("deliveries", metadata, *_key("webhook", "job"), *_texts("due_at", index=True), _number("tries"))
 
 # How much of a budget a subject has used in the part of its span that begins at `window`.

@@ -1,1 +1,1 @@
-"""Disputes of two owners: the request (`endpoints`), who may ask (`consent`), steps and finding (`flow`)."""
+"""Disputes of two owners: the request and its consents (`endpoints`), steps and finding (`flow`)."""

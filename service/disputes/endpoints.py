@@ -1,4 +1,8 @@
-"""POST /v1/disputes: two assets carry each other's claims; who was first?"""
+"""POST /v1/disputes: two assets carry each other's claims; who was first?
+
+The operator may start a dispute, or both owners. A consent is an entry of the audit log; it reveals nothing about
+whether another tenant's asset exists.
+"""
 
 import asyncio
 import json
@@ -12,13 +16,13 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from engine.present.dispute_text import dispute_page, dispute_words
 from service.core import Service
 from service.db.schema import assets, jobs
-from service.disputes.consent import agreed
 from service.http.access import Core, Reader, Verifier
 from service.http.budgets import spend
 from service.http.error_responses import OF_OWN
 from service.http.job_responses import JOB_RESPONSES, JobView, Prefer, RetryKey, respond, submit
 from service.jobs.port import Job, State
 from service.problems import Problem
+from service.trust import audit
 from service.trust.api_keys import OPERATOR, Caller
 
 router = APIRouter(prefix="/v1/disputes", tags=["disputes"])
@@ -29,7 +33,7 @@ _EXAMPLE: JsonValue = {"asset_a": "as_d40313a36c48f4baf73fb30a", "asset_b": "as_
 
 
 class DisputeRequest(BaseModel):
-    """Which two registered assets are held against each other."""
+    """The two registered assets of a dispute."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
     asset_a: AssetId
@@ -57,7 +61,7 @@ class Settled(BaseModel):
 async def dispute(
     body: DisputeRequest, core: Core, caller: Verifier, prefer: Prefer = None, idempotency_key: RetryKey = None
 ) -> Response:
-    """Settle whose mark is in the other's original. Whoever runs the service may ask, or both owners: the first of them
+    """Find out whose mark is in the other's original. The operator may request this, or both owners: the first of them
     leaves a consent (409), the second starts the job."""
     job = await asyncio.to_thread(_submit, core, caller, body, idempotency_key)
     return await respond(core, job, prefer)
@@ -65,7 +69,7 @@ async def dispute(
 
 @router.get("/{dispute_id}", operation_id="getDispute", responses=OF_OWN)
 def get_dispute(dispute_id: str, core: Core, caller: Reader) -> Settled:
-    """A settled dispute, for both owners and whoever runs the service."""
+    """A settled dispute, for both owners and the operator."""
     result = _found(core, caller, dispute_id)
     words = dispute_words(result["document"]["finding"])
     said = {"headline": words.headline, "finding": words.finding, "reasons": list(words.reasons)}
@@ -113,3 +117,49 @@ def _found(core: Service, caller: Caller, dispute_id: str) -> DisputeResult:
         raise missing
     result: DisputeResult = json.loads(row.result)
     return result
+
+
+CONSENTED = "dispute.consented"
+
+
+def agreed(service: Service, caller: Caller, pair: tuple[str, str]) -> None:
+    """Note the caller's consent to a dispute about two assets; "conflict" while that of the other owner lacks.
+
+    "not-found" where neither asset is the caller's; a "conflict", too, where both are one.
+    """
+    if pair[0] == pair[1]:
+        raise Problem("conflict", "a dispute is about two assets")
+    owners = _owners(service, pair)
+    if OPERATOR in caller.scopes:
+        if len(owners) < 2:
+            raise Problem("not-found", "there are no two such assets")
+        return
+    if caller.tenant not in owners.values():
+        raise Problem("not-found", "neither asset is yours")
+    with service.db.exclusive() as connection:
+        _consent(connection, caller.tenant, pair)
+        tenants = set(owners.values()) if len(owners) == 2 else {caller.tenant, None}
+        waiting = [each for each in tenants if each is None or not _has_consented(connection, each, pair)]
+    if waiting:
+        text = "your consent is noted; the dispute begins when the owner of the other asset asks for it, too"
+        raise Problem("conflict", text)
+
+
+def _owners(service: Service, pair: tuple[str, str]) -> dict[str, str]:
+    """Tenant of each of the assets that exist."""
+    rows = service.db.query(sa.select(assets.c.id, assets.c.tenant).where(assets.c.id.in_(pair))).all()
+    return {row.id: row.tenant for row in rows}
+
+
+def _consent(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> None:
+    if not _has_consented(connection, tenant, pair):
+        payload = {"assets": sorted(pair)}
+        audit.append(connection, tenant, CONSENTED, payload, _subject(tenant, pair))
+
+
+def _has_consented(connection: sa.Connection, tenant: str, pair: tuple[str, str]) -> bool:
+    return audit.find(connection, CONSENTED, _subject(tenant, pair)) is not None
+
+
+def _subject(tenant: str, pair: tuple[str, str]) -> str:
+    return " ".join((tenant, *sorted(pair)))

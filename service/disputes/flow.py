@@ -9,7 +9,6 @@ import sqlalchemy as sa
 from engine.records.signatures import DISPUTE
 from service.clock import now
 from service.core import Service
-from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Ending, Flow, Run, State, Step
 from service.problems import Problem
@@ -30,8 +29,7 @@ def dispute_flow(service: Service) -> Flow:
 def _settle(service: Service, run: Run) -> Reply:
     """Look for both marks in both originals and both published models."""
     asked = run.job.request["assets"]
-    with service.db.read() as connection:
-        rows = {row.id: row for row in connection.execute(assets.select().where(assets.c.id.in_(asked)))}
+    rows = {row.id: row for row in service.db.query(assets.select().where(assets.c.id.in_(asked)))}
     if len(rows) < len(asked):
         raise Problem("conflict", "an asset in question is gone")
     known = {each["asset"]: each for each in service.candidates([rows[name] for name in asked], run)}
@@ -52,8 +50,7 @@ def _commit(service: Service, run: Run) -> Ending:
         "assets": dict(zip("ab", run.job.request["assets"], strict=True)),
         "finding": run.results["dispute"]["finding"],
     }
-    with service.db.write() as connection:
-        alone(connection)
+    with service.db.exclusive() as connection:
         document["audit"] = _logged(connection, run.job.tenant, document)
         document["created_at"] = document["audit"]["entry"]["at"]
         jws = sign(connection, service.master, canonical(document), DISPUTE)

@@ -20,7 +20,7 @@ from service.problems import Problem
 from service.trust.api_keys import Caller
 from service.trust.owner_keys import list_keys, open_key, store
 from service.uploads.ingest import gather
-from service.uploads.quota import check_quota
+from service.uploads.store import check_quota
 
 router = APIRouter(prefix="/v1", tags=["embed"])
 Format = Literal["ply", "compressed.ply", "splat", "spz", "sog", "glb"]

@@ -10,7 +10,6 @@ import sqlalchemy as sa
 from service.asset_screening import screen
 from service.clock import now
 from service.core import Service
-from service.db import alone
 from service.db.schema import assets
 from service.jobs.port import Ending, Flow, Job, Run, State, Step
 from service.processes import Reply
@@ -38,7 +37,7 @@ def embed_flow(service: Service) -> Flow:
 
 
 def _embed(service: Service, run: Run) -> Reply:
-    """Look for registered marks in the upload; where nobody else's is there, mark it. Files are kept by digest.
+    """Look for registered marks in the upload; where no other owner's is found, mark it. Files are kept by digest.
 
     No owner key but the one that marks enters a process that reads the upload.
     """
@@ -72,8 +71,7 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
     An asset made from this very file is left out: the file is its unmarked original.
     """
     query = sa.select(assets).where(assets.c.original_sha256 != run.job.request["model"])
-    with service.db.read() as connection:
-        rows = connection.execute(query.order_by(assets.c.registered_at.desc())).all()
+    rows = service.db.query(query.order_by(assets.c.registered_at.desc())).all()
     alike = screen(service, run, {**model, "plain": PLAIN}, rows)
     chosen = choose(alike, run.job.tenant)
     known = service.candidates(chosen, run)
@@ -90,8 +88,8 @@ def _screen(service: Service, run: Run, model: Mapping[str, Any]) -> Screening:
 def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
     """At most SCREENED rows of `assets`, those of one original next to each other.
 
-    Owners take turns, others before the tenant that asks, and so do the originals of each: nobody hides a copy behind
-    many of his own.
+    Owners take turns, others before the tenant that asks, and so do the originals of each: a copy cannot be hidden behind
+    many of the same owner.
     """
     seen: Counter[Any] = Counter()
 
@@ -107,7 +105,7 @@ def choose(alike: Sequence[Any], tenant: str) -> list[Any]:
 
 
 def _drawn(service: Service, job: Job) -> str:
-    """What the service puts into the plan: nobody knows it before the job is there, so nobody can try records out."""
+    """The service's random part of the plan: unknown before the job exists, so records cannot be tried out."""
     return service.master.mac("drawn for a record", job.id)
 
 
@@ -116,8 +114,7 @@ def _earlier(service: Service, run: Run) -> str:
     asked = run.job.request
     mine = (assets.c.tenant == run.job.tenant) & (assets.c.owner_key == asked["key_id"])
     query = sa.select(assets.c.record_sha256).where(mine & (assets.c.original_sha256 == asked["model"]))
-    with service.db.read() as connection:
-        row = connection.execute(query.order_by(assets.c.registered_at.desc())).first()
+    row = service.db.query(query.order_by(assets.c.registered_at.desc())).first()
     return "" if row is None else service.local_or_gone(row.record_sha256, run)
 
 
@@ -131,12 +128,11 @@ def _commit(service: Service, run: Run) -> Ending:
                 audit.append(connection, job.tenant, "embed.disputed", payload, job.id)
         text = (
             "This model already carries a mark that another party registered here. It was not marked again. If you"
-            " made it, mark your original, which carries nobody's mark, and have the two held against each other"
+            " made it, mark your original, which carries no mark, and start a dispute between the two"
             " (POST /v1/disputes): no date decides that, but whose mark is in the other's original."
         )
         return {"state": State.DISPUTED, "result": {"text": text}}
-    with service.db.write() as connection:
-        alone(connection)  # so that the log's times follow one another
+    with service.db.exclusive() as connection:  # so that the log's times follow one another
         row = _row(job, made, now())
         if connection.execute(sa.select(assets.c.id).where(assets.c.id == row["id"])).first() is None:
             connection.execute(assets.insert().values(**row))

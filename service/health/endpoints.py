@@ -88,5 +88,4 @@ def metrics(core: Core, caller: Operator) -> Response:
 
 def _workers(core: Service) -> int:
     lately = workers.c.seen_at >= time.time() - core.settings.worker_silence_seconds
-    with core.db.read() as connection:
-        return int(connection.execute(sa.select(sa.func.count()).select_from(workers).where(lately)).scalar_one())
+    return int(core.db.query(sa.select(sa.func.count()).select_from(workers).where(lately)).scalar_one())

@@ -1,4 +1,4 @@
-"""What the handlers share: who is asking, how errors are said, retries, lists, limits.
+"""What the handlers share: the caller, error responses, retries, lists, limits.
 
-Every domain's endpoints come in. Start at `access` (who), `forms` (with what) and `answers` (how a job is answered).
+Every domain's endpoints come in. Start at `access` (caller), `forms` (request) and `job_responses` (answer).
 """

@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import sqlalchemy as sa
 
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import usage
 from service.problems import Problem
 
@@ -24,8 +24,7 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
     present = moment - (moment - datetime.min.replace(tzinfo=UTC)) % part
     mine = usage.c.subject == subject
     counted = sa.select(sa.func.sum(usage.c.count), sa.func.min(usage.c.window))
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         used, oldest = connection.execute(counted.where(mine & (usage.c.window > _name(moment - reach)))).one()
         if (used or 0) >= limit:
             began = oldest.partition("/")[0]  # counted by the day or the hour, it had "/24" or "/1" behind
@@ -40,8 +39,7 @@ def spend(db: Database, subject: str, limit: int, hours: int, what: str) -> None
 
 def forget(db: Database) -> None:
     """Drop the counts of days long past."""
-    with db.write() as connection:
-        connection.execute(sa.delete(usage).where(usage.c.window < _name(_now() - timedelta(days=2))))
+    db.change(sa.delete(usage).where(usage.c.window < _name(_now() - timedelta(days=2))))
 
 
 def _now() -> datetime:

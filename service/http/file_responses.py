@@ -95,7 +95,7 @@ def file_responses(media_type: str, *also: str) -> Responses:
     content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
     return {
         200: {"description": "The file", "content": content},
-        206: {"description": "The part that Range asked for", "content": content},
+        206: {"description": "The range requested by Range", "content": content},
         304: {"description": "As it was (If-None-Match)"},
         **responses("unauthorized", "forbidden", "not-found", "range-not-satisfiable", *also),
     }

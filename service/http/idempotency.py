@@ -45,12 +45,10 @@ def begin(db: Database, tenant: str, key: str, body: Mapping[str, Any]) -> str |
 def settle(db: Database, tenant: str, key: str, job: str) -> None:
     """The first request has its job."""
     mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key)
-    with db.write() as connection:
-        connection.execute(sa.update(idempotency).where(mine).values(job=job))
+    db.change(sa.update(idempotency).where(mine).values(job=job))
 
 
 def release(db: Database, tenant: str, key: str) -> None:
     """The first request failed before it had a job: the key is free again."""
     mine = (idempotency.c.tenant == tenant) & (idempotency.c.key == key) & idempotency.c.job.is_(None)
-    with db.write() as connection:
-        connection.execute(sa.delete(idempotency).where(mine))
+    db.change(sa.delete(idempotency).where(mine))

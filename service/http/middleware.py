@@ -17,7 +17,7 @@ POLICY = (
 REPORT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'self'"
 UPLOADS = "/v1/uploads/"
 SHARED = "/shared/"
-"""Addresses that are secrets: kept by no cache, told to no other site, found by no search."""
+"""Addresses that are secrets: kept out of caches, referrers and search engines."""
 UNSEEN = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Robots-Tag": "noindex"}
 
 

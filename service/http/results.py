@@ -50,7 +50,7 @@ class EmbedResult(TypedDict):
     ssim_worst_view: float
     seconds: float
     already_carries: Annotated[list[str], Field(description="Assets of yours whose mark the model carried before.")]
-    not_screened: Annotated[int, Field(description="Copies that it resembles, too many to look for: were not.")]
+    not_screened: Annotated[int, Field(description="Similar copies, too many to check all: so many were not.")]
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -87,7 +87,7 @@ class DisputeResult(TypedDict):
     """Of a dispute that was settled."""
 
     dispute_id: str
-    first: Annotated[str, Field(description="Who came first: a, b, or why that cannot be told.")]
+    first: Annotated[str, Field(description="Who came first: a, b, or why that cannot be decided.")]
     document: Annotated[dict[str, Any], Field(description="What is signed (see docs/CLAIM.md).")]
     jws: str
 

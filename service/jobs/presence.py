@@ -39,14 +39,12 @@ class Presence:
 
     def leave(self, worker: str) -> None:
         """This worker shuts down."""
-        with self._db.write() as connection:
-            connection.execute(sa.update(workers).where(workers.c.id == worker).values(seen_at=LEFT))
+        self._db.change(sa.update(workers).where(workers.c.id == worker).values(seen_at=LEFT))
 
     def silent(self, owners: Collection[str], seconds: float) -> list[str]:
         """Workers that left, or whose row has not changed for that long; owners of jobs without a row count as well."""
         signs: dict[str, float | None] = dict.fromkeys(owners)
-        with self._db.read() as connection:
-            signs |= {row.id: row.seen_at for row in connection.execute(sa.select(workers))}
+        signs |= {row.id: row.seen_at for row in self._db.query(sa.select(workers))}
         moment = time.monotonic()
         self._since = {
             worker: old if (old := self._since.get(worker)) and old[0] == sign else (sign, moment)

@@ -126,7 +126,7 @@ class Runner:
             except Problem as problem:
                 if problem.kind not in _OUT_OF_REACH:
                     raise
-                return True  # nobody can see how far it is, or ask it to stop, and the work goes on
+                return True  # its progress is not shown and it cannot be stopped, but the work goes on
 
         def work(task: str, request: Mapping[str, Any]) -> Reply:
             for _ in range(MAX_KILLED - 1):
@@ -279,7 +279,7 @@ class Worker:
         self._stopping.set()
 
     def _end(self) -> NoReturn:
-        """End as a killed worker would, but with a word: whoever lives takes up our job at its last finished step."""
+        """End as a killed worker would, but announced: a live worker takes up our job at its last finished step."""
         self._children.stop()
         last_words = threading.Thread(target=self._leave, daemon=True)
         last_words.start()

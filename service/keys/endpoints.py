@@ -1,4 +1,4 @@
-"""/v1/keys: owner keys, sealed; shown once, when asked for at the making."""
+"""/v1/keys: owner keys, sealed; shown once, if requested on creation."""
 
 from dataclasses import asdict
 from typing import Annotated
@@ -52,7 +52,7 @@ class KeyView(BaseModel):
 class MadeKey(KeyView):
     """A key just made or imported."""
 
-    key: str | None = Field(description="Text of the key file, if it was asked for. It is never shown again.")
+    key: str | None = Field(description="Text of the key file, if requested. It is never shown again.")
 
 
 class KeyList(BaseModel):
@@ -106,5 +106,4 @@ def delete_key(
 
 def _assets(core: Service, tenant: str, key_id: str) -> int:
     mine = (assets.c.tenant == tenant) & (assets.c.owner_key == key_id)
-    with core.db.read() as connection:
-        return int(connection.execute(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())
+    return int(core.db.query(sa.select(sa.func.count()).select_from(assets).where(mine)).scalar_one())

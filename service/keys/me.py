@@ -7,10 +7,8 @@ from pydantic import BaseModel, Field
 from service.db.schema import api_keys
 from service.http.access import Anyone, Core
 from service.http.error_responses import responses
-from service.trust.api_keys import SCOPES
-from service.trust.tenants import display_name
-from service.uploads.quota import stored_bytes
-from service.uploads.store import under_way
+from service.trust.api_keys import SCOPES, display_name
+from service.uploads.store import stored_bytes, under_way
 
 router = APIRouter(prefix="/v1/me", tags=["keys"])
 
@@ -32,7 +30,7 @@ class Used(BaseModel):
 
 
 class Limits(BaseModel):
-    """Limits of the tenant; those of an hour are counted by key and told when they are met (429)."""
+    """Limits of the tenant; hourly limits are counted per key and reported when they are reached (429)."""
 
     queued_jobs: Used = Field(description="Jobs that wait or run.")
     open_uploads: Used = Field(description="Uploads under way.")
@@ -40,7 +38,7 @@ class Limits(BaseModel):
 
 
 class Me(BaseModel):
-    """Who asks."""
+    """The API key of the request."""
 
     tenant: str
     name: str = Field(description="Display name of the tenant; its id if none was entered.")

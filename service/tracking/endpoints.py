@@ -14,8 +14,8 @@ from service.http.access import After, Core, Follower, Limit, Reader, Uploader, 
 from service.http.error_responses import OF_LIST, OF_OWN, responses
 from service.http.file_responses import tags
 from service.http.job_responses import JobView, view, views
+from service.jobs.durable_jobs import job_of
 from service.jobs.port import FINAL, Job, State
-from service.jobs.rows import job_of
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])

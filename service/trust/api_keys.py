@@ -1,4 +1,7 @@
-"""API keys: `mk_<id>_<secret>`, bound to a tenant and scopes; of the secret only a keyed hash is kept."""
+"""Tenants, whose ids operators choose, and their API keys: `mk_<id>_<secret>`, bound to a tenant and scopes.
+
+Of a key's secret only a keyed hash is kept.
+"""
 
 import re
 import secrets
@@ -8,17 +11,45 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from service.clock import now
-from service.db import Database, alone
-from service.db.schema import api_keys
+from service.db import Database
+from service.db.schema import api_keys, tenants
 from service.problems import Problem
 from service.trust import audit
 from service.trust.master import MasterKey
-from service.trust.tenants import check_tenant
+
+MOST_CHARACTERS = 100
+FIRST_TENANT = "default"
+"""Tenant of the first API key; not a name."""
+
+
+def check_tenant(tenant: str) -> None:
+    """invalid-request unless an id is 1 to 100 printable characters without blanks around them."""
+    if not (tenant and tenant.isprintable() and tenant == tenant.strip() and len(tenant) <= MOST_CHARACTERS):
+        text = f"a tenant is named by 1 to {MOST_CHARACTERS} printable characters without blanks around: {tenant!r}"
+        raise Problem("invalid-request", text)
+
+
+def display_name(connection: sa.Connection, tenant: str) -> str:
+    """What people call a tenant; its id where none was set."""
+    found = connection.execute(sa.select(tenants.c.name).where(tenants.c.id == tenant)).scalar_one_or_none()
+    return str(found or tenant)
+
+
+def name_tenant(db: Database, tenant: str, name: str) -> None:
+    """Claims from now on call a tenant so; "not-found" where it has no API key. The log says who was called what."""
+    check_tenant(name)
+    with db.exclusive() as connection:
+        if connection.execute(sa.select(api_keys.c.id).where(api_keys.c.tenant == tenant).limit(1)).first() is None:
+            raise Problem("not-found", f"there is no tenant {tenant!r}: it has no API key")
+        connection.execute(sa.delete(tenants).where(tenants.c.id == tenant))
+        connection.execute(tenants.insert().values(id=tenant, name=name))
+        audit.append(connection, tenant, "tenant.named", {"name": name}, tenant)
+
 
 OPERATOR = "operator"
 SCOPES = ("embed", "verify", "read", "originals", "admin", OPERATOR)
 """`originals`: unmarked originals and records. `admin` implies those before it, within its tenant; `operator` is for
-whoever runs the service: metrics, and disputes between any two tenants."""
+the operator: metrics, and disputes between any two tenants."""
 
 _TOKEN = re.compile(r"mk_([0-9a-f]{16})_([0-9a-f]{64})", re.ASCII)
 PURPOSE = "api key"
@@ -26,7 +57,7 @@ PURPOSE = "api key"
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks: tenant, public id of the key, and what it may do (all of it, where `admin` is among it)."""
+    """The caller: tenant, public id of the key, and what it may do (all of it, where `admin` is among it)."""
 
     tenant: str
     key_id: str
@@ -49,15 +80,14 @@ class ApiKey:
 
 
 def issue(db: Database, master: MasterKey, tenant: str, scopes: Iterable[str], label: str = "") -> str:
-    """A new key's token. It is nowhere kept: whoever loses it needs another. "invalid-request" for unknown scopes."""
+    """A new key's token. It is not stored, so a lost key is replaced. "invalid-request" for unknown scopes."""
     with db.write() as connection:
         return _issue(connection, master, tenant, scopes, label)
 
 
 def issue_first(db: Database, master: MasterKey, tenant: str, label: str = "") -> str | None:
     """The token of an admin key where there was no key at all; None otherwise, also for the second of two."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         if connection.execute(sa.select(api_keys.c.id).limit(1)).first() is not None:
             return None
         return _issue(connection, master, tenant, ("admin",), label)
@@ -67,8 +97,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
     """Whose token this is; "unauthorized" for malformed, unknown, wrong and revoked ones alike, after the same work."""
     match = _TOKEN.fullmatch(token)
     key_id, secret = match.groups() if match else ("", "")
-    with db.read() as connection:
-        row = connection.execute(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
+    row = db.query(api_keys.select().where(api_keys.c.id == key_id)).one_or_none()
     expected = row.digest if row is not None else ""
     right = master.recognises(expected, PURPOSE, key_id, secret)
     if row is None or not right or row.revoked_at is not None:
@@ -78,8 +107,7 @@ def check(db: Database, master: MasterKey, token: str) -> Caller:
 
 def revoke(db: Database, tenant: str, key_id: str) -> None:
     """End a key of this tenant ("not-found" where it has no such key) for good. Twice is once."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         this = (api_keys.c.id == key_id) & (api_keys.c.tenant == tenant)
         row = connection.execute(api_keys.select().where(this)).one_or_none()
         if row is None:
@@ -92,8 +120,7 @@ def revoke(db: Database, tenant: str, key_id: str) -> None:
 def list_keys(db: Database, tenant: str) -> list[ApiKey]:
     """Keys of a tenant, revoked ones too, oldest first."""
     query = api_keys.select().where(api_keys.c.tenant == tenant)
-    with db.read() as connection:
-        rows = connection.execute(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
+    rows = db.query(query.order_by(api_keys.c.created_at, api_keys.c.id)).all()
     return [ApiKey(row.id, row.label, tuple(row.scopes.split()), row.created_at, row.revoked_at or "") for row in rows]
 
 

@@ -48,7 +48,7 @@ class LogReport:
     root: str  # Merkle root over all of them, hex; "" where the tree is broken
     assets: int  # rows compared with the log
     claims: int
-    files: int  # stored files held against their digests
+    files: int  # stored files compared with their digests
     faults: tuple[Fault, ...]  # in the order of the log, at most MOST_FAULTS
 
     @property

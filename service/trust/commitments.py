@@ -6,7 +6,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.db import Database, alone, missing
+from service.db import Database, missing
 from service.db.schema import assets
 from service.problems import Problem
 from service.trust import audit
@@ -39,8 +39,7 @@ def commit_asset(connection: sa.Connection, row: Mapping[str, Any], drawn: str =
 
 def forget(db: Database, table: sa.Table, tenant: str, row_id: str) -> None:
     """Delete an asset or a claim for good; the log keeps what it said, and says that the row was deleted."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         this = (table.c.id == row_id) & (table.c.tenant == tenant)
         if connection.execute(sa.delete(table).where(this)).rowcount == 0:
             raise missing(table, row_id)

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from engine.errors import Mark3DGSError
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import facts
 from service.problems import Problem
 from service.settings import Settings
@@ -57,7 +57,7 @@ class MasterKey:
         Processes that start at the same time agree on one key. MasterKeyError if the file cannot be read, others may
         read it, it holds no key, or the key is not the one that sealed this database.
         """
-        # Asked before the file is looked at: whoever made the file wrote the check value after it.
+        # Read before the file is: its maker writes the check value after it.
         expected = _expected_check(db)
         if settings.master_key is not None:
             source = "MARK3DGS_MASTER_KEY"
@@ -107,8 +107,7 @@ class MasterKey:
         return b"".join((*self._retired, self._derive(f"mac {purpose}")))
 
     def _retired_keys(self, db: Database) -> list[bytes]:
-        with db.read() as connection:
-            found = connection.execute(sa.select(facts.c.value).where(facts.c.name == RETIRED)).scalar_one_or_none()
+        found = db.query(sa.select(facts.c.value).where(facts.c.name == RETIRED)).scalar_one_or_none()
         keys = self.unseal(bytes.fromhex(found), bind(RETIRED)) if found is not None else b""
         return [keys[start : start + KEY_BYTES] for start in range(0, len(keys), KEY_BYTES)]
 
@@ -131,8 +130,7 @@ def _expected_check(db: Database) -> str | None:
 
 def _agree_on_check(db: Database, mine: str) -> str:
     """The check value that stands in the database: this one, unless another process was first."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         query = sa.select(facts.c.value).where(facts.c.name == CHECK)
         standing: str | None = connection.execute(query).scalar_one_or_none()
         if standing is None:

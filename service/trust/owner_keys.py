@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from engine.errors import KeyFileError
 from engine.watermark.keys import OwnerKey
 from service.clock import now
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import owner_keys
 from service.problems import Problem
 from service.trust import audit
@@ -49,8 +49,7 @@ def parse_key(text: str) -> OwnerKey:
 def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: str = "") -> KeyInfo:
     """Keep a key ("conflict" where the tenant has it). One that was deleted comes back under its old id, so that its
     marks can be verified again."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         same = sa.and_(owner_keys.c.tenant == tenant, owner_keys.c.fingerprint == key.fingerprint)
         row = connection.execute(owner_keys.select().where(same)).one_or_none()
         if row is not None and row.deleted_at is None:
@@ -75,8 +74,7 @@ def store(db: Database, master: MasterKey, tenant: str, key: OwnerKey, label: st
 
 def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> OwnerKey:
     """The key itself; "not-found" where this tenant has no such key (any more)."""
-    with db.read() as connection:
-        row = connection.execute(owner_keys.select().where(_this(tenant, key_id))).one_or_none()
+    row = db.query(owner_keys.select().where(_this(tenant, key_id))).one_or_none()
     if row is None:
         raise Problem("not-found", f"there is no owner key {key_id!r}")
     return OwnerKey(master.unseal(row.sealed, seal_of(row)))
@@ -85,15 +83,13 @@ def open_key(db: Database, master: MasterKey, tenant: str, key_id: str) -> Owner
 def list_keys(db: Database, tenant: str) -> list[KeyInfo]:
     """What may be said of a tenant's keys, oldest first; no secrets."""
     query = owner_keys.select().where(owner_keys.c.tenant == tenant, owner_keys.c.deleted_at.is_(None))
-    with db.read() as connection:
-        rows = connection.execute(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
+    rows = db.query(query.order_by(owner_keys.c.created_at, owner_keys.c.id)).all()
     return [KeyInfo(row.id, row.fingerprint, row.label, row.created_at) for row in rows]
 
 
 def delete(db: Database, tenant: str, key_id: str) -> None:
     """Erase a key. What was marked with it can be verified again only once its owner imports it again."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         gone = owner_keys.update().where(_this(tenant, key_id)).values(sealed=None, deleted_at=now())
         if connection.execute(gone).rowcount == 0:
             raise Problem("not-found", f"there is no owner key {key_id!r}")

@@ -1,7 +1,7 @@
 """Another master key: every secret is sealed anew, in one transaction, and nothing that was handed out changes.
 
-1. The new key is written beside the old one.     2. All secrets are sealed under it, and the log says so.
-3. It takes the old one's place. Whoever opens the service after a death between 2 and 3 does 3.
+1. The new key is written beside the old one.     2. All secrets are sealed under it, and it is logged.
+3. It takes the old one's place. After a crash between 2 and 3 the next start does 3.
 """
 
 import secrets
@@ -12,7 +12,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import facts, owner_keys, signing_keys, webhooks, workers
 from service.problems import Problem
 from service.settings import Settings
@@ -31,8 +31,7 @@ def rotate_master(settings: Settings, db: Database, old: MasterKey, new_key_file
         raise Problem("invalid-request", "the master key comes from MARK3DGS_MASTER_KEY: give the new one in a file")
     text = new_key_file.read_text() if new_key_file is not None else secrets.token_hex(KEY_BYTES)
     new = MasterKey(from_hex(text, str(new_key_file)))
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         lately = workers.c.seen_at >= time.time() - settings.worker_silence_seconds
         if connection.execute(sa.select(workers.c.id).where(lately)).first() is not None:
             raise Problem("conflict", "a worker is at work: stop the service first")

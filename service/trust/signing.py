@@ -9,7 +9,7 @@ from joserfc.jwk import OKPKey
 
 from engine.records.signatures import ALGORITHM, CLAIM
 from service.clock import now
-from service.db import Database, alone
+from service.db import Database
 from service.db.schema import signing_keys
 from service.problems import Problem
 from service.trust import audit
@@ -22,16 +22,14 @@ TENANT = ""
 
 def ensure_key(db: Database, master: MasterKey) -> str:
     """Id of the key that signs; the first call makes it."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         row = _active(connection)
         return str(row.kid) if row is not None else _make(connection, master)
 
 
 def rotate(db: Database, master: MasterKey) -> str:
     """Retire the key that signs and make another; returns its id. What the old one signed stays valid."""
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         active = signing_keys.c.retired_at.is_(None)
         connection.execute(signing_keys.update().where(active).values(retired_at=now()))
         return _make(connection, master)
@@ -39,8 +37,7 @@ def rotate(db: Database, master: MasterKey) -> str:
 
 def jwks(db: Database) -> dict[str, list[dict[str, str]]]:
     """The public keys, retired ones too, newest first (RFC 7517)."""
-    with db.read() as connection:
-        rows = connection.execute(signing_keys.select().order_by(signing_keys.c.created_at.desc())).all()
+    rows = db.query(signing_keys.select().order_by(signing_keys.c.created_at.desc())).all()
     return {"keys": [json.loads(row.public) for row in rows]}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.clock import now
-from service.db import Database, alone, missing
+from service.db import Database, missing
 from service.db.schema import deliveries, webhooks
 from service.problems import Problem
 from service.trust import audit
@@ -22,8 +22,7 @@ def add(db: Database, master: MasterKey, tenant: str, url: str, host: str, most:
     """
     secret, name, made = f"whs_{secrets.token_hex(SECRET_BYTES)}", f"wh_{secrets.token_hex(12)}", now()
     sealed = master.seal(secret.encode(), _bound(tenant, name, VERSION))
-    with db.write() as connection:
-        alone(connection)
+    with db.exclusive() as connection:
         mine = sa.select(sa.func.count()).select_from(webhooks).where(webhooks.c.tenant == tenant)
         if connection.execute(mine).scalar_one() >= most:
             raise Problem("budget-exceeded", f"a tenant has at most {most} webhooks: delete one")
@@ -35,9 +34,8 @@ def add(db: Database, master: MasterKey, tenant: str, url: str, host: str, most:
 
 
 def delete(db: Database, tenant: str, name: str) -> None:
-    """Delete a webhook and what it was still to be told."""
-    with db.write() as connection:
-        alone(connection)
+    """Delete a webhook and its pending messages."""
+    with db.exclusive() as connection:
         this = (webhooks.c.id == name) & (webhooks.c.tenant == tenant)
         if connection.execute(sa.delete(webhooks).where(this)).rowcount == 0:
             raise missing(webhooks, name)

@@ -17,7 +17,7 @@ from service.core import Service
 from service.problems import Problem
 from service.processes import run_once, task_folder
 from service.uploads import store
-from service.uploads.quota import check_quota
+from service.uploads.store import check_quota
 
 BATCH = 4 << 20
 """Bytes handed to the disk at once: large enough that threads cost nothing, small enough for memory."""

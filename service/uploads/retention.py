@@ -1,4 +1,4 @@
-"""What nobody needs any more: uploads never finished or never used, and blobs that no row names."""
+"""What is no longer needed: uploads never finished or never used, and blobs that no row names."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -22,8 +22,7 @@ def sweep(service: Service) -> tuple[int, int]:
     hours = service.settings.upload_hours
     unfinished = (uploads.c.state == "open") & (uploads.c.created_at < ago(hours))
     unused = (uploads.c.state == "complete") & (uploads.c.created_at < ago(24 * service.settings.suspect_days))
-    with service.db.read() as connection:
-        rows = connection.execute(sa.select(uploads).where(unfinished | unused)).all()
+    rows = service.db.query(sa.select(uploads).where(unfinished | unused)).all()
     for row in rows:
         store.drop(service, row)
     return len(rows), _sweep_blobs(service, hours)

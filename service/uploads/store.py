@@ -1,4 +1,4 @@
-"""Upload slots: their rows, their parts, and the blob they become."""
+"""Upload slots: their rows, their parts, and the blob they become; and how much a tenant stores."""
 
 import hashlib
 import json
@@ -12,10 +12,9 @@ import sqlalchemy as sa
 from engine.formats.image_files import is_picture
 from service.clock import now
 from service.core import Service
-from service.db import own
-from service.db.schema import uploads
+from service.db import Database, own
+from service.db.schema import assets, uploads
 from service.problems import Problem
-from service.uploads.quota import check_quota, stored_bytes
 
 _CHUNK = 4 << 20
 _TEXT = 1024  # bytes that tell JSON from numbers
@@ -33,16 +32,14 @@ def create(service: Service, tenant: str, name: str, size: int | None, sha256: s
         raise Problem("budget-exceeded", f"{most} uploads are under way: finish or delete some")
     upload_id = f"up_{secrets.token_hex(12)}"
     values = {"id": upload_id, "tenant": tenant, "name": name, "size": size, "sha256": sha256, "parts": "[]"}
-    with service.db.write() as connection:
-        connection.execute(uploads.insert().values(**values, received=0, state="open", created_at=now()))
+    service.db.change(uploads.insert().values(**values, received=0, state="open", created_at=now()))
     return get(service, tenant, upload_id)
 
 
 def under_way(service: Service, tenant: str) -> int:
     """How many slots of a tenant wait for bytes."""
     opened = sa.select(sa.func.count()).where((uploads.c.tenant == tenant) & (uploads.c.state == "open"))
-    with service.db.read() as connection:
-        return int(connection.execute(opened).scalar_one())
+    return int(service.db.query(opened).scalar_one())
 
 
 def get(service: Service, tenant: str, upload_id: str) -> Any:
@@ -88,8 +85,7 @@ def complete(service: Service, row: Any, path: Path, length: int, sha256: str) -
 
 def note(service: Service, row: Any, info: Mapping[str, object]) -> Any:
     """What the inspection found."""
-    with service.db.write() as connection:
-        connection.execute(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
+    service.db.change(sa.update(uploads).where(uploads.c.id == row.id).values(info=json.dumps(info)))
     return get(service, row.tenant, row.id)
 
 
@@ -97,8 +93,7 @@ def drop(service: Service, row: Any) -> None:
     """Forget a slot and its parts. Its blob, if nothing else uses it, goes with the next sweep."""
     for offset, _ in json.loads(row.parts):
         service.blobs.remove_part(part_name(row.id, offset))
-    with service.db.write() as connection:
-        connection.execute(sa.delete(uploads).where(uploads.c.id == row.id))
+    service.db.change(sa.delete(uploads).where(uploads.c.id == row.id))
 
 
 def kind_of(path: Path, name: str) -> str:
@@ -120,9 +115,8 @@ def part_name(upload_id: str, offset: int) -> str:
 
 def _advance(service: Service, row: Any, **values: Any) -> None:
     unchanged = (uploads.c.id == row.id) & (uploads.c.received == row.received) & (uploads.c.state == "open")
-    with service.db.write() as connection:
-        if connection.execute(sa.update(uploads).where(unchanged).values(**values)).rowcount == 0:
-            raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
+    if service.db.change(sa.update(uploads).where(unchanged).values(**values)) == 0:
+        raise Problem("conflict", f"another request has continued upload {row.id!r} at byte {row.received}")
 
 
 def _join(service: Service, upload_id: str, parts: list[list[int]], whole: Path) -> str:
@@ -144,3 +138,39 @@ def _check(service: Service, row: Any, parts: list[list[int]], sha256: str) -> N
         drop(service, row)
         text = f"the bytes have SHA-256 {sha256}, announced was {row.sha256}; the upload was dropped"
         raise Problem("digest-mismatch", text)
+
+
+_BESIDE = 1 << 20
+"""Bytes of an asset's preview and entry, which its row does not say."""
+
+
+def stored_bytes(db: Database, tenant: str) -> int:
+    """Bytes of a tenant: uploads, open ones as announced, and assets; an original counts once, however many copies.
+
+    Counted on request, so deleting helps at once.
+    """
+
+    def measured(name: str) -> sa.ColumnElement[int]:
+        report = assets.c.report
+        plain = sa.type_coerce(report, sa.JSON) if db.is_sqlite else sa.cast(report, sa.JSON)
+        return sa.func.coalesce(sa.cast(plain[name].as_string(), sa.BigInteger), 0)
+
+    mine = assets.c.tenant == tenant
+    uploaded = sa.select(uploads.c.sha256).where((uploads.c.tenant == tenant) & (uploads.c.state == "complete"))
+    of_uploads = sa.select(sa.func.sum(sa.func.coalesce(uploads.c.size, uploads.c.received)))
+    of_copies = sa.select(sa.func.sum(measured("bytes_out") + measured("record_bytes") + _BESIDE)).where(mine)
+    originals = sa.select(sa.func.max(measured("bytes_in")).label("bytes")).group_by(assets.c.original_sha256)
+    of_originals = sa.select(
+        sa.func.sum(originals.where(mine, assets.c.original_sha256.not_in(uploaded)).subquery().c.bytes)
+    )
+    with db.read() as connection:
+        parts = (of_uploads.where(uploads.c.tenant == tenant), of_copies, of_originals)
+        return sum(int(connection.execute(part).scalar_one() or 0) for part in parts)
+
+
+def check_quota(service: Service, tenant: str, more: int) -> None:
+    """quota-exceeded where a tenant has no room for so many bytes more."""
+    stored, limit = stored_bytes(service.db, tenant), service.settings.tenant_bytes
+    if stored + more > limit or stored >= limit:
+        text = f"this tenant stores {stored} of {limit} bytes: delete uploads or assets to make room for {more} more"
+        raise Problem("quota-exceeded", text, stored=stored, limit=limit)

@@ -1,1 +1,1 @@
-"""Checking a suspect: the request (`endpoints`), whom it is held against (`candidates`), the steps (`flow`)."""
+"""Checking a suspect: the request (`endpoints`), the records to compare (`candidates`), the steps (`flow`)."""

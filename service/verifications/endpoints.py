@@ -24,7 +24,7 @@ from service.verifications.flow import spend_subject
 
 router = APIRouter(prefix="/v1", tags=["verify"])
 MOST_RATE = 1e-6
-"""No claim is signed above it, whoever asks."""
+"""No claim is signed above it, for any caller."""
 _DAY = BeforeValidator(lambda text: date.fromisoformat(text) if isinstance(text, str) else text)
 Id = Annotated[str, Field(min_length=1, max_length=64)]
 

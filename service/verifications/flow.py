@@ -20,7 +20,7 @@ def verify_flow(service: Service) -> Flow:
 
 def spend_subject(service: Service, asset_id: str) -> None:
     """Count one verification of a suspect that derives from an asset: all such suspects are near duplicates, and a
-    detector asked often enough about slight changes of one model tells how to remove its mark."""
+    detector queried often enough with slight changes of one model tells how to remove its mark."""
     limit = service.settings.subject_verifies_per_day
     spend(service.db, f"subject:{asset_id}", limit, 24, "verifications of suspects that derive from one asset")
 
@@ -30,8 +30,7 @@ def _verify(service: Service, run: Run) -> Reply:
     query = sa.select(assets).where(assets.c.tenant == run.job.tenant).order_by(assets.c.registered_at.desc())
     if asked["asset_id"] is not None:
         query = query.where(assets.c.id == asked["asset_id"])
-    with service.db.read() as connection:
-        rows = connection.execute(query).all()
+    rows = service.db.query(query).all()
     if not rows:
         raise Problem("conflict", "no asset is registered, so there is nothing to hold the suspect against")
     suspect = {

@@ -1,7 +1,7 @@
 """Telling webhooks that jobs have ended: at least once, again after a while where that failed, and not for ever.
 
-What is to be told is a row of `deliveries`. Whoever takes one moves its time on by a lease: should that process die,
-another takes it then. Of each webhook a process takes one at a time, so that a slow receiver delays its own alone.
+A pending message is a row of `deliveries`. The process that takes one moves its time on by a lease: should it die,
+another takes the message then. Of each webhook a process takes one at a time: a slow receiver delays its own alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from service.core import Service
 from service.db import Database
 from service.db.schema import deliveries, jobs, webhooks
 from service.http.job_responses import view
-from service.jobs.rows import job_of
+from service.jobs.durable_jobs import job_of
 from service.trust.webhook_secrets import secret_of
 from service.webhooks.sending import DELIVERED, send
 
@@ -52,7 +52,7 @@ async def _deliver_all(service: Service) -> NoReturn:
             for row in await asyncio.to_thread(take, service.db, set(under_way), AT_ONCE - len(under_way)):
                 under_way[row.webhook] = asyncio.create_task(_deliver(service, row))
                 under_way[row.webhook].add_done_callback(partial(_done, under_way, row.webhook))
-        except Exception as error:  # the database is away: what is to be told waits there
+        except Exception as error:  # the database is away: pending messages wait there
             _log.warning("webhooks wait: %s", error)
         await asyncio.sleep(POLL_SECONDS)
 
@@ -68,8 +68,7 @@ def take(db: Database, busy: Collection[str] = (), most: int = AT_ONCE) -> list[
     the time of a lease."""
     nth = sa.func.row_number().over(partition_by=deliveries.c.webhook, order_by=deliveries.c.due_at).label("nth")
     due = sa.select(deliveries, nth).where(deliveries.c.due_at <= now(), deliveries.c.webhook.not_in(busy)).subquery()
-    with db.read() as connection:
-        rows = connection.execute(sa.select(due).where(due.c.nth == 1).order_by(due.c.due_at).limit(most)).all()
+    rows = db.query(sa.select(due).where(due.c.nth == 1).order_by(due.c.due_at).limit(most)).all()
     lease = _after(LEASE_SECONDS)
     return [row for row in rows if _set(db, row, row.tries, {"due_at": lease, "tries": row.tries + 1})]
 
@@ -117,8 +116,7 @@ def _settle(db: Database, row: Any, status: int | None, outcome: str) -> None:
 
 
 def _drop(db: Database, row: Any) -> None:
-    with db.write() as connection:
-        connection.execute(sa.delete(deliveries).where(_this(row)))
+    db.change(sa.delete(deliveries).where(_this(row)))
 
 
 def _set(db: Database, row: Any, tries: int, values: Mapping[str, object]) -> bool:

@@ -1,4 +1,4 @@
-"""/v1/webhooks: addresses that are told when a tenant's jobs end."""
+"""/v1/webhooks: addresses that receive a message when a tenant's jobs end."""
 
 from typing import Annotated, Any, Literal
 
@@ -22,7 +22,7 @@ _EXAMPLE: JsonValue = {"url": "https://studio.example/mark3dgs", "events": ["job
 
 
 class NewWebhook(BaseModel):
-    """An address to be told."""
+    """An address that receives messages."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [_EXAMPLE]})
     url: Url = Field(description="https, on the open network.")
@@ -62,7 +62,7 @@ class WebhookList(BaseModel):
     responses=responses("malformed-request", "unauthorized", "forbidden", "invalid-request", "budget-exceeded"),
 )
 def create_webhook(body: NewWebhook, core: Core, caller: Admin, response: Response) -> MadeWebhook:
-    """Have an address told (POST) of the end of every job of this tenant, each message signed with a secret.
+    """Send a signed message (POST) to an address at the end of every job of this tenant.
 
     The body is `{"event": "job.ended", "at": time, "job": the job}`, the header `Mark3DGS-Signature: t=SECONDS,v1=HEX`
     with the HMAC-SHA256 of `SECONDS.BODY`. Any answer of 2xx is taken as received; else it comes again, eight times
@@ -79,14 +79,13 @@ def list_webhooks(core: Core, caller: Admin) -> WebhookList:
     """Webhooks of this tenant, with what came of the last message to each."""
     waiting = sa.select(sa.func.count()).where(deliveries.c.webhook == webhooks.c.id).scalar_subquery()
     query = sa.select(webhooks, waiting.label("waiting")).where(webhooks.c.tenant == caller.tenant)
-    with core.db.read() as connection:
-        rows: list[Any] = list(connection.execute(query.order_by(webhooks.c.created_at, webhooks.c.id)))
+    rows: list[Any] = list(core.db.query(query.order_by(webhooks.c.created_at, webhooks.c.id)))
     return WebhookList(items=[WebhookView.model_validate(row._asdict()) for row in rows])
 
 
 @router.delete("/{webhook_id}", status_code=204, operation_id="deleteWebhook", responses=OF_OWN)
 def delete_webhook(webhook_id: str, core: Core, caller: Admin) -> None:
-    """Tell an address nothing any more, not even what it was still to be told."""
+    """Delete a webhook; messages that are still to be sent to it are dropped."""
     registry.delete(core.db, caller.tenant, webhook_id)
 
 

@@ -1,4 +1,4 @@
-"""What went wrong in a task, as the parent is told: a kind of `service.problems`, a text and its numbers."""
+"""What went wrong in a task, as reported to the parent: a kind of `service.problems`, a text and its numbers."""
 
 import errno
 from collections.abc import Iterator, Mapping

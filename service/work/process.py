@@ -31,7 +31,7 @@ NICENESS = 5
 """Below the API and the database: they must answer while every core works on a model."""
 
 PROMPT = "--prompt"
-"""On the command line: somebody waits for this answer, which takes a second, so it does not stand back."""
+"""On the command line: a user waits for this answer, which takes a second, so its priority is not lowered."""
 
 SECONDS_BETWEEN_LINES = 0.1
 """Progress of one stage is said no more often than this."""
@@ -53,7 +53,7 @@ def serve(tasks: Mapping[str, Task], warm_up: Callable[[Callable[[], bool]], Non
         os.nice(NICENESS)
     requests: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(requests,), daemon=True).start()
-    # None stands ready for somebody who waits: on a busy machine its request may come late, and is all it is to do.
+    # No spare is kept for a user who waits: on a busy machine its request may come late, and is all it is to do.
     patience = None if PROMPT in sys.argv else PATIENCE_SECONDS
     try:
         line = requests.get(timeout=patience)

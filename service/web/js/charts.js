@@ -1,7 +1,7 @@
 // The two drawings of a claim: the bound on a log scale, and the bits.
 import { h } from "./dom.js";
 
-/** A bound on a log scale with what it is held against; `said` is it in words. */
+/** A bound on a log scale with its thresholds; `said` is it in words. */
 export function scale(log10, limits, said) {
   const least = Math.min(log10, ...limits.map((limit) => limit.log10));
   const place = (value) => Math.min(1, Math.log1p(-value) / Math.log1p(-least * 1.15)); // 10^-9 and 10^-5000 on one line

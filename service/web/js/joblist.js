@@ -47,7 +47,7 @@ export function startJobs() {
     const rest = gone.filter((id) => !items.some((job) => job.id === id));
     items.push(...(await Promise.all(rest.map((id) => getJson(`/v1/jobs/${id}`, { signal })))));
     const made = list(items, (...rows) => ended.prepend(...rows));
-    if (made.length) say(`Ended: ${made.map(({ title }) => title).join("; ")}`);
+    if (made.length) say(`Finished: ${made.map(({ title }) => title).join("; ")}`);
   };
 
   const look = async (signal) => {

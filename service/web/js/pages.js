@@ -49,7 +49,7 @@ export function pager({ path, asked, add, clear, more, failed, limit = FEW() }) 
   return () => load("");
 }
 
-/** Call `act` once nobody has typed for a moment. */
+/** Call `act` once typing has paused. */
 export function whenTyped(field, act) {
   let timer = 0;
   field.addEventListener("input", () => {

@@ -29,7 +29,7 @@ const STAGES = {
   commit: "Saving the result",
 };
 
-/** What a stage of a job does, and how many of how many where it says so ("record 3 of 20"). */
+/** What a stage of a job does, and how many of how many where it is known ("record 3 of 20"). */
 export function stageWords(stage) {
   const many = /^record (\d+ of \d+)$/.exec(stage);
   if (many) return [STAGES.verify, many[1]];
@@ -68,7 +68,7 @@ export function took(seconds) {
 /** A marked model's name, and whose copy it is. */
 export const assetName = ({ label, id, copy_name: copy }) => (copy ? `${label || id}, copy for ${copy}` : label || id);
 
-/** What the files of a claim in a list were called; empty where nobody knows. */
+/** What the files of a claim in a list were called; empty if unknown. */
 export function suspectName({ suspects: [first, ...others] = [] }) {
   return others.length ? `${first} and ${others.length} more` : first ?? "";
 }

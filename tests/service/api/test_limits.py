@@ -23,7 +23,7 @@ from service.db.schema import assets
 from service.processes import Turns
 from service.settings import Settings
 from service.uploads import ingest, store
-from service.uploads.quota import stored_bytes
+from service.uploads.store import stored_bytes
 from tests.service.api.conftest import SMALL, Api, _api
 
 Limited = Callable[..., None]

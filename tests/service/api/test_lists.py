@@ -10,8 +10,7 @@ import pytest
 from service.client import Client
 from service.core import Service
 from service.db.schema import assets
-from service.trust.api_keys import check
-from service.trust.tenants import name_tenant
+from service.trust.api_keys import check, name_tenant
 from tests.service.api.conftest import SMALL, Api, _api
 from tests.service.api.test_pack import NUMBERS, claim_of
 from tests.service.claims.cases import asset_row, nothing, reply

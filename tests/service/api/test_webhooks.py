@@ -48,7 +48,7 @@ def test_a_webhook(service: Service, api: Api) -> None:
         None,
     )
     job = Job(f"job_{made['id']}", tenant_of(api), "key", "verify", State.QUEUED, {})
-    service.jobs.add(job)
+    service.jobs.submit(job)
     service.jobs.cancel(job.tenant, job.id)
     assert api.client.get("/v1/webhooks").json()["items"][0]["waiting"] == 1
     assert api.client.delete(f"/v1/webhooks/{made['id']}").status_code == 204

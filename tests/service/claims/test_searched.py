@@ -15,10 +15,10 @@ from service.core import Service
 from service.jobs.port import Job, State
 from service.settings import Settings
 from service.trust.api_keys import issue as issue_key
+from service.trust.api_keys import name_tenant
 from service.trust.audit import Entry
 from service.trust.canonical import canonical
 from service.trust.commitments import claim_digest, commit_claim
-from service.trust.tenants import name_tenant
 from tests.service.claims.cases import PICTURES, reply
 from tests.service.claims.conftest import Registry
 

@@ -204,7 +204,7 @@ def test_a_job_that_was_never_enqueued_is_found(workshop: Workshop) -> None:
     """As if the API had died between the row and the queue."""
     workshop.gate.touch()
     job = Job("a", "tenant", "key", "three", State.QUEUED, {"marks": str(workshop.marks), "gate": str(workshop.gate)})
-    workshop.jobs.add(job)
+    workshop.jobs.submit(job)
     workshop.start("one")
     assert workshop.ended("a").state == State.SUCCEEDED
 

@@ -93,7 +93,7 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     page.locator(f"#jobs-ended li:first-child[data-job={running['id']}]").wait_for()
     assert "Too large: it was too large" in page.locator("#jobs-ended li").first.inner_text()
     assert page.locator("#jobs-ended li").count() == 41
-    assert "Ended: Check" in page.locator("#said").inner_text(), "nobody who only hears the page is told"
+    assert "Finished: Check" in page.locator("#said").inner_text(), "nobody who only hears the page is told"
 
 
 def test_a_list_out_of_reach_says_so_once_and_goes_on(page: Page) -> None:

@@ -17,8 +17,8 @@ from service.clock import ago, now
 from service.core import Service
 from service.db import Database
 from service.db.schema import deliveries, jobs, webhooks
+from service.jobs.durable_jobs import DurableJobs
 from service.jobs.port import Job, State
-from service.jobs.rows import Rows
 from service.settings import Settings
 from service.trust import webhook_secrets as registry
 from service.trust.master import MasterKey
@@ -27,6 +27,8 @@ from tests.service.webhooks.conftest import Receivers
 from tests.service.webhooks.receiver import Receiver, answer
 
 NUMBERS = count()
+NO_ENGINE = "sqlite:////nowhere/jobs.sqlite"
+"""Out of reach: rows of jobs, and no worker that runs them."""
 
 
 def add(service: Service, receiver: Receiver, tenant: str = "acme") -> tuple[str, str]:
@@ -38,7 +40,7 @@ def add(service: Service, receiver: Receiver, tenant: str = "acme") -> tuple[str
 
 def ended(service: Service, job_id: str, tenant: str = "acme") -> None:
     """A job that has come to something."""
-    service.jobs.add(Job(job_id, tenant, "key", "verify", State.QUEUED, {}))
+    service.jobs.submit(Job(job_id, tenant, "key", "verify", State.QUEUED, {}))
     service.jobs.result(job_id, State.SUCCEEDED, {"claim_id": "cl_ö"})
 
 
@@ -114,9 +116,9 @@ def db(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
 
 
 def test_every_end_is_told_once_to_each_of_the_tenants_own(db: Database) -> None:
-    rows = Rows(db)
+    rows = DurableJobs(db, NO_ENGINE)
     for job_id in ("done", "failed", "cancelled", "stopped", "open"):
-        rows.add(Job(job_id, "acme", "key", "verify", State.QUEUED, {}))
+        rows.submit(Job(job_id, "acme", "key", "verify", State.QUEUED, {}))
     rows.begin("stopped", "w")
     assert rows.cancel("acme", "stopped").state == State.RUNNING  # type: ignore[union-attr]
     assert left(db) == {}
@@ -136,13 +138,13 @@ def test_every_end_is_told_once_to_each_of_the_tenants_own(db: Database) -> None
 
 def test_an_end_that_cannot_be_noted_is_none(db: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both are in one transaction: no job ends without what is to be told of it."""
-    rows = Rows(db)
-    rows.add(Job("a", "acme", "key", "verify", State.QUEUED, {}))
+    rows = DurableJobs(db, NO_ENGINE)
+    rows.submit(Job("a", "acme", "key", "verify", State.QUEUED, {}))
 
     def die(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("service.jobs.rows._announce", die)
+    monkeypatch.setattr("service.jobs.durable_jobs._announce", die)
     with pytest.raises(KeyboardInterrupt):
         rows.result("a", State.SUCCEEDED, {})
     with pytest.raises(KeyboardInterrupt):
@@ -151,9 +153,9 @@ def test_an_end_that_cannot_be_noted_is_none(db: Database, monkeypatch: pytest.M
 
 
 def test_what_is_taken_is_nobody_elses_until_its_lease_ends(db: Database) -> None:
-    rows = Rows(db)
+    rows = DurableJobs(db, NO_ENGINE)
     for number in range(3):
-        rows.add(Job(f"j{number}", "acme", "key", "verify", State.QUEUED, {}))
+        rows.submit(Job(f"j{number}", "acme", "key", "verify", State.QUEUED, {}))
         rows.result(f"j{number}", State.SUCCEEDED, {})
     first = delivery.take(db)
     assert len(first) == len({row.webhook for row in first}) == 2, "one of each webhook"
@@ -173,8 +175,8 @@ def test_what_is_taken_is_nobody_elses_until_its_lease_ends(db: Database) -> Non
 
 def test_two_who_take_at_a_time(db: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both have read the same row; one of them has it."""
-    rows = Rows(db)
-    rows.add(Job("a", "stranger", "key", "verify", State.QUEUED, {}))
+    rows = DurableJobs(db, NO_ENGINE)
+    rows.submit(Job("a", "stranger", "key", "verify", State.QUEUED, {}))
     rows.result("a", State.SUCCEEDED, {})
     real, got = delivery._set, []
 

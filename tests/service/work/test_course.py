@@ -13,7 +13,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.formats import read_model
 from engine.raster import render
 from engine.usecases.files import write_picture
-from service.http.progress import course
+from service.http.job_responses import course
 from service.jobs.port import Job, State
 from service.work.tasks import TASKS
 from tests.service.work.conftest import Marked

@@ -1,4 +1,4 @@
-"""Webhooks, and what they are still to be told."""
+"""Webhooks, and their pending messages."""
 
 import sqlalchemy as sa
 from alembic import op
