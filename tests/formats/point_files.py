@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 
+import lzf
 import numpy as np
 import numpy.typing as npt
 
 from engine.model import Float64
-from tests.reference.lzf import compress
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -64,7 +64,7 @@ def pcd(points: Float64 = POINTS, colors: Bytes = COLORS, encoding: str = "binar
         return header + b"".join(struct.pack("<3f4xIfQ", *p, s, i, t) for p, s, i, t in rows)
     columns = [*places.T, np.zeros((4, n), np.uint8), rgb.astype("<u4"), strength, stamps]
     body = b"".join(np.ascontiguousarray(column).tobytes() for column in columns)
-    squeezed = compress(body)
+    squeezed = lzf.compress(body, 2 * len(body) + 16)
     return header + struct.pack("<II", len(squeezed), len(body)) + squeezed
 
 

@@ -3,7 +3,6 @@
 Structure from motion (pycolmap) makes a COLMAP model of photos, LiDAR odometry (kiss-icp) a path of scans.
 """
 
-import importlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
+from engine.lab.points.packages import load_package
 from engine.lab.points.trajectory import Trajectory
 from engine.lab.sim.capture.placing import Scan
 from engine.model import Bool, Float64
@@ -70,7 +70,7 @@ def reconstruct(
     names = sorted(p.name for p in root.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
     if len(names) < _FEWEST:
         raise InputError(f"{root}: holds {len(names)} photos ({', '.join(PICTURES)}), at least {_FEWEST} needed")
-    pycolmap = _load_extra("pycolmap", "pycolmap", "structure from motion")
+    pycolmap = load_package("pycolmap", "pycolmap", "structure from motion")
     clock = Clock(progress)
     database, sparse = work / "database.db", work / "sparse"
     try:
@@ -132,12 +132,12 @@ def odometry(
 
     if len(scans) < 2:
         raise InputError(f"odometry needs at least two scans, got {len(scans)}")
-    kiss = _load_extra("kiss_icp.kiss_icp", "kiss-icp", "LiDAR odometry")
+    kiss = load_package("kiss_icp.kiss_icp", "kiss-icp", "LiDAR odometry")
     reach = farthest or float(np.linalg.norm(scans[0].cloud.points, axis=1).max(initial=0.0))
     if not (np.isfinite(reach) and reach > 0.0):
         raise InputError(f"farthest is {reach}, expected a positive range")
     scale = USUAL_RANGE / reach
-    config = _load_extra("kiss_icp.config", "kiss-icp", "LiDAR odometry").KISSConfig()
+    config = load_package("kiss_icp.config", "kiss-icp", "LiDAR odometry").KISSConfig()
     config.data.max_range, config.data.min_range = USUAL_RANGE, 0.0
     config.data.deskew = all(scan.cloud.times is not None for scan in scans)
     config.mapping.voxel_size = 0.01 * USUAL_RANGE
@@ -165,14 +165,3 @@ def _turn(scan: Scan, inside: Bool) -> Float64:
         return np.empty(0)
     chosen = times[inside]
     return np.asarray((chosen - chosen.min()) / max(float(np.ptp(chosen)), 1e-9))
-
-
-def _load_extra(module: str, package: str, purpose: str) -> Any:
-    """Import a module of an optional distribution; InputError, naming the purpose, where that cannot be done."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        missing = isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]
-        why = "is not installed" if missing else f"cannot be loaded ({error})"
-        message = f"{purpose} needs {package}, which {why}: pip install 'mark3dgs[capture]'"
-        raise InputError(message) from None
