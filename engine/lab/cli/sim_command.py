@@ -118,7 +118,7 @@ def _write(run: Run, out: Path, keep_model: bool) -> dict[str, Any]:
 
     from PIL import Image
 
-    from engine.lab.sim.views.movies import write_movie
+    from engine.lab.sim.scenario.film import write_movie
     from engine.numerics.plain import plain
 
     files = []

@@ -12,8 +12,7 @@ from engine.errors import FormatError, UnsupportedFormatError
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import MAX_HEADER_BYTES, Element, Header, Property
 from engine.formats.repairs import Repair
-from engine.lab.points.cloud import PointCloud
-from engine.lab.points.columns import cloud_of_columns
+from engine.lab.points.cloud import PointCloud, cloud_of_columns
 from engine.lab.points.packages import load_package
 
 __all__ = ["looks_like_pcd", "read_points_pcd"]

@@ -8,8 +8,7 @@ from engine.formats.guards import opening, read_regular
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import parse_header
 from engine.formats.repairs import Repair
-from engine.lab.points.cloud import PointCloud
-from engine.lab.points.columns import cloud_of_columns
+from engine.lab.points.cloud import PointCloud, cloud_of_columns
 from engine.lab.points.las import looks_like_las, read_points_las
 from engine.lab.points.pcd import looks_like_pcd, read_points_pcd
 

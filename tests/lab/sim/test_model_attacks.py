@@ -8,8 +8,8 @@ import pytest
 from engine.errors import InputError
 from engine.flows.views.camera_rig import measure_extent
 from engine.lab.sim.attacks import model_attack
+from engine.lab.sim.model_placement import foreign_scene
 from engine.lab.sim.model_population import clone, impact
-from engine.lab.sim.model_travels import foreign_scene
 from engine.model import GaussianModel, look_at
 
 ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")

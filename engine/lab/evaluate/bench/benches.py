@@ -70,7 +70,7 @@ BENCHES = {
         "training:measure_fine_tuning",
         ("profile", "epochs"),
         ("colors_only",),
-        "engine.lab.sim.fine_tuning:SETTINGS",
+        "engine.lab.sim.adversaries.retraining:SETTINGS",
         "Table 5",
     ),
     "truth": Bench(

@@ -7,7 +7,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.placing import Scan
+from engine.lab.sim.capture.scans import Scan
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.raster import prepare_view, sh_colors
 

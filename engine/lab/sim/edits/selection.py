@@ -15,17 +15,6 @@ from engine.lab.sim.vectors import check_triple
 from engine.model import SH_C0, Bool, Camera, Float32, Float64, GaussianModel, Int32, Int64
 from engine.raster import prepare_view
 
-__all__ = [
-    "check_selection",
-    "lift_masks",
-    "mask_shares",
-    "project_selection",
-    "segment",
-    "segment_at",
-    "select_box",
-    "select_sphere",
-]
-
 SEGMENT_SAMPLE = 40_000  # Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once
 FLOATING = 2.0  # robust radii from the centre beyond which a Gaussian is a floater
 SEGMENT_ROUNDS = 20  # Lloyd iterations; the assignment of real scenes settles within 10 to 15

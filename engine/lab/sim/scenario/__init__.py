@@ -13,7 +13,7 @@ Who imports whom, from the ground up; each knows only those before it:
     running     the run
 """
 
-from engine.lab.sim.scenario.running import Run, StepResult, run_scenario
+from engine.lab.sim.scenario.run import Run, StepResult, run_scenario
 from engine.lab.sim.scenario.script import KINDS, Scenario, read_scenario
 
 __all__ = ["KINDS", "Run", "Scenario", "StepResult", "read_scenario", "run_scenario"]

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.errors import InputError
+from engine.lab.sim.edits.edit import verify_edited
 from engine.lab.sim.edits.edit_map import Change, EditMap, map_edits
 from engine.lab.sim.edits.pieces import verify_pieces
-from engine.lab.sim.edits.tracking import verify_edited
 from engine.lab.sim.model_placement import join
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, Tracked, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, Tracked, World, step
 from engine.lab.sim.variants.hybrid import HybridPart, assemble, verify_hybrid
 from engine.model import SH_C0, GaussianModel
 from engine.numerics.similarity import mirror_model, transform_model

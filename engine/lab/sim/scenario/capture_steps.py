@@ -6,15 +6,14 @@ import numpy as np
 
 from engine.flows.views.camera_rig import UP, Extent, direction, measure_extent
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.from_points import scans_to_model
-from engine.lab.sim.capture.half_precision import half_precision
 from engine.lab.sim.capture.lidar import Lidar, scan_model
-from engine.lab.sim.capture.lod import level_of_quality, levels_of_detail
-from engine.lab.sim.capture.posing import odometry
+from engine.lab.sim.capture.lod import half_precision, level_of_quality, levels_of_detail
+from engine.lab.sim.capture.pose_estimation import odometry
+from engine.lab.sim.capture.scans import scans_to_model
 from engine.lab.sim.cost import model_cost
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
 from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import Float64
 from engine.numerics.similarity import rotation_to_quaternion, transform_model
 

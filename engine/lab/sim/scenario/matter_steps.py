@@ -23,9 +23,9 @@ from engine.lab.sim.physics.body import (
     pose,
     strain_norms,
 )
-from engine.lab.sim.physics.conserved import energy
+from engine.lab.sim.physics.world import energy
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import SH_C0, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
 

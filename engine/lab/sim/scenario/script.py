@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from engine.errors import InputError
-from engine.lab.sim.scenario import audit_steps, capture_steps, edit_steps, life_steps, matter_steps, theft_steps
-from engine.lab.sim.scenario.marking import Part
+from engine.lab.sim.scenario import audit_steps, capture_steps, edit_steps, matter_steps, theft_steps
+from engine.lab.sim.scenario import edit_steps as life_steps
+from engine.lab.sim.scenario.sources import Part
+from engine.lab.sim.scenario.state import Step
 from engine.lab.sim.scenario.tables import Table, given, read_table
-from engine.lab.sim.scenario.world import Step
 
 __all__ = ["KINDS", "Film", "NamedStep", "Scenario", "read_scenario"]
 

@@ -7,15 +7,14 @@ import numpy as np
 
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.adversaries.collusion import RULES, collude
-from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain
+from engine.lab.sim.adversaries.retraining import SETTINGS, RetrainConfig, fine_tune, pictures_of, quality_lost, retrain
 from engine.lab.sim.attack import Strength
 from engine.lab.sim.attacks import image_attack, model_attack
-from engine.lab.sim.capture.training import TrainConfig
+from engine.lab.sim.capture.trainer import TrainConfig
 from engine.lab.sim.cost import model_cost
-from engine.lab.sim.fine_tuning import SETTINGS, fine_tune, pictures_of
-from engine.lab.sim.scenario.marking import mark
+from engine.lab.sim.scenario.sources import mark
+from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
-from engine.lab.sim.scenario.world import Advance, Outcome, StepKind, World, step
 from engine.model import Float32
 from engine.numerics.similarity import mirror_model, transform_model
 from engine.raster import render

@@ -145,8 +145,7 @@ def generate_from_views(
     Gaussians without view-dependent colour. Results must say that it was made so.
     """
     from engine.lab.sim.capture.capture_kernels import kernels_from_points
-    from engine.lab.sim.capture.densification import DensifyConfig
-    from engine.lab.sim.capture.training import TrainConfig, train
+    from engine.lab.sim.capture.trainer import DensifyConfig, TrainConfig, train
 
     rng = np.random.default_rng(seed)
     eyes = np.stack([camera.position for camera in cameras])

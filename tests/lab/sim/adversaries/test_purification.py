@@ -7,7 +7,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.flows.views.camera_rig import make_rig
-from engine.lab.sim.adversaries.density import cluster_by_density
+from engine.lab.sim.adversaries.purification import cluster_by_density
 from engine.lab.sim.attacks import model_attack
 from engine.lab.sim.model_placement import join
 from engine.lab.sim.model_population import impact

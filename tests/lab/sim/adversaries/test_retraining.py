@@ -18,7 +18,7 @@ from engine.formats import read_model
 from engine.lab.evaluate.bench.training import read_retrained
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.lab.sim.adversaries.retraining import RetrainConfig, quality_lost, retrain, retraining_steps
-from engine.lab.sim.capture.training import TrainConfig
+from engine.lab.sim.capture.trainer import TrainConfig
 from engine.model import Camera, GaussianModel
 from engine.numerics.similarity import transform_model
 from engine.registration.registration_search import register

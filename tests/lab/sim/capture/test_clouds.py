@@ -10,8 +10,7 @@ import pytest
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
 from engine.lab.sim.capture.capture_kernels import flat_kernels_from_points
-from engine.lab.sim.capture.from_points import CloudConfig, points_to_model
-from engine.lab.sim.capture.thinning import drop_strays, thin_voxels, typical_spacing
+from engine.lab.sim.capture.scans import CloudConfig, drop_strays, points_to_model, thin_voxels, typical_spacing
 from engine.numerics.similarity import quaternion_to_rotation
 from tests.formats.point_files import las, ply
 from tests.lab.sim.capture.rooms import room_points

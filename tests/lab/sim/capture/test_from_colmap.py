@@ -11,9 +11,8 @@ import pytest
 from engine.errors import InputError
 from engine.lab.points.reconstruction import read_reconstruction
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
-from engine.lab.sim.capture.densification import DensifyConfig
-from engine.lab.sim.capture.from_colmap import load_photos, train_from_colmap
-from engine.lab.sim.capture.training import TrainConfig
+from engine.lab.sim.capture.photos import load_photos, train_from_colmap
+from engine.lab.sim.capture.trainer import DensifyConfig, TrainConfig
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from tests.lab.sim.capture.scenes import orbit, shell, write_colmap

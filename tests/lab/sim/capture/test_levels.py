@@ -12,8 +12,14 @@ from engine.errors import InputError
 from engine.flows.embed.profiles import profile
 from engine.flows.verify.verification import verify_model
 from engine.lab.evaluate.marked_scene import MarkedScene, mark_scene
-from engine.lab.sim.capture.half_precision import half_precision
-from engine.lab.sim.capture.lod import LevelOfDetail, level_of_quality, levels_of_detail, rank_by_weight, reduce_to
+from engine.lab.sim.capture.lod import (
+    LevelOfDetail,
+    half_precision,
+    level_of_quality,
+    levels_of_detail,
+    rank_by_weight,
+    reduce_to,
+)
 from engine.model import Camera, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

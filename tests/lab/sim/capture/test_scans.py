@@ -13,9 +13,17 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.trajectory import Trajectory, write_trajectory
-from engine.lab.sim.capture.from_points import CloudConfig, read_scans, scans_to_model
 from engine.lab.sim.capture.lidar import Lidar, scan_model
-from engine.lab.sim.capture.placing import Scan, join_clouds, place_scan, place_scans, poses_at
+from engine.lab.sim.capture.scans import (
+    CloudConfig,
+    Scan,
+    join_clouds,
+    place_scan,
+    place_scans,
+    poses_at,
+    read_scans,
+    scans_to_model,
+)
 from engine.model import Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import rotation_to_quaternion

@@ -9,9 +9,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.sim.capture.capture_kernels import kernels_from_points
-from engine.lab.sim.capture.densification import DensifyConfig
-from engine.lab.sim.capture.parameters import NAMES
-from engine.lab.sim.capture.training import TrainConfig, Trainer, cameras_extent, train
+from engine.lab.sim.capture.trainer import NAMES, DensifyConfig, TrainConfig, Trainer, cameras_extent, train
 from engine.model import GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import render

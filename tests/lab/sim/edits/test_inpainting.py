@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.lab.sim.edits import EditTrack, InpaintConfig, delete, inpaint, project_selection, select_sphere
-from engine.lab.sim.edits.exemplar import complete_cells, enclosed, harmonic_fill, smooth
-from engine.lab.sim.edits.hole_surface import fit_surface, ring_around
+from engine.lab.sim.edits.edit import EditTrack, delete
+from engine.lab.sim.edits.inpainting import (
+    InpaintConfig,
+    complete_cells,
+    enclosed,
+    fit_surface,
+    harmonic_fill,
+    inpaint,
+    ring_around,
+    smooth,
+)
+from engine.lab.sim.edits.selection import project_selection, select_sphere
 from engine.model import Bool, Float32, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import prepare_view, render

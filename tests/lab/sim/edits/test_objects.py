@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.lab.sim.attacks import model_attack
-from engine.lab.sim.edits import BoxTree, FlatScene, Scene, model_box, verify_objects
+from engine.lab.sim.edits.objects import BoxTree, FlatScene, Scene, model_box
+from engine.lab.sim.edits.pieces import verify_objects
 from engine.model import Float64, GaussianModel
 from engine.numerics.umeyama import Similarity
 from engine.watermark.claim import Verdict

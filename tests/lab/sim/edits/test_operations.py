@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
-from engine.lab.sim.edits import (
+from engine.lab.sim.edits.edit import (
     Attribute,
     Edited,
     EditTrack,
@@ -21,8 +21,8 @@ from engine.lab.sim.edits import (
     recolor_towards,
     rotate,
     scale,
-    select_sphere,
 )
+from engine.lab.sim.edits.selection import select_sphere
 from engine.model import SH_C0, Bool, Camera, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.umeyama import Similarity

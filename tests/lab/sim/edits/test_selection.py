@@ -7,7 +7,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.sim.edits import (
+from engine.lab.sim.edits.selection import (
     lift_masks,
     mask_shares,
     project_selection,

@@ -11,6 +11,7 @@ from engine.errors import InputError
 from engine.lab.sim.physics.body import (
     Body,
     Material,
+    build_lattice,
     color_by_strain,
     deformation_gradients,
     kernel_means,
@@ -21,7 +22,6 @@ from engine.lab.sim.physics.body import (
     strain_norms,
 )
 from engine.lab.sim.physics.deforming import interpolate
-from engine.lab.sim.physics.lattice import build_lattice
 from engine.model import SH_C0, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from engine.lab.sim.physics.body import Body, Material, make_body, strain_norms
-from engine.lab.sim.physics.conserved import angular_momentum, energy, momentum
-from engine.lab.sim.physics.world import Plane, Sphere, World, ground, step
+from engine.lab.sim.physics.world import Plane, Sphere, World, angular_momentum, energy, ground, momentum, step
 from engine.model import GaussianModel
 
 NOWHERE = np.zeros(3)

@@ -7,10 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.lab.sim.physics import constraint_kernels as fast
-from engine.lab.sim.physics import contact_kernels as contacts
-from engine.lab.sim.physics.assembly import Assembly, assemble
-from engine.lab.sim.physics.body import Material, make_body
+from engine.lab.sim.physics import xpbd_kernels as contacts
+from engine.lab.sim.physics import xpbd_kernels as fast
+from engine.lab.sim.physics.body import Assembly, Material, assemble, make_body
 from engine.model import GaussianModel
 from tests.reference import physics as slow
 

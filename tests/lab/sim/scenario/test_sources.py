@@ -15,10 +15,11 @@ import pytest
 from engine.errors import InputError
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture import posing
-from engine.lab.sim.capture.placing import Scan
-from engine.lab.sim.scenario import bringing, capture_steps, read_scenario
-from engine.lab.sim.scenario.marking import load_world
+from engine.lab.sim.capture import pose_estimation as posing
+from engine.lab.sim.capture.scans import Scan
+from engine.lab.sim.scenario import capture_steps, read_scenario
+from engine.lab.sim.scenario import sources as bringing
+from engine.lab.sim.scenario.sources import load_world
 from tests.lab.sim.capture.rooms import walk
 from tests.lab.sim.capture.scenes import orbit, shell, write_colmap
 

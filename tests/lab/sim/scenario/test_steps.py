@@ -13,8 +13,8 @@ from engine.flows.verify.verification import verify_model
 from engine.flows.views.camera_rig import UP, measure_extent
 from engine.lab.sim.edits.objects import model_box
 from engine.lab.sim.scenario import KINDS, read_scenario
-from engine.lab.sim.scenario.marking import load_world
-from engine.lab.sim.scenario.world import Outcome, World
+from engine.lab.sim.scenario.sources import load_world
+from engine.lab.sim.scenario.state import Outcome, World
 from engine.model import GaussianModel
 from tests.scenes import sparse_plant
 

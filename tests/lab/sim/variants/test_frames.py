@@ -8,7 +8,7 @@ import pytest
 from engine.errors import InputError
 from engine.flows.records.opened_record import open_record
 from engine.formats import write_model
-from engine.lab.sim.variants.swaying import SwayingScene
+from engine.lab.sim.variants.synthetic import SwayingScene
 from engine.model import GaussianModel
 from engine.numerics.similarity import quaternion_to_rotation
 from engine.scenes.clip_marking import embed_moving, verify_moment

@@ -1,4 +1,4 @@
-"""Where photos and scans were taken, from nothing but themselves: by programs of the extra ``capture``.
+"""Poses of photos and scans, estimated from nothing but themselves by packages of the extra ``capture``.
 
 Structure from motion (pycolmap) makes a COLMAP model of photos, LiDAR odometry (kiss-icp) a path of scans.
 """
@@ -15,10 +15,11 @@ from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
 from engine.lab.points.packages import load_package
 from engine.lab.points.trajectory import Trajectory
-from engine.lab.sim.capture.placing import Scan
+from engine.lab.sim.capture.scans import Scan
 from engine.model import Bool, Float64
 
 __all__ = ["Structure", "odometry", "reconstruct"]
+
 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 _FEWEST = 3

@@ -16,14 +16,15 @@ from engine.errors import InputError
 from engine.flows.progress import Progress
 from engine.flows.verify.verification import verify_images, verify_model
 from engine.lab.sim.cost import Cost
-from engine.lab.sim.scenario.marking import load_world
+from engine.lab.sim.scenario.film import Show
 from engine.lab.sim.scenario.script import Scenario
-from engine.lab.sim.scenario.showing import Show
-from engine.lab.sim.scenario.world import Outcome
+from engine.lab.sim.scenario.sources import load_world
+from engine.lab.sim.scenario.state import Outcome
 from engine.model import GaussianModel
 from engine.watermark.claim import Claim
 
 __all__ = ["Run", "StepResult", "run_scenario"]
+
 
 DELIVERED = "as delivered"
 

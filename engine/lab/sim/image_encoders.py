@@ -22,6 +22,7 @@ from engine.model import Float32
 
 __all__ = ["ATTACKS", "bytes_of", "still", "values_of"]
 
+
 ATTACKS: Attacks[Float32] = Attacks("image")
 
 Uint8 = npt.NDArray[np.uint8]

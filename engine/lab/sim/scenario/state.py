@@ -13,7 +13,7 @@ from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.views.camera_rig import FIELD_OF_VIEW, UP, Extent, direction
 from engine.lab.sim.cost import Cost
-from engine.lab.sim.edits.tracking import EditTrack
+from engine.lab.sim.edits.edit import EditTrack
 from engine.lab.sim.model_placement import join
 from engine.model import Camera, Float32, GaussianModel, look_at
 from engine.scenes.clip_marking import Moving
@@ -21,6 +21,7 @@ from engine.watermark.claim import Claim
 from engine.watermark.keys import OwnerKey
 
 __all__ = ["Advance", "Clip", "Outcome", "Step", "StepKind", "Tracked", "World", "step", "viewpoint"]
+
 
 Advance = Callable[[float], None]
 """Told the fraction of a step that is done."""
