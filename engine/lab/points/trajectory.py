@@ -12,7 +12,7 @@ from engine.formats.cameras.files import read_limited
 from engine.formats.repairs import MAGNITUDE_LIMIT
 from engine.model import Float64
 
-__all__ = ["Trajectory", "parse_trajectory", "read_trajectory", "write_trajectory"]
+__all__ = ["Trajectory", "parse_trajectory", "read_trajectory"]
 
 _TUM, _KITTI = 8, 12
 _TOLERANCE = 1e-2
@@ -82,20 +82,6 @@ def parse_trajectory(data: bytes, *, file: str) -> Trajectory:
         raise FormatError("holds no poses", file=file)
     table = np.array(rows)
     return _tum(table, file) if table.shape[1] == _TUM else _kitti(table, file)
-
-
-def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> int:
-    """Write a trajectory: TUM where there are times, KITTI otherwise; every digit is kept. Returns the bytes written;
-    InputError if it cannot be."""
-    from engine.formats.file_writing import write_whole
-
-    if trajectory.times is None:
-        table = trajectory.matrices[:, :3].reshape(-1, _KITTI)  # (P, 12)
-    else:
-        xyzw = np.roll(trajectory.quats, -1, axis=1)
-        table = np.concatenate([trajectory.times[:, None], trajectory.positions, xyzw], axis=1)  # (P, 8)
-    text = "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in table)
-    return write_whole(path, [text.encode("ascii")])
 
 
 def _number(word: str, file: str, row: int) -> float:

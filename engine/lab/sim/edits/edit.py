@@ -31,7 +31,6 @@ from engine.numerics.similarity import transform_model
 from engine.numerics.umeyama import Similarity
 
 Action = Literal["change", "delete", "duplicate"]
-Attribute = Literal["means", "log_scales", "quats", "opacity_logits", "sh"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +118,6 @@ class Edit:
             return np.concatenate([everyone, self.rows])
         filled = 0 if self.filling is None else len(self.filling)
         return np.concatenate([self._kept(), np.full(filled, -1, np.int64)])
-
-    def delta(self, attribute: Attribute) -> npt.NDArray[np.float32]:
-        """(n, ...) what the edit added to an attribute of its rows (C'_k - C_k for "sh"); 0 for a deletion."""
-        old = getattr(self.before, attribute)
-        return np.asarray(getattr(self._changed(self.before), attribute) - old)
 
     def _changed(self, part: GaussianModel) -> GaussianModel:
         s = self.similarity
@@ -297,16 +291,6 @@ class EditTrack:
             step = edit.origin()
             rows = np.where(step >= 0, rows[np.maximum(step, 0)], -1)
         return rows
-
-    def displacement(self, before: GaussianModel) -> Float32:
-        """(M, K, 3) delta C of every Gaussian of the last model: its SH less that of its row in the first, `before`.
-
-        Gaussians that were filled in have displacement 0: they have no C of their own.
-        """
-        after, origin = self.replay(before), self.origin(len(before))
-        delta = after.sh - before.sh[np.maximum(origin, 0)]
-        delta[origin < 0] = 0.0
-        return delta
 
 
 def edited_record(opened: OpenedRecord, track: EditTrack) -> OpenedRecord:

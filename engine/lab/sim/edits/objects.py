@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InputError
-from engine.lab.sim.edits.bvh_kernels import ITEM, LEFT, NONE, along_ray, insert_all, overlapping, remove
+from engine.lab.sim.edits.bvh_kernels import NONE, along_ray, insert_all, overlapping
 from engine.lab.sim.model_placement import join
 from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
@@ -53,16 +53,6 @@ class BoxTree:
         boxes[:start], links[:start] = self.boxes, self.links
         root = insert_all(boxes, links, self.root, len(names), low, high, names, start)
         return BoxTree(boxes, links, int(root))
-
-    def removed(self, item: int) -> BoxTree:
-        """The tree without an item; InputError if it holds none of that number."""
-        leaf = np.flatnonzero((self.links[:, ITEM] == item) & (self.links[:, LEFT] == NONE))
-        if not len(leaf):
-            raise InputError(f"the tree holds no item {item}")
-        boxes, links = self.boxes.copy(), self.links.copy()
-        root = int(remove(boxes, links, self.root, int(leaf[0])))
-        left = max(0, len(links) - 2)
-        return BoxTree(boxes[:left].copy(), links[:left].copy(), root)
 
     def overlapping(self, low: npt.ArrayLike, high: npt.ArrayLike) -> Int64:
         """Items whose box touches the box low..high (3,), ascending; a point is a box with low = high."""
@@ -167,16 +157,6 @@ class Scene:
         tree = self.tree.inserted(lows, highs, numbers)
         return Scene(MappingProxyType(entries), tree, self.following + len(new))
 
-    def remove(self, name: str) -> Scene:
-        """The scene without an object; InputError if there is none of that name."""
-        number = self._number(name)
-        entries = {k: o for k, o in self.objects.items() if k != number}
-        return Scene(MappingProxyType(entries), self.tree.removed(number), self.following)
-
-    def replace(self, name: str, model: GaussianModel, placement: Similarity) -> Scene:
-        """The scene with an object's model and placement exchanged; it becomes the last in order."""
-        return self.remove(name).insert(name, model, placement)
-
     def get(self, name: str) -> PlacedObject:
         """The object of that name; InputError if there is none."""
         return self.objects[self._number(name)]
@@ -184,10 +164,6 @@ class Scene:
     def in_box(self, low: npt.ArrayLike, high: npt.ArrayLike) -> tuple[str, ...]:
         """Names of the objects whose bounding box touches a box (3,), (3,), in the order of insertion."""
         return tuple(self.objects[int(k)].name for k in self.tree.overlapping(low, high))
-
-    def at_point(self, point: npt.ArrayLike) -> tuple[str, ...]:
-        """Names of the objects whose bounding box holds a point (3,), in the order of insertion."""
-        return self.in_box(point, point)
 
     def along_ray(self, origin: npt.ArrayLike, direction: npt.ArrayLike) -> tuple[tuple[str, float], ...]:
         """(name, distance at which the ray enters its bounding box), nearest first; see `BoxTree.along_ray`."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.lab.sim.attack import check_positive
 from engine.lab.sim.vectors import check_triple
-from engine.model import SH_C0, Bool, Camera, Float32, Float64, GaussianModel, Int32, Int64
+from engine.model import SH_C0, Bool, Camera, Float64, GaussianModel, Int32, Int64
 from engine.raster import prepare_view
 
 SEGMENT_SAMPLE = 40_000  # Gaussians on which the centres of segments are learnt; every Gaussian is then assigned once
@@ -163,14 +163,3 @@ def lift_masks(
         _, near = cKDTree(model.means[judges]).query(model.means[~seen], k=k)
         chosen[~seen] = share[judges[near.reshape(-1, k)]].mean(axis=1) >= threshold
     return chosen
-
-
-def project_selection(model: GaussianModel, selection: Bool, camera: Camera) -> Float32:
-    """(H, W) float32, 0 to 1: the part of each pixel's colour that comes from the selected Gaussians.
-
-    What stands in front of the selection hides it. 0.5 and above is the selection's mask in this view.
-    """
-    if selection.shape != (len(model),):
-        raise InputError(f"a selection must have shape ({len(model)},), got {selection.shape}")
-    image, _ = prepare_view(model, camera).render(selection.astype(np.float32)[:, None])
-    return np.clip(image[..., 0], 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Closed-form deformations of a whole model: bend, twist, squash, stretch, each with its analytic gradient.
+"""Closed-form deformations of a whole model: bend, twist, squash, each with its analytic gradient.
 
 Every deformation is a map of the body's own coordinates (h along its axis, v and w across it, scene units, zero
 in its middle). It acts on the body's length, -length/2 <= h <= length/2; what lies beyond moves rigidly with the
@@ -14,14 +14,12 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 
-__all__ = ["Axes", "barrel_points", "bend", "bend_points", "longest_axis", "squash", "stretch", "twist", "twist_points"]
+__all__ = ["Axes", "barrel_points", "bend", "bend_points", "longest_axis", "squash", "twist", "twist_points"]
 
 REACH = 2.0
 """Gaussians within this many robust radii of the centre say how long the body is."""
 END = 0.01
 """Share of them beyond each end."""
-LONGEST = 2.5
-"""Largest stretch: at 2.94 the waist of a body that keeps its volume would be gone."""
 
 PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
 """(N, 3) coordinates h, v, w, the body's length and the strength to the deformed ones and the gradients (N, 3, 3)."""
@@ -88,13 +86,6 @@ def squash(model: GaussianModel, share: float, *, axis: npt.ArrayLike | None = N
     if not 0 <= share < 1:
         raise InputError(f"a squash takes a share of the length in [0, 1), got {share}")
     return _deform(model, barrel_points, 1.0 - share, axis)
-
-
-def stretch(model: GaussianModel, factor: float, *, axis: npt.ArrayLike | None = None) -> GaussianModel:
-    """Pull the body along its axis to `factor` (1 to 2.5) times its length; it grows a waist, its volume stays."""
-    if not 1 <= factor <= LONGEST:
-        raise InputError(f"a stretch takes a factor from 1 to {LONGEST}, got {factor}")
-    return _deform(model, barrel_points, factor, axis)
 
 
 def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, Float64]:

@@ -15,7 +15,7 @@ from engine.lab.sim.physics.body import Assembly, Body, assemble
 from engine.lab.sim.vectors import check_triple
 from engine.model import Float64
 
-__all__ = ["Plane", "Sphere", "World", "angular_momentum", "energy", "ground", "momentum", "step"]
+__all__ = ["Plane", "Sphere", "World", "energy", "ground", "step"]
 
 
 STEP = 1.0 / 60.0
@@ -195,18 +195,6 @@ def energy(world: World) -> Energy:
         away = _away_from_rigid(x[members], parts.rest[members], m[members])
         elastic += 0.5 * rate * rate * float(m[members] @ (away * away).sum(axis=1))
     return Energy(kinetic, potential, elastic)
-
-
-def momentum(world: World) -> Float64:
-    """(3,) linear momentum of all bodies, kg scene units per second."""
-    parts = assemble(world.bodies)
-    return np.asarray(parts.masses @ parts.velocities)
-
-
-def angular_momentum(world: World) -> Float64:
-    """(3,) angular momentum of all bodies about the origin."""
-    parts = assemble(world.bodies)
-    return np.asarray(parts.masses @ np.cross(parts.positions, parts.velocities))
 
 
 def _stored(violations: Float64, compliance: Float64) -> float:

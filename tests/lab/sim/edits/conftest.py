@@ -12,7 +12,8 @@ from engine.flows.embed.profiles import EmbedConfig
 from engine.flows.records.opened_record import OpenedRecord, open_record
 from engine.formats import read_model
 from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
-from engine.model import GaussianModel
+from engine.model import Bool, Camera, Float32, GaussianModel
+from engine.raster import prepare_view
 
 DATA = Path(__file__).parents[2] / "data"
 QUICK = EmbedConfig(views=3, view_size=200, landmark_views=0)
@@ -81,3 +82,9 @@ def objects() -> dict[str, tuple[GaussianModel, OpenedRecord]]:
 @pytest.fixture(autouse=True)
 def _small(small_renders: None) -> None:
     """How much renders say is the matter of tests/pipeline."""
+
+
+def project_selection(model: GaussianModel, selection: Bool, camera: Camera) -> Float32:
+    """(H, W) from 0 to 1: the part of each pixel's color that comes from the selected Gaussians."""
+    image, _ = prepare_view(model, camera).render(selection.astype(np.float32)[:, None])
+    return np.clip(image[..., 0], 0.0, 1.0)

@@ -17,10 +17,11 @@ from engine.lab.sim.edits.inpainting import (
     ring_around,
     smooth,
 )
-from engine.lab.sim.edits.selection import project_selection, select_sphere
+from engine.lab.sim.edits.selection import select_sphere
 from engine.model import Bool, Float32, Float64, GaussianModel, look_at
 from engine.numerics.image_metrics import psnr
 from engine.raster import prepare_view, render
+from tests.lab.sim.edits.conftest import project_selection
 
 CAMERA = look_at([0.2, 0.3, 3], [0, 0, 0], [0, 1, 0], 260.0, 160, 160)
 

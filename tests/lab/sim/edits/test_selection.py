@@ -7,17 +7,10 @@ import pytest
 
 from engine.errors import InputError
 from engine.lab.evaluate.marked_scene import MarkedScene
-from engine.lab.sim.edits.selection import (
-    lift_masks,
-    mask_shares,
-    project_selection,
-    segment,
-    segment_at,
-    select_box,
-    select_sphere,
-)
+from engine.lab.sim.edits.selection import lift_masks, mask_shares, segment, segment_at, select_box, select_sphere
 from engine.lab.sim.model_placement import join
 from engine.model import GaussianModel, look_at
+from tests.lab.sim.edits.conftest import project_selection
 
 
 def test_a_box_holds_what_is_inside(sheet: GaussianModel) -> None:
