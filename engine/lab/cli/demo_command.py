@@ -1,4 +1,4 @@
-"""`mark3dgs demo`: the main job on a real scene, told step by step."""
+"""`mark3dgs demo`: the main job on a real scene, step by step."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ class _Work:
 
 def demo(
     model: Annotated[
-        Path | None, typer.Argument(metavar="MODEL", help="Model to play with (default: the scene of the repository).")
+        Path | None, typer.Argument(metavar="MODEL", help="Model to mark (default: the scene of the repository).")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is made.")] = Path("demo-out"),
+    out: Annotated[Path, typer.Option("--out", help="Folder for all files.")] = Path("demo-out"),
     json: Json = False,
 ) -> int:
-    """Mark a real captured scene, steal it in several ways, claim every piece.
+    """Mark a real captured scene, attack it in several ways, verify every suspect.
 
-    About a minute on two cores, once the kernels are compiled. Everything lands
-    in one folder: key, marked model, record, stolen pieces and a picture.
+    About a minute on two cores, once the kernels are compiled. All files go
+    to one folder: key, marked model, record, stolen copies and a picture.
 
     Example:
 
@@ -177,7 +177,7 @@ def _trials(
         return suspect
 
     def stored(suspect: GaussianModel, name: str, kind: str) -> GaussianModel:
-        """Through a file, as a thief would pass it on."""
+        """Through a file, as it would be passed on."""
         path = work.folder / name
         with whole_file(path) as part:
             write_model(suspect, part, kind)
@@ -200,7 +200,7 @@ def _trials(
             write_picture(picture, part, path, SCREENSHOT_QUALITY)
         return verify_images([read_picture(path)], opened, config, None, work.progress)
 
-    work.console.say("4. Somebody takes it, and the owner checks what turns up:")
+    work.console.say("4. Copies are stolen, and the owner verifies what is found:")
     steps: dict[str, tuple[str, Callable[[], Verification]]] = {
         "moved": ("turned by 77 degrees, scaled by 2.5, shuffled", moved),
         "piece": ("cropped to 25 %, moved, converted to .spz", piece),
@@ -230,15 +230,15 @@ def _summary(report: Mapping[str, Any]) -> str:
     return f"{verdict:<11} {bits}, as coins would; derived all the same; {sure}"
 
 
-def _wrong_key(work: _Work) -> dict[str, Any]:
-    """What another key finds with this record: nothing, and it is told why."""
+def _wrong_key(work: _Work) -> dict[str, str]:
+    """What another key finds with this record: nothing, with the reason."""
     from engine.flows.records.opened_record import open_record
     from engine.watermark.keys import OwnerKey
 
     try:
         open_record((work.folder / "scene.record").read_bytes(), OwnerKey.generate())
     except WrongKeyError as error:
-        work.console.say(f"   {'somebody else with a key of their own':<50} refused: this key did not make this record")
+        work.console.say(f"   {'the record opened with another key':<50} refused: this key did not make this record")
         return {"verdict": "wrong_key", "message": str(error)}
     return {"verdict": "opened", "message": "another key opened the record"}
 

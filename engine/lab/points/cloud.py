@@ -67,8 +67,8 @@ def clean_points(
     file: str,
     element: str,
 ) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Turn decoded columns into a cloud that every later stage may trust, in the order of the file; and tell what was
-    mended.
+    """Turn decoded columns into a cloud that every later stage may trust, in the order of the file; and list what was
+    repaired.
 
     `points` (N, 3) float64, `colors` (N, 3) float32 from 0 to 1, `intensity` and `times` (N,). Points without a finite
     place (devices write NaN where no light came back) are dropped; an intensity that is no number becomes 0; times with

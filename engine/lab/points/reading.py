@@ -1,4 +1,4 @@
-"""Any file with points in it, told by its first bytes and not by its name."""
+"""Point cloud files, recognized by their first bytes and not by their names."""
 
 import os
 from pathlib import Path

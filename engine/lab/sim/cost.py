@@ -1,4 +1,4 @@
-"""What an attack costs the attacker: how far his loot looks from what he stole.
+"""What an attack costs: how far the attacked model or picture looks from the marked one.
 
 A mark that is gone with the look is not removed but ruined. So every attack is judged by its renders against those of
 the marked model, at neutral views: neither the owner's key views nor any an attack was tuned on. A model that the

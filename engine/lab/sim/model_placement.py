@@ -146,7 +146,7 @@ def merge_into(
 ) -> GaussianModel:
     """The model, randomly placed inside a foreign scene of `strength` times as many Gaussians.
 
-    `other` is the foreign scene, not empty, of which a connected piece is taken when it is larger than asked for;
+    `other` is the foreign scene, not empty, of which a connected piece is taken when it is larger than needed;
     without it a synthetic one (`foreign_scene`). Foreign Gaussians come first, then the model's in their own order,
     rotated, moved and scaled to 0.15 to 0.6 radii of the foreign scene; SH padded with zeros to the higher of the two
     degrees.
@@ -171,8 +171,8 @@ def foreign_scene(model: GaussianModel, count: int, rng: np.random.Generator) ->
     """A synthetic scene of `count` Gaussians that has nothing to do with the model but resembles it in kind.
 
     Textured sheets in random places of a ball of three radii of the model. Sizes, opacities and colours
-    follow normal laws with the model's own mean and spread, so that no threshold on one attribute tells the
-    two apart; no value is copied from the model.
+    follow normal laws with the model's own mean and spread, so that no threshold on one attribute separates
+    the two; no value is copied from the model.
     """
     radius = FOREIGN_SIZE * measure_extent(model).radius
     sheets = max(4, count // 1000)

@@ -24,6 +24,9 @@ __all__ = ["SUITE", "Company", "Subject", "Trial", "apply_chain", "failures_firs
 Step = tuple[str, Strength]
 """Name and strength of an attack of the registry."""
 
+Row = dict[str, Any]
+"""One line of the study's JSON table; see `run_suite`."""
+
 WITHOUT_COST = {"merge_into", "crop_image", "rotate_image", "scale_image"}
 """Steps that only move, cut or surround what is stolen: left out when the look is judged."""
 
@@ -56,7 +59,7 @@ pictures."""
 
 
 class Subject(Protocol):
-    """A marked scene to attack: its name in the table, what thieves get, and the owner's record."""
+    """A marked scene to attack: its name in the table, what attackers get, and the owner's record."""
 
     @property
     def name(self) -> str: ...
@@ -95,7 +98,7 @@ def apply_chain(
         if name in skip:
             continue
         attack: Any = find(name)
-        options: dict[str, Any] = {}
+        options: dict[str, object] = {}
         if name == "collude":
             options["others"] = company.copies[: trial.copies]
         elif name == "transplant":
@@ -118,11 +121,11 @@ def run_suite(
     pictures: int = 2,
     seed: int = 0,
     advance: Callable[[float], None] | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     """Attack, judge the look, verify; one row for each trial.
 
     Image attacks are tried on so many `pictures`, key views, each alone; the row is that of the lowest z. `advance` is
-    told the fraction done.
+    called with the fraction done.
 
     A row: scene, attack, kind, reading, source, verdict, expected, bit_accuracy, z, log10_false_claim,
     derived_fraction, route, seconds (of the verification), the fields of `Cost` (None where there is nothing to judge),
@@ -130,7 +133,7 @@ def run_suite(
     claim would be false, "framed"; "not run: ..." where the company lacks what the trial needs.
     """
     if not 1 <= pictures <= len(subject.opened.cameras):
-        raise InputError(f"the record has {len(subject.opened.cameras)} key views, {pictures} were asked for")
+        raise InputError(f"the record has {len(subject.opened.cameras)} key views, {pictures} are wanted")
     rows = []
     for number, trial in enumerate(trials):
         rows.append({"scene": subject.name, **_run(subject, trial, company, config, pictures, seed)})
@@ -139,15 +142,13 @@ def run_suite(
     return rows
 
 
-def failures_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def failures_first(rows: Sequence[Row]) -> list[Row]:
     """Rows by how bad they are for the owner: false claims, removed, ruined, held; then the lowest z first."""
     rank = {"framed": 0, "removed": 1, "ruined": 2, "held": 3}
     return sorted(rows, key=lambda row: (rank.get(row["outcome"], 4), row.get("z") or 0.0))
 
 
-def _run(
-    subject: Subject, trial: Trial, company: Company, config: VerifyConfig, pictures: int, seed: int
-) -> dict[str, Any]:
+def _run(subject: Subject, trial: Trial, company: Company, config: VerifyConfig, pictures: int, seed: int) -> Row:
     about = {
         "attack": trial.label,
         "kind": trial.kind,

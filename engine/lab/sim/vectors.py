@@ -1,4 +1,4 @@
-"""Places and directions as people give them."""
+"""Places and directions as arguments."""
 
 import numpy as np
 import numpy.typing as npt

@@ -87,7 +87,7 @@ def fine_tune_stages(
 
     Cameras and images are those of `pictures_of`. The epochs rise, the last one more than 0; 0 is the model as it is.
     `trained` is every parameter, or SH alone with the geometry frozen; `seed` that of the pictures' order; `advance` is
-    told the part done, 0 to 1. InputError if the epochs do not rise, or the pictures do not fit (see `Trainer`).
+    called with the part done, 0 to 1. InputError if the epochs do not rise, or the pictures do not fit (see `Trainer`).
     """
     if not epochs or epochs[0] < 0 or epochs[-1] < 1 or any(np.diff(epochs) <= 0):
         raise InputError(f"epochs must rise and end above 0, got {list(epochs)}")
@@ -147,10 +147,9 @@ def retrain(
     config: RetrainConfig | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> GaussianModel:
-    """A fresh model that looks like a stolen one, of which only renders from the thief's views are used.
+    """A fresh model that looks like a stolen one, from renders of the attacker's views alone.
 
-    `progress` is told the part done, 0 to 1. InputError if there is no camera, or the views show nothing to put points
-    on.
+    `progress` is called with the part done, 0 to 1. InputError if there is no camera, or the views show too little.
     """
     return _trainer(marked, cameras, config or RetrainConfig()).run(progress)
 
@@ -176,7 +175,7 @@ def retraining_steps(
 
 
 def quality_lost(retrained: GaussianModel, stolen: GaussianModel, cameras: Sequence[Camera]) -> dict[str, float]:
-    """What the attack cost the thief, on views he did not train on.
+    """The quality that the attack lost, on views that were not trained on.
 
     `psnr_to_stolen`: mean PSNR against the stolen model's renders, dB. `lost_db`: how much lower the PSNR of the new
     model against photos is than the stolen one's, where that has 27 dB and the errors are independent.

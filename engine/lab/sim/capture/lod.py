@@ -29,7 +29,7 @@ REACH = 3.0
 
 LEAST_OPAQUE, MOST_OPAQUE = 1e-4, 0.99
 
-_STEPS = 12  # 2^-12 of the Gaussians: finer than any view tells
+_STEPS = 12  # 2^-12 of the Gaussians: finer than any view shows
 
 
 @dataclass(frozen=True, eq=False)

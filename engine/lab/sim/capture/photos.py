@@ -1,10 +1,8 @@
 """From photos and their COLMAP reconstruction to a trained Gaussian model; lens distortion is undone first."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -141,14 +139,22 @@ class PhotoSet:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A model trained on photos.
-
-    The report: numbers of photos, points and Gaussians, steps a second, PSNR of each photo and their means.
-    """
+    """A model trained on photos."""
 
     model: GaussianModel
     photos: PhotoSet
-    report: dict[str, Any]
+    psnr: list[float]  # dB, of the renders against each photo; a random background counts as black
+    steps_per_second: float
+
+    @property
+    def psnr_trained(self) -> float:
+        """Mean over the photos trained on, dB."""
+        return float(np.mean([self.psnr[k] for k in self.photos.trained_on]))
+
+    @property
+    def psnr_held_out(self) -> float | None:
+        """Mean over the photos held out, dB; None where there are none."""
+        return float(np.mean([self.psnr[k] for k in self.photos.held_out])) if self.photos.held_out else None
 
 
 def load_photos(
@@ -204,34 +210,7 @@ def train_from_colmap(
     with clock.stage("train"):
         model = trainer.run(clock.advance)
     with clock.stage("compare"):
-        quality = photo_quality(model, photos, config.background)
-    report = {
-        "photos": len(photos.names),
-        "points": len(reconstruction.points),
-        "gaussians": len(model),
-        "steps": config.steps,
-        "steps_per_second": config.steps / clock.seconds["train"],
-        **quality,
-        "seconds_by_stage": clock.seconds,
-    }
-    return Capture(model, photos, report)
-
-
-def photo_quality(model: GaussianModel, photos: PhotoSet, background: Any = 0.0) -> dict[str, Any]:
-    """PSNR of the renders against the photos, dB: each, and the means over those trained on and held out.
-
-    A random background counts as black.
-    """
-    behind = 0.0 if isinstance(background, str) else background
-    pairs = zip(photos.cameras, photos.images, strict=True)
-    values = [psnr(render(model, camera, behind), image) for camera, image in pairs]
-
-    def mean(which: Sequence[int]) -> float | None:
-        return float(np.mean([values[k] for k in which])) if which else None
-
-    return {
-        "psnr_trained": mean(photos.trained_on),
-        "psnr_held_out": mean(photos.held_out),
-        "held_out": [photos.names[k] for k in photos.held_out],
-        "psnr": dict(zip(photos.names, values, strict=True)),
-    }
+        behind = 0.0 if isinstance(config.background, str) else config.background
+        pairs = zip(photos.cameras, photos.images, strict=True)
+        quality = [psnr(render(model, camera, behind), image) for camera, image in pairs]
+    return Capture(model, photos, quality, config.steps / clock.seconds["train"])

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,12 +36,13 @@ Its voxels are then a metre, a hundredth of the range, as it says itself."""
 class Structure:
     """What structure from motion made of a folder of photos.
 
-    The folder holds a COLMAP model (binary) of the largest part that hangs together; `train_from_colmap` takes it. The
-    report: photos, photos placed, points, mean reprojection error (pixels), mean track length, parts, seconds.
+    The folder holds a COLMAP model (binary) of the largest connected part; `train_from_colmap` takes it.
     """
 
     folder: Path
-    report: dict[str, Any]
+    photos: int
+    photos_placed: int
+    reprojection_error: float  # mean, pixels
 
 
 def reconstruct(
@@ -108,16 +108,7 @@ def reconstruct(
     folder = sparse / "0"
     folder.mkdir(exist_ok=True)
     best.write(folder)
-    report = {
-        "photos": len(names),
-        "photos_placed": int(best.num_reg_images()),
-        "points": int(best.num_points3D()),
-        "reprojection_error": float(best.compute_mean_reprojection_error()),
-        "track_length": float(best.compute_mean_track_length()),
-        "parts": len(parts),
-        "seconds_by_stage": clock.seconds,
-    }
-    return Structure(folder, report)
+    return Structure(folder, len(names), int(best.num_reg_images()), float(best.compute_mean_reprojection_error()))
 
 
 def odometry(

@@ -6,7 +6,6 @@ voxel, and stray points and small islands (sky, echoes under the ground) are dro
 
 import os
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,7 +17,6 @@ import numpy.typing as npt
 
 from engine.errors import InputError
 from engine.flows.progress import Clock, Progress
-from engine.formats.repairs import Repair
 from engine.lab.points.cloud import PointCloud
 from engine.lab.points.reading import POINT_ENDINGS, read_point_cloud
 from engine.lab.points.trajectory import Trajectory, read_trajectory
@@ -88,7 +86,7 @@ def place_scans(
     elif any(scan.time is None for scan in scans):
         if len(scans) != len(trajectory):
             message = (
-                f"nothing tells when the {len(scans)} scans were taken: their points have no times of the "
+                f"it is unknown when the {len(scans)} scans were taken: their points have no times of the "
                 f"trajectory's clock ({known[0]} to {known[-1]}), their names are no times, and there are "
                 f"{len(trajectory)} poses"
             )
@@ -220,16 +218,15 @@ def typical_spacing(points: Float64) -> float:
     return float(np.sqrt(np.pi / k) * np.median(apart)) if len(apart) else 0.0
 
 
-def drop_strays(cloud: PointCloud) -> tuple[PointCloud, int]:
+def drop_strays(cloud: PointCloud) -> PointCloud:
     """Leave out points that no surface explains: lone ones, and small islands in the sky or under the ground.
 
-    The cloud must be of even density, see `thin_voxels`. Returned with the number of points dropped.
+    The cloud must be of even density, see `thin_voxels`.
     """
     if len(cloud) <= 2 * STRAY_NEIGHBOURS:
-        return cloud, 0
+        return cloud
     rest = cloud.take(_in_company(cloud.points))
-    rest = rest.take(_on_land(rest.points))
-    return rest, len(cloud) - len(rest)
+    return rest.take(_on_land(rest.points))
 
 
 def _in_company(points: Float64) -> Bool:
@@ -295,18 +292,19 @@ class CloudModel:
     cloud: PointCloud  # what it was made of: one point for each Gaussian, in the points' own frame
     # (3,) where the model's zero lies in that frame; not zero only where float32 would lose digits (map grids)
     origin: Float64
-    # plain values: points read, placed and kept, voxel, where the colours are from, repairs, seconds
-    report: dict[str, Any]
+    points_read: int
+    voxel: float  # edge of the voxels that keep one point each, scene units; 0: not thinned
+    colors_from: str  # "colors", "intensity" or "none"
 
 
 def points_to_model(
     path: str | os.PathLike[str], *, config: CloudConfig | None = None, progress: Progress | None = None
 ) -> CloudModel:
-    """Make a model of a point cloud (PLY, PCD or LAS). Progress has the stages "read", "thin" and "kernels"."""
+    """Make a model of a point cloud (PLY, PCD, LAS or LAZ). Progress has the stages "read", "thin" and "kernels"."""
     clock = Clock(progress)
     with clock.stage("read"):
-        cloud, repairs = read_point_cloud(path)
-    return _to_model(cloud, repairs, config or CloudConfig(), clock, {})
+        cloud, _ = read_point_cloud(path)
+    return _to_model(cloud, config or CloudConfig(), clock)
 
 
 def scans_to_model(
@@ -319,25 +317,23 @@ def scans_to_model(
 ) -> CloudModel:
     """Make a model of LiDAR scans (or their folder or file, see `read_scans`) and the path of the scanner (TUM, KITTI).
 
-    `mounting` (4, 4) leads from the scanner's frame to the one whose poses the trajectory tells. Progress has the
+    `mounting` (4, 4) leads from the scanner's frame to the one whose poses are in the trajectory. Progress has the
     stages "read", "place", "thin" and "kernels".
     """
     clock = Clock(progress)
-    repairs: tuple[Repair, ...] = ()
     with clock.stage("read"):
         path = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
         if isinstance(scans, str | os.PathLike):
-            scans, repairs = read_scans(scans, clock)
+            scans = read_scans(scans, clock)
     with clock.stage("place"):
-        clouds, outside = place_scans(scans, path, mounting)
+        clouds, _ = place_scans(scans, path, mounting)
         cloud = replace(join_clouds(clouds), times=None)  # a mean of times says nothing
         spacing = float(np.median([typical_spacing(c.points) for c in clouds[:: max(1, len(clouds) // 8)]]))
-    report = {"scans": len(scans), "poses": len(path), "points_outside": outside}
-    return _to_model(cloud, repairs, config or CloudConfig(), clock, report, spacing if len(clouds) > 1 else 0.0)
+    return _to_model(cloud, config or CloudConfig(), clock, spacing if len(clouds) > 1 else 0.0)
 
 
-def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tuple[list[Scan], tuple[Repair, ...]]:
-    """Read scans (a point cloud, or a folder of them) in the order of their files' names; repairs are summed up.
+def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> list[Scan]:
+    """Read scans (a point cloud, or a folder of them) in the order of their files' names.
 
     A name that is a time (seconds with a decimal point, or nanoseconds of 16 to 19 digits) is the scan's time.
     """
@@ -347,46 +343,27 @@ def read_scans(path: str | os.PathLike[str], clock: Clock | None = None) -> tupl
         files = sorted(f for f in root.iterdir() if f.suffix.lower() in POINT_ENDINGS and f.is_file())
         if not files:
             raise InputError(f"{root}: holds no scans ({', '.join(POINT_ENDINGS)})")
-    scans, counts = [], Counter[str]()
+    scans = []
     for k, file in enumerate(files):
-        cloud, repairs = read_point_cloud(file)
+        cloud, _ = read_point_cloud(file)
         scans.append(Scan(cloud, file.name, _time_of(file.stem)))
-        for repair in repairs:
-            counts[repair.code] += repair.count
         if clock is not None:
             clock.advance((k + 1) / len(files))
-    return scans, tuple(Repair(code, n, f"{n} in {len(files)} scans") for code, n in counts.items())
+    return scans
 
 
-def _to_model(
-    cloud: PointCloud,
-    repairs: tuple[Repair, ...],
-    config: CloudConfig,
-    clock: Clock,
-    report: dict[str, Any],
-    spacing: float = 0.0,
-) -> CloudModel:
+def _to_model(cloud: PointCloud, config: CloudConfig, clock: Clock, spacing: float = 0.0) -> CloudModel:
     read = len(cloud)
     with clock.stage("thin"):
         cloud, voxel = _thinned(cloud, config, spacing)
-        cloud, strays = drop_strays(cloud) if config.clean else (cloud, 0)
+        cloud = drop_strays(cloud) if config.clean else cloud
     with clock.stage("kernels"):
         colors, source = _colors(cloud)
         origin = _origin(cloud.points)
         own = {} if config.opacity is None else {"opacity": config.opacity}
         make = flat_kernels_from_points if config.kernels == "flat" else kernels_from_points
         model = make(cloud.points - origin, colors, size=config.size, **own)
-    report |= {
-        "repairs": {repair.code: repair.count for repair in repairs},
-        "points": read,
-        "voxel": voxel,
-        "strays_dropped": strays,
-        "gaussians": len(model),
-        "colors_from": source,
-        "origin": origin.tolist(),
-        "seconds_by_stage": clock.seconds,
-    }
-    return CloudModel(model, cloud, origin, report)
+    return CloudModel(model, cloud, origin, read, voxel, source)
 
 
 def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[PointCloud, float]:
@@ -412,7 +389,7 @@ def _colors(cloud: PointCloud) -> tuple[Float32, str]:
 
 
 def _origin(points: Float64) -> Float64:
-    """Zero, or a round place in the middle where float32 would not tell neighbours apart."""
+    """Zero, or a round place in the middle where float32 would merge neighbours."""
     largest = float(np.abs(points).max(initial=0.0))
     if len(points) < 2 or largest * np.finfo(np.float32).eps <= _DIGITS_LOST * typical_spacing(points):
         return np.zeros(3)

@@ -6,7 +6,7 @@ A step: 1. a photo in random order, 2. render, 3. loss and its gradient, 4. grad
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +37,7 @@ class Parameters:
     @property
     def model(self) -> GaussianModel:
         """The parameters as they are now: a view, which the next step changes."""
-        arrays: dict[str, Any] = dict(self.arrays)
-        return GaussianModel(**arrays)
+        return GaussianModel(*(self.arrays[name] for name in NAMES))
 
     def finished(self) -> GaussianModel:
         """A model of its own, with unit quaternions."""

@@ -173,7 +173,7 @@ def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MA
 
     A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest colour
     displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps of an 8-bit colour): a
-    smaller edit is not told from what compression does.
+    smaller edit cannot be distinguished from compression.
     """
     pieces = register_pieces(opened.reference, suspect, seed=seed)
     rows = np.flatnonzero(pieces.matches >= 0)

@@ -344,17 +344,21 @@ def _bucket(a, b, c, mask):
     return ((a * PRIMES[0]) ^ (b * PRIMES[1]) ^ (c * PRIMES[2])) & mask
 
 
-@kernel(allocates=True)
-def find_pairs(x, rest, surface, body, radii, reach):
-    """Pairs (M, 2) of points i < j closer than the sum of their radii, in a fixed order.
+@inlined
+def _touch(x, rest, body, radii, i, j):
+    """Whether points are closer than the sum of their radii, and not neighbours at rest in one body."""
+    least = radii[i] + radii[j]
+    square, at_rest = 0.0, 0.0
+    for k in range(3):
+        square += (x[i, k] - x[j, k]) ** 2
+        at_rest += (rest[i, k] - rest[j, k]) ** 2
+    return square < least * least and (body[i] != body[j] or at_rest >= 4.0 * least * least)
 
-    A hash of cells of `reach` (the largest sum of two radii) over the points of `surface` (S,). Points of one
-    body that are near each other at rest are the elastic's business and left out.
-    """
+
+@inlined(allocates=True)
+def _sorted_cells(x, surface, reach, size):
+    """Cell (S, 3) of each surface point, the points ordered by bucket (S,), and the buckets' starts (size + 1,)."""
     count = len(surface)
-    size = 16
-    while size < 2 * count:
-        size *= 2
     cells = np.empty((count, 3), np.int64)
     bucket = np.empty(count, np.int64)
     starts = np.zeros(size + 1, np.int64)
@@ -370,6 +374,21 @@ def find_pairs(x, rest, surface, body, radii, reach):
     for s in range(count):
         order[fill[bucket[s]]] = s
         fill[bucket[s]] += 1
+    return cells, order, starts
+
+
+@kernel(allocates=True)
+def find_pairs(x, rest, surface, body, radii, reach):
+    """Pairs (M, 2) of points i < j closer than the sum of their radii, in a fixed order.
+
+    A hash of cells of `reach` (the largest sum of two radii) over the points of `surface` (S,). Points of one
+    body that are near each other at rest are the elastic's business and left out.
+    """
+    count = len(surface)
+    size = 16
+    while size < 2 * count:
+        size *= 2
+    cells, order, starts = _sorted_cells(x, surface, reach, size)
     pairs = np.empty((max(64, 4 * count), 2), np.int64)
     found = 0
     for s in range(count):
@@ -384,12 +403,7 @@ def find_pairs(x, rest, surface, body, radii, reach):
                 if cell == 13 and other <= s:
                     continue
                 j = surface[other]
-                least = radii[i] + radii[j]
-                square, at_rest = 0.0, 0.0
-                for k in range(3):
-                    square += (x[i, k] - x[j, k]) ** 2
-                    at_rest += (rest[i, k] - rest[j, k]) ** 2
-                if square >= least * least or (body[i] == body[j] and at_rest < 4.0 * least * least):
+                if not _touch(x, rest, body, radii, i, j):
                     continue
                 if found == len(pairs):
                     larger = np.empty((2 * found, 2), np.int64)

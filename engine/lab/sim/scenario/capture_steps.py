@@ -79,7 +79,7 @@ class Scan:
             path = found
         made = scans_to_model(scans, path)
         seen = transform_model(made.model, 1.0, np.eye(3), made.origin)
-        notes.append(f"{made.report['points']} points in {len(scans)} scans, {len(seen)} Gaussians of them")
+        notes.append(f"{made.points_read} points in {len(scans)} scans, {len(seen)} Gaussians of them")
         cost = model_cost(model, seen, views=COST_VIEWS, size=COST_SIZE)
         return Outcome(world.put(name, seen), notes=tuple(notes), cost=cost)
 

@@ -133,7 +133,7 @@ def _numbered(name: str, number: int, count: int) -> str:
 @step(KINDS, "remove", "an object is taken out: name")
 @dataclass(frozen=True)
 class RemoveObject:
-    """Its record stays, to be looked for in vain."""
+    """Its record stays, and later verifications should not find it."""
 
     name: str = given(Table.text)
 

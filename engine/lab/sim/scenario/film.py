@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from engine.flows.views.camera_rig import measure_extent
 from engine.lab.sim.image_encoders import bytes_of
 from engine.lab.sim.scenario.script import Film
-from engine.lab.sim.scenario.state import Outcome, viewpoint
+from engine.lab.sim.scenario.state import Finding, Outcome, viewpoint
 from engine.model import Float32, GaussianModel
 from engine.raster import render
 
@@ -104,9 +104,9 @@ class Show:
         self._extent = measure_extent(model)
         self._azimuth = 0.0
 
-    def add(self, label: str, outcome: Outcome, rows: Sequence[dict[str, Any]]) -> Uint8:
+    def add(self, label: str, outcome: Outcome, findings: Sequence[Finding]) -> Uint8:
         """Draw a step; its last picture comes back, its frames join the film."""
-        lines = [label, *(finding(row) for row in rows)]
+        lines = [label, *(finding_text(finding) for finding in findings)]
         if outcome.pictures:
             shown = [self._fitted(picture) for picture in outcome.pictures]
             hold = max(1, self._film.frames // len(shown))
@@ -143,7 +143,7 @@ class Show:
         return frame
 
 
-def finding(row: dict[str, Any]) -> str:
+def finding_text(finding: Finding) -> str:
     """What was found of one record, in a few words."""
-    words = {"marked": "MARKED", "not_marked": "not marked", "inconclusive": "inconclusive"}[row["verdict"]]
-    return f"{row['object']}: {words}, {row['matching_bits']}/{row['bits']} bits, z {row['z']:.0f}"
+    verdict = "MARKED" if finding.verdict == "marked" else finding.verdict.replace("_", " ")
+    return f"{finding.object}: {verdict}, {finding.matching_bits}/{finding.bits} bits, z {finding.z:.0f}"

@@ -29,7 +29,7 @@ KINDS = {
 }
 """Every kind of step, by the word that a scenario calls it with."""
 
-TELLING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "time", "on")
+LABELING = ("name", "strength", "setting", "epochs", "views", "copies", "rule", "height", "share", "time", "on")
 """Values that make up the label of a step without one."""
 
 
@@ -99,5 +99,5 @@ def _step(table: Table) -> NamedStep:
     word = table.text("do", choices=tuple(KINDS))
     label = table.text("label", "")
     step = _whole(table, KINDS[word].made)
-    told = [str(table.values[name]) for name in TELLING if name in table]
-    return NamedStep(label or " ".join([word, *told]), step)
+    values = [str(table.values[name]) for name in LABELING if name in table]
+    return NamedStep(label or " ".join([word, *values]), step)

@@ -40,10 +40,7 @@ from engine.scenes.scene_marking import embed_variant
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 
-__all__ = ["Part", "Photos", "Scans", "bring", "load_world", "mark", "read_name"]
-
-
-Told = Callable[[str, float], None]
+__all__ = ["Part", "Photos", "Scans", "load_source", "load_world", "mark", "read_name"]
 
 
 def read_optional(table: Table, name: str) -> Path | None:
@@ -89,64 +86,57 @@ def read_name(table: Table, name: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Brought:
+class Unmarked:
     """An object before it is marked."""
 
     loaded: Loaded
     note: str  # how it came to be; empty for a file
 
 
-def bring(source: Source, name: str, kind: str, seed: int, told: Told) -> Brought:
+def load_source(source: Source, name: str, kind: str, seed: int, progress: Progress) -> Unmarked:
     """Read, train or build what an object starts from, and make it one of the KINDS."""
     if isinstance(source, Path):
-        brought = Brought(read_scene(source), "")
+        unmarked = Unmarked(read_scene(source), "")
     elif isinstance(source, Photos):
-        brought = _from_photos(source, name, seed, told)
+        unmarked = _from_photos(source, name, seed, progress)
     else:
-        brought = _from_scans(source, name, told)
-    return KINDS[kind](brought, seed, told)
+        unmarked = _from_scans(source, name, progress)
+    return KINDS[kind](unmarked, seed, progress)
 
 
-def _from_photos(source: Photos, name: str, seed: int, told: Told) -> Brought:
+def _from_photos(source: Photos, name: str, seed: int, progress: Progress) -> Unmarked:
     with tempfile.TemporaryDirectory() as work:
         colmap, found = source.colmap, ""
         if colmap is None:
-            structure = reconstruct(source.photos, work, seed=seed, threads=1, progress=told)
-            colmap = structure.folder
-            found = (
-                "placed {photos_placed} of {photos} photos, reprojection error {reprojection_error:.2f} px; ".format(
-                    **structure.report
-                )
-            )
+            placed = reconstruct(source.photos, work, seed=seed, threads=1, progress=progress)
+            colmap = placed.folder
+            found = f"placed {placed.photos_placed} of {placed.photos} photos, "
+            found += f"reprojection error {placed.reprojection_error:.2f} px; "
         made = train_from_colmap(
             colmap,
             source.photos,
             size=source.size,
             hold_out=source.hold_out,
             config=TrainConfig(steps=source.steps, seed=seed),
-            progress=told,
+            progress=progress,
         )
-    report = made.report
-    quality = ", ".join(f"{k} {v:.2f}" for k, v in report.items() if k.startswith("psnr") and isinstance(v, float))
-    return Brought(
+    held_out = "" if made.psnr_held_out is None else f", psnr_held_out {made.psnr_held_out:.2f}"
+    return Unmarked(
         _loaded(made.model, "photos"),
-        f"{name}: {found}{report['gaussians']} Gaussians trained on {report['photos']} photos in"
-        f" {report['steps']} steps, {report['steps_per_second']:.1f} a second; {quality}",
+        f"{name}: {found}{len(made.model)} Gaussians trained on {len(made.psnr)} photos in {source.steps} steps,"
+        f" {made.steps_per_second:.1f} a second; psnr_trained {made.psnr_trained:.2f}{held_out}",
     )
 
 
-def _from_scans(source: Scans, name: str, told: Told) -> Brought:
+def _from_scans(source: Scans, name: str, progress: Progress) -> Unmarked:
     if source.path is None and not source.odometry:
-        made = points_to_model(source.points, progress=told)
+        made = points_to_model(source.points, progress=progress)
     else:
-        scans, _ = read_scans(source.points)
+        scans = read_scans(source.points)
         path: Trajectory = read_trajectory(source.path) if source.path is not None else odometry(scans)
-        made = scans_to_model(scans, path, progress=told)
-    report = made.report
-    return Brought(
-        _loaded(made.model, "points"),
-        f"{name}: {report['gaussians']} Gaussians of {report['points']} points, colours from {report['colors_from']}",
-    )
+        made = scans_to_model(scans, path, progress=progress)
+    note = f"{len(made.model)} Gaussians of {made.points_read} points, colors from {made.colors_from}"
+    return Unmarked(_loaded(made.model, "points"), f"{name}: {note}")
 
 
 def _loaded(scene: Scene, format_name: str) -> Loaded:
@@ -157,38 +147,38 @@ def _loaded(scene: Scene, format_name: str) -> Loaded:
     return Loaded(scene, format_name, (), 0, digest)
 
 
-def _plain(brought: Brought) -> GaussianModel:
-    if not isinstance(brought.loaded.scene, GaussianModel):
-        raise InputError(f"a {brought.loaded.format} scene is of a kind of its own; leave `kind` out")
-    return brought.loaded.scene
+def _plain(unmarked: Unmarked) -> GaussianModel:
+    if not isinstance(unmarked.loaded.scene, GaussianModel):
+        raise InputError(f"a {unmarked.loaded.format} scene is of a kind of its own; leave `kind` out")
+    return unmarked.loaded.scene
 
 
-def _as_it_is(brought: Brought, seed: int, told: Told) -> Brought:
-    return brought
+def _as_it_is(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
+    return unmarked
 
 
-def _as_discs(brought: Brought, seed: int, told: Told) -> Brought:
-    discs = make_discs(_plain(brought), advance=lambda part: told("discs", part))
-    return Brought(_loaded(discs, "discs"), "discs made of it, not trained (2DGS)")
+def _as_discs(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
+    discs = make_discs(_plain(unmarked), advance=lambda part: progress("discs", part))
+    return Unmarked(_loaded(discs, "discs"), "discs made of it, not trained (2DGS)")
 
 
-def _as_codebook(brought: Brought, seed: int, told: Told) -> Brought:
-    book = make_codebook(_plain(brought), seed=seed)
+def _as_codebook(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
+    book = make_codebook(_plain(unmarked), seed=seed)
     sizes = ", ".join(f"{name} {len(codes)}" for name, codes in book.centers.items())
-    return Brought(_loaded(book, CODEBOOK), f"quantised to codebooks (Compact3D): {sizes}")
+    return Unmarked(_loaded(book, CODEBOOK), f"quantised to codebooks (Compact3D): {sizes}")
 
 
-def _as_clip(brought: Brought, seed: int, told: Told) -> Brought:
-    clip = fit_spacetime(set_in_motion(_plain(brought), seed=seed))
-    return Brought(_loaded(clip, SPACETIME), "set in motion, not captured (4DGS)")
+def _as_clip(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
+    clip = fit_spacetime(set_in_motion(_plain(unmarked), seed=seed))
+    return Unmarked(_loaded(clip, SPACETIME), "set in motion, not captured (4DGS)")
 
 
 GENERATED_VIEWS, GENERATED_SIZE, GENERATED_POINTS, GENERATED_STEPS = 24, 256, 4000, 400
 """Renders, on black, that guide a generated object in the place of a diffusion model; and how long it is optimised."""
 
 
-def _as_generated(brought: Brought, seed: int, told: Told) -> Brought:
-    model = _plain(brought)
+def _as_generated(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
+    model = _plain(unmarked)
     cameras = make_rig(model, GENERATED_VIEWS, GENERATED_SIZE, GENERATED_SIZE)
     images: Any = [np.clip(render(model, camera), 0.0, 1.0) for camera in cameras]
     grown = generate_from_views(
@@ -197,14 +187,14 @@ def _as_generated(brought: Brought, seed: int, told: Told) -> Brought:
         points=GENERATED_POINTS,
         steps=GENERATED_STEPS,
         seed=seed,
-        advance=lambda part: told("generate", part),
+        advance=lambda part: progress("generate", part),
     )
-    return Brought(
+    return Unmarked(
         _loaded(grown, "generated"), f"{len(grown)} Gaussians grown from a random ball towards {len(cameras)} renders"
     )
 
 
-KINDS: dict[str, Callable[[Brought, int, Told], Brought]] = {
+KINDS: dict[str, Callable[[Unmarked, int, Progress], Unmarked]] = {
     "as it is": _as_it_is,
     "discs": _as_discs,
     "codebook": _as_codebook,
@@ -239,12 +229,12 @@ def load_world(parts: Sequence[Part], seed: int, progress: Progress) -> tuple[Wo
     notes: list[str] = []
     for part in parts:
 
-        def told(stage: str, fraction: float, part: Part = part) -> None:
+        def progress(stage: str, fraction: float, part: Part = part) -> None:
             progress(f"{part.name}: {stage}", fraction)
 
-        brought = bring(part.source, part.name, part.kind, seed, told)
-        notes += [brought.note] if brought.note else []
-        made = _mark_part(brought, part, world.key, told)
+        unmarked = load_source(part.source, part.name, part.kind, seed, progress)
+        notes += [unmarked.note] if unmarked.note else []
+        made = _mark_part(unmarked, part, world.key, progress)
         world = _put(world, part, made)
     return world, tuple(notes)
 
@@ -258,20 +248,20 @@ class _Made(NamedTuple):
     moving: tuple[Moving, Moving] | None = None  # marked and original, where it moves
 
 
-def _mark_part(brought: Brought, part: Part, key: OwnerKey, told: Progress) -> _Made:
+def _mark_part(unmarked: Unmarked, part: Part, key: OwnerKey, progress: Progress) -> _Made:
     """Marked as what it is: plain Gaussians and discs, codebooks, clips, and what a generator makes."""
-    loaded, config = brought.loaded, profile(part.profile)
+    loaded, config = unmarked.loaded, profile(part.profile)
     scene = loaded.scene
     if isinstance(scene, GaussianModel):
         if not part.bits:
             return _Made(scene, scene, None)
         if loaded.format == "generated":
             return _mark_at_birth(scene, key, part)
-        marked, opened = mark(scene, key, loaded.sha256, part.bits, part.profile, copy=part.name, progress=told)
+        marked, opened = mark(scene, key, loaded.sha256, part.bits, part.profile, copy=part.name, progress=progress)
         return _Made(marked, scene, opened)
     new, opened_new = scene, None
     if part.bits:
-        marks = embed_variant(loaded, key, (part.name,), config=config, bits=part.bits, progress=told)
+        marks = embed_variant(loaded, key, (part.name,), config=config, bits=part.bits, progress=progress)
         ((made, embedding),) = marks
         assert not isinstance(made, GaussianModel)  # the same kind comes back
         new, opened_new = made, open_record(embedding.record.to_bytes(key), key, MADE_FIRST)

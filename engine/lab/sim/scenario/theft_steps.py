@@ -1,4 +1,4 @@
-"""Steps of thieves: attacks on models, pictures that turn up, fine-tuning, re-training from renders, collusion."""
+"""Steps of an attacker: attacks on models, pictures that turn up, fine-tuning, re-training from renders, collusion."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -24,7 +24,7 @@ __all__ = ["KINDS", "PATIENT"]
 
 KINDS: dict[str, StepKind] = {}
 PATIENT: dict[str, StepKind] = {}
-"""Steps of thieves who train models of their own or have several copies."""
+"""Steps of attackers who train models of their own or have several copies."""
 
 COST_VIEWS, COST_SIZE = 2, 300
 """Neutral views in which an attack's cost is measured, and their side in pixels."""
@@ -73,7 +73,7 @@ class AttackModel:
 @step(KINDS, "pictures", "only pictures turn up: views, size, attacks = [[name, strength]], known_cameras, on")
 @dataclass(frozen=True)
 class TakePictures:
-    """Views that nobody planned, through a chain of image attacks; the world stays as it was."""
+    """Random views, through a chain of image attacks; the world stays as it was."""
 
     attacks: tuple[Link, ...] = given(read_chain)
     size: tuple[int, int] = given(Table.size, (800, 600), (4096, 4096))

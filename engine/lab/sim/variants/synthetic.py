@@ -75,7 +75,7 @@ def fit_colors(
 ) -> GaussianModel:
     """The discs with SH fitted to renders of the original 3DGS model; geometry and opacity are held.
 
-    So many passes of Adam over the views (see `fine_tune`); 0 gives the discs back. `advance` is told the part done.
+    So many passes of Adam over the views (see `fine_tune`); 0 gives the discs back. `advance` gets the part done.
     """
     if epochs == 0:
         return discs

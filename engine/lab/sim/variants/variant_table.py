@@ -217,7 +217,7 @@ VIEWS, SIZE = 6, 512
 TIMES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Moments of a clip at which it is looked at, one view each; the middle one is attacked."""
 SEARCHED_MOMENTS = 5
-"""Moments that are tried where nobody knows when a picture was taken."""
+"""Moments that are tried where the time of a picture is unknown."""
 
 
 class _Truth(Protocol):

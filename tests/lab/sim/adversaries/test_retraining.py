@@ -25,7 +25,7 @@ from engine.registration.registration_search import register
 from engine.watermark.rates import MADE_FIRST
 from tests.registration.registration_cases import MOVES
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 CONFIG = RetrainConfig(
     points=12_000,
     train=TrainConfig(steps=240, sh_degree=0, densify=None, opacity_rate=0.02, color_rate=0.01, scale_rate=0.01),

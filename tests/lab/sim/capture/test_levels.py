@@ -25,7 +25,7 @@ from engine.numerics.image_metrics import psnr
 from engine.raster import render
 from engine.watermark.claim import Verdict
 
-PLANT = Path(__file__).parents[2] / "data" / "plant.splat"
+PLANT = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @cache

@@ -15,7 +15,7 @@ from engine.lab.evaluate.marked_scene import MarkedScene, bench_key
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.raster import prepare_view
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 QUICK = EmbedConfig(views=3, view_size=200, landmark_views=0)
 
 

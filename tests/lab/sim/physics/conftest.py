@@ -12,7 +12,7 @@ from engine.lab.sim.physics.body import assemble
 from engine.lab.sim.physics.world import World
 from engine.model import Float64, GaussianModel
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from engine.lab.sim.scenario.state import Outcome, World
 from engine.model import GaussianModel
 from tests.scenes import sparse_plant
 
-TRAIN = Path(__file__).parents[2] / "data" / "train_1000.ply"
+TRAIN = Path(__file__).parents[3] / "data" / "train_1000.ply"
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from engine.scenes.clip_marking import embed_moving
 from engine.scenes.spacetime import SpacetimeModel
 from engine.watermark.keys import OwnerKey
 
-SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @pytest.fixture(scope="session")

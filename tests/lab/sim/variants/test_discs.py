@@ -20,7 +20,7 @@ from engine.numerics.flattening import flatten
 from engine.numerics.image_metrics import psnr
 from engine.raster import RasterSettings, render
 
-SCENE = Path(__file__).parents[2] / "data" / "plant.splat"
+SCENE = Path(__file__).parents[3] / "data" / "plant.splat"
 
 
 @pytest.fixture(scope="module")
