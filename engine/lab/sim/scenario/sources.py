@@ -224,17 +224,17 @@ def scenario_key(seed: int) -> OwnerKey:
 
 
 def load_world(parts: Sequence[Part], seed: int, progress: Progress) -> tuple[World, tuple[str, ...]]:
-    """The world as delivered, and what there is to say about how it came to be."""
+    """The world as delivered, and notes on how its objects were made."""
     world = World({}, {}, {}, {}, scenario_key(seed))
     notes: list[str] = []
     for part in parts:
 
-        def progress(stage: str, fraction: float, part: Part = part) -> None:
+        def part_progress(stage: str, fraction: float, part: Part = part) -> None:
             progress(f"{part.name}: {stage}", fraction)
 
-        unmarked = load_source(part.source, part.name, part.kind, seed, progress)
+        unmarked = load_source(part.source, part.name, part.kind, seed, part_progress)
         notes += [unmarked.note] if unmarked.note else []
-        made = _mark_part(unmarked, part, world.key, progress)
+        made = _mark_part(unmarked, part, world.key, part_progress)
         world = _put(world, part, made)
     return world, tuple(notes)
 
