@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 SEED = 1
 SCREENSHOT_SIZE = (800, 600)
 SCREENSHOT_QUALITY = 80
-VIEW, ZOOM = 5, 0.8
-"""View of the rig in the picture, and how much of its focal length: room around the subject."""
+VIEW, ZOOM = 5, 0.8  # view of the rig in the picture, and how much of its focal length: room around the subject
 
 STOLEN = "stolen-piece.spz"
 
@@ -276,8 +275,7 @@ def _picture(path: Path, name: str, original: GaussianModel, made: Embedding, wo
 
 
 GAIN = 20
-SIDE = 720
-"""Pixels of the three square panels' pictures."""
+SIDE = 720  # pixels of the three square panels' pictures
 SUSPECT_SIZE = (720, 540)
 
 _INK, _FAINT, _ACCENT, _PAPER = "#1b1f24", "#5c6672", "#0a7d52", "#ffffff"

@@ -13,8 +13,6 @@ from engine.errors import FormatError, InputError
 from engine.formats.repairs import MAGNITUDE_LIMIT, Repair
 from engine.model import Float32, Float64
 
-__all__ = ["PointCloud", "clean_points", "cloud_of_columns", "unit_colors"]
-
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
@@ -107,8 +105,7 @@ _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_b
 _INTENSITIES = ("intensity", "scalar_intensity", "scalar_Intensity", "reflectivity", "reflectance", "i")
 _TIMES = ("time", "timestamp", "time_stamp", "gps_time", "GpsTime", "scalar_GpsTime", "t")
 
-NANOSECONDS = 1e-9
-"""Devices count whole nanoseconds; only stamps in floating point are seconds."""
+NANOSECONDS = 1e-9  # devices count whole nanoseconds; only stamps in floating point are seconds
 
 
 def cloud_of_columns(columns: Columns, *, file: str, element: str) -> tuple[PointCloud, tuple[Repair, ...]]:

@@ -17,23 +17,15 @@ from engine.lab.points.cloud import PointCloud, clean_points, unit_colors
 from engine.lab.points.packages import load_package
 from engine.model import Float64
 
-__all__ = ["looks_like_las", "read_points_las"]
-
-_HEADER_BYTES = 227
-"""Bytes of the shortest header, that of LAS 1.0 to 1.2."""
-
-_RECORD_HEAD = 54
-"""Bytes before the content of a variable length record."""
+_HEADER_BYTES = 227  # bytes of the shortest header, that of LAS 1.0 to 1.2
+_RECORD_HEAD = 54  # bytes before the content of a variable length record
 
 _LAZ_GROWTH = 100
 """Largest size of the unpacked points over that of the file,
 beyond FREE_COUNT points; LAZ packs scans 4 to 15 times."""
 
-_LAZ_MEMORY = 1 << 29
-"""Bytes that unpacking may use beyond three times the points."""
-
-_NOISE = (7, 18)
-"""Classes "low point (noise)" and "high noise"."""
+_LAZ_MEMORY = 1 << 29  # bytes that unpacking may use beyond three times the points
+_NOISE = (7, 18)  # classes "low point (noise)" and "high noise"
 
 _ELEMENT = "points"
 

@@ -15,17 +15,12 @@ from engine.formats.repairs import Repair
 from engine.lab.points.cloud import PointCloud, cloud_of_columns
 from engine.lab.points.packages import load_package
 
-__all__ = ["looks_like_pcd", "read_points_pcd"]
-
 _TYPES = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 _KEYWORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _NUMBER = re.compile(r"[0-9]{1,15}", re.ASCII)
-_MAX_COLUMNS = 1024
-"""A point with histograms (FPFH: 33, VFH: 308) stays far below."""
-
-_LZF_GROWTH = 88
-"""The longest copy of LZF is 264 bytes out of 3: no stream can grow by more."""
+_MAX_COLUMNS = 1024  # a point with histograms (FPFH: 33, VFH: 308) stays far below
+_LZF_GROWTH = 88  # the longest copy of LZF is 264 bytes out of 3: no stream can grow by more
 
 _ELEMENT = "points"
 

@@ -12,8 +12,6 @@ from engine.lab.points.cloud import PointCloud, cloud_of_columns
 from engine.lab.points.las import looks_like_las, read_points_las
 from engine.lab.points.pcd import looks_like_pcd, read_points_pcd
 
-__all__ = ["POINT_ENDINGS", "read_point_cloud"]
-
 POINT_ENDINGS = (".ply", ".pcd", ".las", ".laz")
 
 

@@ -14,9 +14,6 @@ from engine.formats.cameras.colmap import PosedPhoto, read_photos
 from engine.formats.cameras.files import SUBFOLDERS, read_limited
 from engine.model import Float64
 
-__all__ = ["Reconstruction", "read_reconstruction"]
-
-
 _ROW = struct.Struct("<Q3d3BdQ")
 """Id, position, colour, reprojection error, length of the track; the track follows, 8 bytes an entry."""
 

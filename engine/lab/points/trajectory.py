@@ -12,8 +12,6 @@ from engine.formats.cameras.files import read_limited
 from engine.formats.repairs import MAGNITUDE_LIMIT
 from engine.model import Float64
 
-__all__ = ["Trajectory", "parse_trajectory", "read_trajectory"]
-
 _TUM, _KITTI = 8, 12
 _TOLERANCE = 1e-2
 """How far a written rotation may be from a true one: KITTI's own files keep six digits, odometry keeps three."""

@@ -17,8 +17,6 @@ import numpy as np
 
 from engine.errors import InputError
 
-__all__ = ["Attack", "Attacks", "Label", "Reading", "Strength", "check_positive"]
-
 Strength = float | str
 """A number, but for attacks whose strength is a name: a format, a rule, a viewer's mistake."""
 

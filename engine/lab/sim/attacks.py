@@ -13,8 +13,6 @@ from engine.lab.sim.adversaries import appearance, collusion, evolution, purific
 from engine.lab.sim.attack import Attack
 from engine.model import Float32, GaussianModel
 
-__all__ = ["IMAGE_ATTACKS", "MODEL_ATTACKS", "find_attack", "image_attack", "model_attack"]
-
 A = TypeVar("A")
 
 MODEL_ATTACKS: dict[str, Attack[GaussianModel]] = {

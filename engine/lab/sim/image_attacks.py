@@ -133,8 +133,7 @@ def _blurred(image: Float32, sigma: float, taps: int) -> Picture:
     return np.asarray(cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT))
 
 
-FOCAL = 1.105
-"""Focal length in widths of the picture: that of the generated rigs (49 degrees)."""
+FOCAL = 1.105  # focal length in widths of the picture: that of the generated rigs (49 degrees)
 
 CALIBRATED = BrownLens(k1=-0.2834, k2=0.0740, p1=0.00194, p2=0.00018)
 """A wide machine-vision lens: EuRoC MAV's cam0 (Burri et al. 2016), its tangential part ten times as large."""
@@ -204,8 +203,7 @@ def _pixels(height: int, width: int) -> Float64:
 
 Values = npt.NDArray[Any]
 
-FLICKER_BANDS = 3.3
-"""Bands down a picture: lamps pulse 100 times a second, and rows are read within 1/30 s."""
+FLICKER_BANDS = 3.3  # bands down a picture: lamps pulse 100 times a second, and rows are read within 1/30 s
 
 LUMA = np.array([0.299, 0.587, 0.114])
 
@@ -337,10 +335,8 @@ def _heights(image: Float32) -> Float64:
 
 
 LETTERS = "PREVIEW"
-SLANT = 30.0
-"""Degrees by which the lettering rises."""
-LINE = 0.08
-"""From one line of it to the next, longer sides of the picture; letters are a third as high."""
+SLANT = 30.0  # degrees by which the lettering rises
+LINE = 0.08  # from one line of it to the next, longer sides of the picture; letters are a third as high
 CHEQUER = 0.011
 """Side of a field, longer sides of the picture: between what pixels and what whole parts of a model are made of."""
 
@@ -386,8 +382,7 @@ def _letters(height: int, width: int) -> Float32:
     return np.asarray(turned, dtype=np.float32) / np.float32(255.0)
 
 
-BILATERAL_REACH = 3.0
-"""Spatial standard deviation of the bilateral filter, pixels."""
+BILATERAL_REACH = 3.0  # spatial standard deviation of the bilateral filter, pixels
 
 PATCH, SEARCH = 7, 21
 """Sides of the patches compared and of the window searched by non-local means, pixels (Buades 2005)."""

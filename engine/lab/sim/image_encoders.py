@@ -28,10 +28,8 @@ ATTACKS: Attacks[Float32] = Attacks("image")
 Uint8 = npt.NDArray[np.uint8]
 
 MOST_PIXELS = 1 << 28
-NEIGHBORS = 6
-"""Frames before and after the picture in a film made of it."""
-PAN = (1.7, 0.6)
-"""How far the pan goes from frame to frame, pixels right and down."""
+NEIGHBORS = 6  # frames before and after the picture in a film made of it
+PAN = (1.7, 0.6)  # how far the pan goes from frame to frame, pixels right and down
 FPS = 25.0
 
 _SMALLER = (0.9, 0.75, 0.5, 0.35, 0.25)

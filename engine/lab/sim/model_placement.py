@@ -127,11 +127,8 @@ def unit(vectors: Float64) -> Float64:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-FOREIGN_SIZE = 3.0
-"""Radius of the synthetic foreign scene, in radii of the model."""
-
-PLACED_SIZE = (0.15, 0.6)
-"""Radius of the placed model, in radii of the scene it is put in; log-uniform."""
+FOREIGN_SIZE = 3.0  # radius of the synthetic foreign scene, in radii of the model
+PLACED_SIZE = (0.15, 0.6)  # radius of the placed model, in radii of the scene it is put in; log-uniform
 
 
 @ATTACKS.add(

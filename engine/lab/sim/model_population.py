@@ -25,12 +25,10 @@ ATTACKS: Attacks[GaussianModel] = Attacks("model")
 _CLONED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 _PRUNED = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 
-CLONE_JITTER = 0.05
-"""Shift of a clone in standard deviations of its Gaussian, along its own axes."""
+CLONE_JITTER = 0.05  # shift of a clone in standard deviations of its Gaussian, along its own axes
 
 IMPACT_VIEWS = 24
-IMPACT_SIZE = 256
-"""Views generated where no cameras are given, and their side in pixels."""
+IMPACT_SIZE = 256  # views generated where no cameras are given, and their side in pixels
 
 
 @ATTACKS.add(

@@ -120,8 +120,7 @@ def _unit(quats: npt.NDArray[Any]) -> Float32:
 INJECTED_REACH = 0.02
 """Injected Gaussians lie this far (std, robust radii) from some Gaussian of the model: where they are seen."""
 
-OPACITY_MARGIN = 1.0 / 255.0
-"""Noisy opacities stay this far from 0 and 1, as an 8-bit file keeps them."""
+OPACITY_MARGIN = 1.0 / 255.0  # noisy opacities stay this far from 0 and 1, as an 8-bit file keeps them
 
 
 @ATTACKS.add(

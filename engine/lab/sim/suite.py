@@ -19,8 +19,6 @@ from engine.lab.sim.attacks import image_attack, model_attack
 from engine.lab.sim.cost import CHEAP_DB, Cost, image_cost, model_cost
 from engine.model import Float32, GaussianModel
 
-__all__ = ["SUITE", "Company", "Subject", "Trial", "apply_chain", "failures_first", "run_suite"]
-
 Step = tuple[str, Strength]
 """Name and strength of an attack of the registry."""
 

@@ -6,8 +6,6 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64
 
-__all__ = ["check_triple"]
-
 
 def check_triple(value: npt.ArrayLike, what: str) -> Float64:
     """The value as (3,) float64; InputError naming `what` unless it is three finite numbers."""

@@ -9,15 +9,10 @@ from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.sim.attack import Attacks
 from engine.model import SH_C0, Float32, Float64, GaussianModel
 
-__all__ = ["ATTACKS"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-BAKE_SIZE = 256
-"""Side of the views over which colours are averaged, pixels."""
-
-REGION_SHARE = 0.05
-"""Gaussians of one repainted region, as a share of all."""
+BAKE_SIZE = 256  # side of the views over which colours are averaged, pixels
+REGION_SHARE = 0.05  # Gaussians of one repainted region, as a share of all
 
 _LUMA = np.array([0.299, 0.587, 0.114])
 

@@ -16,8 +16,6 @@ from engine.errors import InputError
 from engine.lab.sim.attack import Attacks
 from engine.model import Float32, GaussianModel
 
-__all__ = ["ATTACKS", "RULES", "collude"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
 _COEFFICIENTS_AT_A_TIME = 1 << 22  # of all copies: order statistics of a big scene need no big memory
@@ -35,8 +33,7 @@ _VALUE_RULES: dict[str, _Rule] = {
 }
 """By name: values (copies, n, ...) and a source of coins to (n, ...)."""
 
-PATCHES = 256
-"""Connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene."""
+PATCHES = 256  # connected pieces of the "patches" rule: enough that every colluder's part lies all over the scene
 
 
 def _patches(model: GaussianModel, copies: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
@@ -56,11 +53,8 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
-FIRST = "first"
-"""The rule that averages colours and keeps one copy's geometry, whose owner the marks then name loudest."""
-
-RULES = (*_VALUE_RULES, *_MIXERS, FIRST)
-"""Names of the rules."""
+FIRST = "first"  # the rule that averages colours and keeps one copy's geometry, whose owner the marks then name loudest
+RULES = (*_VALUE_RULES, *_MIXERS, FIRST)  # names of the rules
 
 
 @ATTACKS.add("put several copies of one asset together", "rule", "mean", RULES)

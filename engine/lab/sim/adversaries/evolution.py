@@ -18,14 +18,10 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.attack import Attacks
 from engine.model import Camera, Float32, Float64, GaussianModel
 
-__all__ = ["ATTACKS", "Budget", "evolve"]
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-GROUPS = 10
-"""k-means groups, as GMEA's."""
-LARGEST_PRUNE = 0.5
-"""Of any one group."""
+GROUPS = 10  # k-means groups, as GMEA's
+LARGEST_PRUNE = 0.5  # of any one group
 LEVELS = 3
 
 

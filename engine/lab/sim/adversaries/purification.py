@@ -20,9 +20,6 @@ from engine.lab.sim.attack import Attacks
 from engine.lab.sim.model_population import impact
 from engine.model import Camera, Float64, GaussianModel, Int64
 
-__all__ = ["ATTACKS", "cluster_by_density"]
-
-
 GRAPH = 16
 
 TIE = 1e-6
@@ -145,10 +142,8 @@ def _labels(parents: list[int], stability: list[float], cluster: list[int]) -> I
 
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-NEIGHBOURS = 4
-"""Neighbours of a core point: GSPure's second threshold."""
-LEAST_CLUSTER = 32
-"""Fewest Gaussians of a cluster."""
+NEIGHBOURS = 4  # neighbours of a core point: GSPure's second threshold
+LEAST_CLUSTER = 32  # fewest Gaussians of a cluster
 
 
 @ATTACKS.add(

@@ -114,8 +114,7 @@ def fine_tune(
     return next(stages)[1]
 
 
-LEAST_ALPHA = 0.5
-"""A pixel this opaque shows a surface, on which a point may lie."""
+LEAST_ALPHA = 0.5  # a pixel this opaque shows a surface, on which a point may lie
 PHOTO_DB = 27.0
 """What a trained model usually reaches on photos it has not seen (27.2 dB, Mip-NeRF 360 scenes, Kerbl et al. 2023)."""
 

@@ -13,13 +13,9 @@ from engine.flows.views.camera_rig import make_rig, measure_extent
 from engine.lab.sim.attack import Attacks
 from engine.model import GaussianModel
 
-__all__ = ["ATTACKS"]
-
-
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-VIEWS, VIEW_SIZE = 6, 400
-"""Key views of the second mark, and their side in pixels."""
+VIEWS, VIEW_SIZE = 6, 400  # key views of the second mark, and their side in pixels
 
 
 @ATTACKS.add(
@@ -54,8 +50,7 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
     return model.with_(sh=add_dc(model.sh, np.float32(solved.factor) * displacement))
 
 
-NEIGHBOURS = 16
-"""Gaussians whose mean colour stands for the unmarked one, where the attacker has only the marked model."""
+NEIGHBOURS = 16  # Gaussians whose mean colour stands for the unmarked one, where the attacker has only the marked model
 
 
 @ATTACKS.add(

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import SH_C0, Float64, GaussianModel
 
-__all__ = ["flat_kernels_from_points", "kernels_from_points", "principal_axes"]
-
 _NEIGHBOURS = 3
 _SMALLEST = 1e-3
 """Points closer to each other than this part of the cloud's median spacing count as one place: a kernel of no

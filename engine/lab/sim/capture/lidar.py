@@ -11,8 +11,6 @@ from engine.lab.sim.capture.scans import Scan
 from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.raster import prepare_view, sh_colors
 
-__all__ = ["Lidar", "scan_model"]
-
 _FACES = 4  # pictures around the scanner, a quarter turn each
 FINER, MOST_FOCAL = 3.0, 1000.0  # pixels of a picture a beam, and the longest focal length of one, pixels
 LUMA = (0.299, 0.587, 0.114)  # of red, green and blue (BT.601)

@@ -19,9 +19,6 @@ from engine.model import ATTRIBUTES, Camera, Float64, GaussianModel, Int32
 from engine.numerics.flattening import flatten
 from engine.raster import prepare_view, render
 
-__all__ = ["LevelOfDetail", "half_precision", "level_of_quality", "levels_of_detail", "rank_by_weight", "reduce_to"]
-
-
 VIEWS, VIEW_SIZE = 12, 400  # of the rig around a model that comes without cameras; pixels
 
 REACH = 3.0

@@ -17,9 +17,6 @@ from engine.model import Camera, Float32, Float64, GaussianModel
 from engine.numerics.image_metrics import psnr
 from engine.raster import render
 
-__all__ = ["load_photos", "read_photo", "train_from_colmap", "undistort"]
-
-
 _MAX_ZOOM = 4.0
 _ZOOM_TOLERANCE = 1e-4
 _ASPECT_TOLERANCE = 0.01

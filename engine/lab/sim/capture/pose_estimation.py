@@ -17,9 +17,6 @@ from engine.lab.points.trajectory import Trajectory
 from engine.lab.sim.capture.scans import Scan
 from engine.model import Bool, Float64
 
-__all__ = ["Structure", "odometry", "reconstruct"]
-
-
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 _FEWEST = 3
 _EXHAUSTIVE = 150

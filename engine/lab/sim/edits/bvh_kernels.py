@@ -10,8 +10,6 @@ import numpy as np
 
 from engine.kernels.jit import inlined, kernel
 
-__all__ = ["ITEM", "LEFT", "NONE", "along_ray", "insert_all", "overlapping"]
-
 NONE = -1  # no node
 TIE = 1e-12  # gains no farther apart than this, relatively, are equal: the first swap found stays
 

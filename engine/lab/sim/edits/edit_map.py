@@ -23,9 +23,6 @@ from engine.watermark.layout import MARK_SCALE
 from engine.watermark.model_evidence import remove_affine_color
 from engine.watermark.spreading import signed_amplitudes
 
-__all__ = ["Change", "EditMap", "EditedRegion", "map_edits"]
-
-
 LINKS = 8  # neighbours by which Gaussians of a patch hang together
 REACH = 4.0  # links longer than this many median links join nothing
 

@@ -25,9 +25,6 @@ from engine.numerics.similarity import quaternion_product, rotation_to_quaternio
 from engine.numerics.spherical_harmonics import sh_rotation
 from engine.raster import prepare_view
 
-__all__ = ["InpaintConfig", "inpaint"]
-
-
 PLANES = 400
 """Planes tried through three ring Gaussians each: with a fifth of them on the surface, all 400 miss it with
 probability 4 %, with a third of them never."""

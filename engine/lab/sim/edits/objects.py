@@ -16,8 +16,6 @@ from engine.model import Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.umeyama import Similarity
 
-__all__ = ["BoxTree", "FlatScene", "PlacedObject", "Scene", "model_box"]
-
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:

@@ -19,8 +19,6 @@ from engine.registration.pieces import register_pieces as register_each
 from engine.registration.registration_search import LEAST_REST, Registration, register
 from engine.watermark.claim import Claim
 
-__all__ = ["ObjectFinding", "Pieces", "register_pieces", "verify_objects", "verify_pieces"]
-
 
 @dataclass(frozen=True, eq=False)
 class Pieces:

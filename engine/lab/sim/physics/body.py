@@ -24,14 +24,10 @@ from engine.lab.sim.vectors import check_triple
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import quaternion_to_rotation
 
-REACH = 2.0
-"""Matter is looked for within this many robust radii of the centre."""
-VISIBLE = 0.1
-"""Gaussians below this share of the largest opacity are not matter; they ride along."""
-ISLAND = 0.02
-"""Islands with less than this share of all voxels are floaters: they ride along with the nearest matter."""
-RESOLUTIONS = (2, 96)
-"""Allowed voxels along the longest extent."""
+REACH = 2.0  # matter is looked for within this many robust radii of the centre
+VISIBLE = 0.1  # Gaussians below this share of the largest opacity are not matter; they ride along
+ISLAND = 0.02  # islands with less than this share of all voxels are floaters: they ride along with the nearest matter
+RESOLUTIONS = (2, 96)  # allowed voxels along the longest extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,9 @@ import numpy as np
 
 from engine.kernels.jit import inlined
 
-__all__ = ["orthogonalize", "rotation_columns", "rotation_part", "to_quaternion"]
-
-SWEEPS = 12
-"""Sweeps over the three pairs of columns; convergence is quadratic, 4 to 6 do."""
-ORTHOGONAL = 1e-15
-"""Cosine between two columns that counts as none."""
-VANISHING = 1e-14
-"""Length of a column, as a share of the largest, that is rounding alone: it has no direction."""
+SWEEPS = 12  # sweeps over the three pairs of columns; convergence is quadratic, 4 to 6 do
+ORTHOGONAL = 1e-15  # cosine between two columns that counts as none
+VANISHING = 1e-14  # length of a column, as a share of the largest, that is rounding alone: it has no direction
 
 
 @inlined

@@ -14,12 +14,8 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 
-__all__ = ["Axes", "barrel_points", "bend", "bend_points", "longest_axis", "squash", "twist", "twist_points"]
-
-REACH = 2.0
-"""Gaussians within this many robust radii of the centre say how long the body is."""
-END = 0.01
-"""Share of them beyond each end."""
+REACH = 2.0  # Gaussians within this many robust radii of the centre say how long the body is
+END = 0.01  # share of them beyond each end
 
 PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
 """(N, 3) coordinates h, v, w, the body's length and the strength to the deformed ones and the gradients (N, 3, 3)."""

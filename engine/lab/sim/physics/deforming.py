@@ -13,14 +13,9 @@ from engine.lab.sim.physics.decompositions import orthogonalize, rotation_column
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.spherical_harmonics import sh_rotation
 
-__all__ = ["deform_model", "interpolate", "polar_rotations"]
-
-THINNEST = 1e-10
-"""Smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite."""
-TINIEST = 1e-30
-"""Smallest standard deviation at all, scene units."""
-BATCH = 16_384
-"""Rotations turned into Wigner matrices at a time: 16 MB in float32."""
+THINNEST = 1e-10  # smallest standard deviation kept, as a share of the Gaussian's largest: log scales stay finite
+TINIEST = 1e-30  # smallest standard deviation at all, scene units
+BATCH = 16_384  # rotations turned into Wigner matrices at a time: 16 MB in float32
 
 
 def deform_model(

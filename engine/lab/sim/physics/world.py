@@ -15,15 +15,10 @@ from engine.lab.sim.physics.body import Assembly, Body, assemble
 from engine.lab.sim.vectors import check_triple
 from engine.model import Float64
 
-__all__ = ["Plane", "Sphere", "World", "energy", "ground", "step"]
+STEP = 1.0 / 60.0  # default length of a step, seconds
 
 
-STEP = 1.0 / 60.0
-"""Default length of a step, seconds."""
-
-
-EARTH = (0.0, -9.81, 0.0)
-"""Gravity where a scene unit is a metre and y is up."""
+EARTH = (0.0, -9.81, 0.0)  # gravity where a scene unit is a metre and y is up
 
 
 def _make_vectors(owner: object, what: str, *names: str) -> None:

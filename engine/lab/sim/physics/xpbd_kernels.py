@@ -24,11 +24,8 @@ import numpy as np
 from engine.kernels.jit import inlined, kernel
 from engine.lab.sim.physics.decompositions import rotation_part
 
-COLLAPSED = 1e-9
-"""An edge shorter than this share of its rest length has lost its direction and takes that of rest."""
-
-FLAT = 1e-9
-"""Determinant, as a share of the cubed trace, below which a body's inertia counts as that of a line."""
+COLLAPSED = 1e-9  # an edge shorter than this share of its rest length has lost its direction and takes that of rest
+FLAT = 1e-9  # determinant, as a share of the cubed trace, below which a body's inertia counts as that of a line
 
 
 @kernel
@@ -256,8 +253,7 @@ def restore_spins(x, x_prev, masses, firsts, free, spins, lost):
             x[i, 2] += t0 * ry - t1 * rx
 
 
-RELIEF = 0.2
-"""Share of an old overlap between points that is resolved in one substep."""
+RELIEF = 0.2  # share of an old overlap between points that is resolved in one substep
 
 PRIMES = (73856093, 19349663, 83492791)
 """Of the hash of a cell (Teschner et al., "Optimized spatial hashing", VMV 2003)."""

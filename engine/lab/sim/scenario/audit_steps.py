@@ -17,8 +17,6 @@ from engine.numerics.similarity import mirror_model, transform_model
 from engine.numerics.umeyama import Similarity
 from engine.watermark.claim import Claim
 
-__all__ = ["KINDS", "paint_map"]
-
 KINDS: dict[str, StepKind] = {}
 
 COLORS = {
@@ -28,8 +26,7 @@ COLORS = {
     Change.FOREIGN: (0.8, 0.25, 0.85),
 }
 REMOVED = (0.9, 0.1, 0.15)
-DESCRIBED = 6
-"""Regions of a map that are described in words."""
+DESCRIBED = 6  # regions of a map that are described in words
 
 
 def _only(world: World, on: str) -> str:

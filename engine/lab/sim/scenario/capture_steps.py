@@ -17,16 +17,11 @@ from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS
 from engine.model import Float64
 from engine.numerics.similarity import rotation_to_quaternion, transform_model
 
-__all__ = ["KINDS", "scanning_path"]
-
 KINDS: dict[str, StepKind] = {}
 
-AROUND, INSIDE = 2.0, 0.3
-"""Radii from the middle at which the scanner goes round an object, or within a room."""
-LOWEST, HIGHEST = -5.0, 35.0
-"""Elevations between which it goes up and down on its way, degrees."""
-FARTHEST = 10.0
-"""Range of the scanner, radii."""
+AROUND, INSIDE = 2.0, 0.3  # radii from the middle at which the scanner goes round an object, or within a room
+LOWEST, HIGHEST = -5.0, 35.0  # elevations between which it goes up and down on its way, degrees
+FARTHEST = 10.0  # range of the scanner, radii
 
 
 def scanning_path(extent: Extent, stops: int) -> Trajectory:

@@ -30,10 +30,8 @@ __all__ = ["KINDS"]
 
 KINDS: dict[str, StepKind] = {}
 
-TRIES = 400
-"""Places that are tried for an inserted object."""
-GAP = 1e-6
-"""Objects that stand on each other do not count as being in each other's way; part of their height."""
+TRIES = 400  # places that are tried for an inserted object
+GAP = 1e-6  # objects that stand on each other do not count as being in each other's way; part of their height
 
 
 @step(KINDS, "add", "an unmarked model joins: model, name, at, size")
@@ -178,8 +176,7 @@ class Moment:
 
 
 MASK_SIZE = 512
-SEGMENTS = 24
-"""Segments among which `segment` chooses, where the scenario gives no number."""
+SEGMENTS = 24  # segments among which `segment` chooses, where the scenario gives no number
 
 Selector = Callable[[GaussianModel, Extent], Bool]
 Change = Callable[[GaussianModel, Bool], edits.Edited]

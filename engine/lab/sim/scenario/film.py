@@ -21,13 +21,10 @@ from engine.raster import render
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
-__all__ = ["Show", "write_movie"]
-
 
 Uint8 = npt.NDArray[np.uint8]
 
-ACCENT = (46, 204, 137)
-"""Colour of the stroke beside a caption, RGB."""
+ACCENT = (46, 204, 137)  # colour of the stroke beside a caption, RGB
 _INK, _FAINT = (255, 255, 255), (205, 211, 218)
 _SHADE, _OPACITY = np.array([14.0, 18.0, 24.0]), 0.72
 _WEBP_QUALITY = 82
@@ -86,13 +83,11 @@ def _font(size: int, bold: bool) -> FreeTypeFont:
     return ImageFont.truetype(Path(get_data_path(), "fonts", "ttf", name), size)
 
 
-TURN = 75.0
-"""How far the camera walks round the scene in one step, degrees."""
+TURN = 75.0  # how far the camera walks round the scene in one step, degrees
 
 ELEVATION = 22.0
 
-FOLLOW = (0.2, 2.5)
-"""A model that has grown or shrunk beyond these factors, or left the picture, is looked at anew."""
+FOLLOW = (0.2, 2.5)  # a model that has grown or shrunk beyond these factors, or left the picture, is looked at anew
 
 
 class Show:

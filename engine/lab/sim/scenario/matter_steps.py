@@ -29,16 +29,12 @@ from engine.lab.sim.scenario.tables import Table, given
 from engine.model import SH_C0, Float64, GaussianModel
 from engine.numerics.similarity import transform_model
 
-__all__ = ["KINDS"]
-
 KINDS: dict[str, StepKind] = {}
 
 GRAVITY = 9.81
-FLOOR_QUANTILE = 0.005
-"""The floor lies below all but this share of a body's centres: a floater does not hold it up."""
+FLOOR_QUANTILE = 0.005  # the floor lies below all but this share of a body's centres: a floater does not hold it up
 BALL_GAUSSIANS = 4000
-LIGHT = np.array([0.4, -0.8, 0.45])
-"""Where the light comes from by which a ball is drawn."""
+LIGHT = np.array([0.4, -0.8, 0.45])  # where the light comes from by which a ball is drawn
 
 
 def read_ball(table: Table, name: str) -> tuple[float, ...] | None:

@@ -21,9 +21,6 @@ from engine.lab.sim.scenario.sources import load_world
 from engine.lab.sim.scenario.state import Finding, Outcome
 from engine.model import GaussianModel
 
-__all__ = ["Run", "StepResult", "run_scenario"]
-
-
 DELIVERED = "as delivered"
 
 

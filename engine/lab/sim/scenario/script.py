@@ -11,8 +11,6 @@ from engine.lab.sim.scenario.sources import Part
 from engine.lab.sim.scenario.state import Step
 from engine.lab.sim.scenario.tables import Table, given, read_table
 
-__all__ = ["KINDS", "Film", "NamedStep", "Scenario", "read_scenario"]
-
 T = TypeVar("T")
 
 MAX_STEPS = 200

@@ -40,8 +40,6 @@ from engine.scenes.scene_marking import embed_variant
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 
-__all__ = ["Part", "Photos", "Scans", "load_source", "load_world", "mark", "read_name"]
-
 
 def read_optional(table: Table, name: str) -> Path | None:
     """An existing file, or None where not given."""

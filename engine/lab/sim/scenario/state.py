@@ -20,17 +20,11 @@ from engine.scenes.clip_marking import Moving
 from engine.watermark.claim import Claim
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["Advance", "Clip", "Finding", "Outcome", "Step", "StepKind", "Tracked", "World", "step", "viewpoint"]
-
-
 Advance = Callable[[float], None]
 """Called with the fraction of a step that is done."""
 
-EVERYTHING = "everything"
-"""Name of the one object that is left when a step treats the whole file as one."""
-
-MARGIN = 1.3
-"""Distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too."""
+EVERYTHING = "everything"  # name of the one object that is left when a step treats the whole file as one
+MARGIN = 1.3  # distance at which the robust sphere just fits, times this: what lies outside the sphere wants room too
 
 
 @dataclass(frozen=True, eq=False)

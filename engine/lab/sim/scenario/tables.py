@@ -16,12 +16,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from engine.errors import InputError
 
-__all__ = ["Table", "given", "read_table"]
-
-MAX_BYTES = 1 << 20
-"""A scenario is written by a person; anything larger is no scenario."""
-LEAST_SIDE = 64
-"""Of a picture, pixels."""
+MAX_BYTES = 1 << 20  # a scenario is written by a person; anything larger is no scenario
+LEAST_SIDE = 64  # of a picture, pixels
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -20,14 +20,9 @@ from engine.numerics.similarity import mirror_model, transform_model
 from engine.raster import render
 from engine.registration.registration_search import register
 
-__all__ = ["KINDS", "PATIENT"]
-
 KINDS: dict[str, StepKind] = {}
-PATIENT: dict[str, StepKind] = {}
-"""Steps of attackers who train models of their own or have several copies."""
-
-COST_VIEWS, COST_SIZE = 2, 300
-"""Neutral views in which an attack's cost is measured, and their side in pixels."""
+PATIENT: dict[str, StepKind] = {}  # steps of attackers who train models of their own or have several copies
+COST_VIEWS, COST_SIZE = 2, 300  # neutral views in which an attack's cost is measured, and their side in pixels
 
 
 Link = tuple[str, Strength | None]

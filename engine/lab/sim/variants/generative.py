@@ -25,13 +25,10 @@ from engine.formats.ply.gaussians import write_ply
 from engine.model import Camera, Float32, GaussianModel
 from engine.watermark.keys import OwnerKey
 
-__all__ = ["FEW_GAUSSIANS", "Marking", "generate_from_views", "marking", "write_raw_ply"]
-
 P = ParamSpec("P")
 Generated = TypeVar("Generated", GaussianModel, str, Path)
 
-BALL_RADIUS = 0.5
-"""Of the ball of random points that DreamGaussian starts from, in radii of the object."""
+BALL_RADIUS = 0.5  # of the ball of random points that DreamGaussian starts from, in radii of the object
 BALL_POINTS = 5_000
 
 FEW_GAUSSIANS = profile("balanced", psnr_db=44.0, ssim=0.9965, quantize=HvqConfig(min_members=1))

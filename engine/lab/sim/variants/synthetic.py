@@ -26,9 +26,6 @@ from engine.numerics.similarity import quaternion_product
 from engine.raster import RasterSettings, render
 from engine.scenes.spacetime import LOGIT_LIMIT, SpacetimeModel
 
-__all__ = ["SwayingScene", "fit_colors", "fit_spacetime", "make_discs", "set_in_motion", "widen"]
-
-
 FIT_VIEWS, FIT_SIZE, FIT_EPOCHS = 12, 512, 2
 """Views of the regular rig, pixels a side, and passes over them, in which colours are fitted."""
 
@@ -84,22 +81,15 @@ def fit_colors(
 
 
 MODES = 4
-FRAMES = 24
-"""Moments of the truth that a fit sees."""
-CENTERS = (0.35, 0.5, 0.65)
-"""Temporal centres of what lasts; real captures spread them as well."""
-SOFT = 0.02
-"""Time in which something appears or vanishes, parts of the clip: a few frames."""
-CELLS = 64
-"""Parts of a scene that come and go as one."""
+FRAMES = 24  # moments of the truth that a fit sees
+CENTERS = (0.35, 0.5, 0.65)  # temporal centres of what lasts; real captures spread them as well
+SOFT = 0.02  # time in which something appears or vanishes, parts of the clip: a few frames
+CELLS = 64  # parts of a scene that come and go as one
 SHORTEST, MARGIN = 0.05, 0.2
 """Shortest life that is fitted, and how far beyond the clip a window counts, parts of the clip."""
-UNSEEN = 1e-3
-"""Weight of the moments at which a Gaussian cannot be seen: a fit stays solvable."""
-ALWAYS = (-9.0, 9.0)
-"""Window of what is always there."""
-LASTING = np.log(4.0)
-"""Log width of what lasts: at the ends of the clip it is still more than 97 % as opaque."""
+UNSEEN = 1e-3  # weight of the moments at which a Gaussian cannot be seen: a fit stays solvable
+ALWAYS = (-9.0, 9.0)  # window of what is always there
+LASTING = np.log(4.0)  # log width of what lasts: at the ends of the clip it is still more than 97 % as opaque
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,8 +37,7 @@ from engine.scenes.spacetime_ply import read_spacetime_ply, write_spacetime_ply
 from engine.watermark.keys import OwnerKey
 from engine.watermark.rates import MADE_FIRST
 
-DROP_DB = 0.09
-"""What a mark is planned to cost against the truth; the bar is 0.1, new views fare worse than key views."""
+DROP_DB = 0.09  # what a mark is planned to cost against the truth; the bar is 0.1, new views fare worse than key views
 
 Readings = dict[str, Callable[[], Verification]]
 """Case (attack and evidence) -> the verification of that suspect."""
@@ -210,14 +209,11 @@ def _read(case: str, verification: Verification) -> Reading:
     return Reading(case, claim.route, claim.bit_accuracy, claim.z, claim.log10_false_claim, claim.verdict.value)
 
 
-BITS = 32
-"""Of the message."""
-VIEWS, SIZE = 6, 512
-"""Views measured on, and their side in pixels."""
+BITS = 32  # of the message
+VIEWS, SIZE = 6, 512  # views measured on, and their side in pixels
 TIMES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Moments of a clip at which it is looked at, one view each; the middle one is attacked."""
-SEARCHED_MOMENTS = 5
-"""Moments that are tried where the time of a picture is unknown."""
+SEARCHED_MOMENTS = 5  # moments that are tried where the time of a picture is unknown
 
 
 class _Truth(Protocol):

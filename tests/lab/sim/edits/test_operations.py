@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from engine.errors import InputError
 from engine.lab.sim.edits.edit import (
-    Attribute,
     Edited,
     EditTrack,
     delete,
@@ -28,7 +27,7 @@ from engine.numerics.image_metrics import psnr
 from engine.numerics.umeyama import Similarity
 from engine.raster import render
 
-ATTRIBUTES: tuple[Attribute, ...] = ("means", "log_scales", "quats", "opacity_logits", "sh")
+ATTRIBUTES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 TURN = Similarity(0.5, Rotation.from_rotvec([0.3, 1.0, -0.4]).as_matrix(), np.array([1.0, 2.0, 3.0]))
 
 CHANGES: dict[str, Callable[[GaussianModel, Bool], Edited]] = {
