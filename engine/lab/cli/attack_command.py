@@ -171,5 +171,8 @@ def _attack_picture(apply: Callable[[Float32], Float32], target: Path, out: Path
     before, after = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, result))
     with whole_file(out) as part:
         write_picture(result, part, out, quality)
-    sizes = {"size_in": [image.shape[1], image.shape[0]], "size_out": [result.shape[1], result.shape[0]]}
+    sizes: dict[str, object] = {
+        "size_in": [image.shape[1], image.shape[0]],
+        "size_out": [result.shape[1], result.shape[0]],
+    }
     return _Done(sizes, f"{before} -> {after} pixels")

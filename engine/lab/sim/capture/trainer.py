@@ -37,7 +37,8 @@ class Parameters:
     @property
     def model(self) -> GaussianModel:
         """The parameters as they are now: a view, which the next step changes."""
-        return GaussianModel(*(self.arrays[name] for name in NAMES))
+        a = self.arrays
+        return GaussianModel(a["means"], a["log_scales"], a["quats"], a["opacity_logits"], a["sh"])
 
     def finished(self) -> GaussianModel:
         """A model of its own, with unit quaternions."""

@@ -134,7 +134,9 @@ class Finding:
             claim.log10_false_claim,
             claim.derived_fraction,
             claim.route,
-            *((cost.psnr, cost.coverage, cost.covered_psnr) if cost else (None, None, None)),
+            cost.psnr if cost else None,
+            cost.coverage if cost else None,
+            cost.covered_psnr if cost else None,
             seconds,
         )
 
