@@ -102,7 +102,7 @@ def test_the_claim_in_words(marked: Marked, capsys: Capsys) -> None:
     assert run(args) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "Watermark found." in text
-    assert "1 in 10^" in text
+    assert "below 10^-300" in text
     assert "It does not say" in text
 
 

@@ -142,7 +142,8 @@ def test_a_bit_is_the_matched_sum_of_its_gaussians_in_every_stage() -> None:
                 squares[bit_of[chip]] += part**2
             chip += 3
     assert chip == layout.chips
-    pattern, groups = refinement._bit_patterns(layout, ball.signed, bit_of, 16)
+    tint = Tint(ball.displacement, layout, ball.signed, bit_of, 16)
+    pattern, groups = refinement._bit_patterns(tint)
     z = refinement._soft_bits(torch.from_numpy(pulled), pattern, groups, 16).numpy()
     np.testing.assert_allclose(z, total / np.sqrt(squares), rtol=1e-3, atol=1e-4)
 

@@ -38,7 +38,7 @@ export function shareForm(claim) {
       const field = h("input", { id: urlId, readonly: true, value: address, onfocus: () => field.select() });
       made.dataset.share = id;
       fill(made, h("label", { for: urlId }, "Link to the report"),
-        h("div", { class: "with-button" }, field, copyButton(() => address, "the report's address")),
+        h("div", { class: "with-button" }, field, copyButton(() => address, "the link")),
         h("p", { class: "help" }, `Shown only now. Everyone with this link can read the report, the signed claim and the pack until ${when(until)}.`));
       field.focus();
       await refresh();
@@ -67,7 +67,7 @@ export function shareForm(claim) {
 
 function line(share, revoke, fails) {
   const until = when(share.expires_at);
-  const button = h("button", { type: "button", class: "quiet" }, "Revoke", h("span", { class: "unseen" }, ` the address until ${until}`));
+  const button = h("button", { type: "button", class: "quiet" }, "Revoke", h("span", { class: "unseen" }, ` the link until ${until}`));
   button.addEventListener("click", () => revoke().catch(fails));
   return h("li", {}, h("span", {}, `Until ${until}`), button);
 }

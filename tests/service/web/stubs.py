@@ -72,7 +72,7 @@ def an_asset(number: int, **fields: Any) -> dict[str, Any]:
 
 def a_claim(number: int, **fields: Any) -> dict[str, Any]:
     """A claim as a list shows it."""
-    plain = {"id": f"cl_{number:024x}", "asset_id": None, "verdict": "inconclusive", "headline": "Not recognised"}
+    plain = {"id": f"cl_{number:024x}", "asset_id": None, "verdict": "inconclusive", "headline": "Not recognized"}
     plain |= {"finding": f"Nothing was recognised in suspect {number}.", "created_at": at(number), **fields}
     return _known(plain, ClaimSummary)
 

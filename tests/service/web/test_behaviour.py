@@ -54,7 +54,7 @@ def test_two_models_at_once_are_not_a_suspect(page: Page) -> None:
     page.get_by_role("link", name="Check", exact=True).click()
     page.get_by_label("Suspect model or screenshots").set_input_files([PLANT, PLANT.parent / "train_1000.ply"])
     page.get_by_role("button", name="Check the suspect").click()
-    assert "One suspect at a time" in page.get_by_role("alert").inner_text()
+    assert "More than one suspect" in page.get_by_role("alert").inner_text()
 
 
 def test_a_broken_upload_goes_on_where_it_stopped_and_a_job_can_be_cancelled(page: Page, served: Served) -> None:
@@ -155,5 +155,5 @@ def test_progress_survives_a_stream_that_does_not_come_through(watched: Watched,
     sign_in(watched.page, served.api_key)
     watched.page.route("**/events", lambda route: route.abort())
     said = check(watched.page, PLANT.parent / "train_1000.ply")
-    assert "no asset is registered" in said or said == "Not recognised"
+    assert "no asset is registered" in said or said == "Not recognized"
     assert [url for url in watched.requests if url.endswith("/events")]

@@ -108,15 +108,15 @@ def test_a_report_is_shared_and_no_longer(page: Page, served: Served) -> None:
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     claim_of(page, served)
     page.get_by_text("Share the report").click()
-    page.get_by_label("For how long").select_option("30 days")
+    page.get_by_label("Valid for").select_option("30 days")
     page.get_by_role("button", name="Create a link").click()
-    address = page.get_by_label("Address of the report")
+    address = page.get_by_label("Link to the report")
     address.wait_for()
     assert address.input_value() == f"{served.address}/shared/secret1"
     assert shares.days == [30]
     assert "7 Dec 2026" in page.locator(".shares li").inner_text()
     shoot(page, "claim-share")
-    page.get_by_role("button", name="Copy the report's address").click()
+    page.get_by_role("button", name="Copy the link").click()
     page.get_by_text("Copied", exact=True).wait_for()
     assert page.evaluate("navigator.clipboard.readText()") == f"{served.address}/shared/secret1"
     page.get_by_role("button", name="Revoke").click()
@@ -229,8 +229,8 @@ def test_what_marking_found_is_said_beside_the_model(page: Page, served: Served)
     }"""
     plain = ask(served, f"/v1/assets/{asset}")
     found = page.evaluate(said, [plain, {"already_carries": ["as_1"], "not_screened": 3}])
-    assert "It carried a mark of yours before." in found
-    assert "more registered copies than were looked for: 3 were not." in found
+    assert "already carried one of your watermarks" in found
+    assert "3 were not checked" in found
     found = page.evaluate(said, [plain, {"already_carries": [], "not_screened": 0}])
-    assert "carried a mark" not in found
+    assert "already carried" not in found
     assert "looked for" not in found

@@ -38,7 +38,7 @@ def test_jobs_survive_a_reload_and_can_be_cancelled(page: Page, served: Served, 
     assert first.count() == 1, "its name is gone after the reload"
 
     last = page.locator(f"#jobs-open [data-job={others[-1]}]")
-    assert "Waiting" in last.inner_text()
+    assert "Queued" in last.inner_text()
     shoot(page, "jobs-open")
     last.get_by_role("button", name="Cancel").focus()
     page.keyboard.press("Enter")
@@ -79,12 +79,12 @@ def test_turns_and_what_has_ended_meanwhile(page: Page) -> None:
     page.get_by_role("link", name="Jobs").click()
     rows = page.locator("#jobs-open .job")
     rows.nth(120).wait_for()
-    assert "Holding the suspect against your records" in rows.nth(0).inner_text()
+    assert "Comparing the suspect with your records" in rows.nth(0).inner_text()
     assert "3 of 20" in rows.nth(0).inner_text()
     assert "found <b>here</b>.spz" in rows.nth(0).inner_text()
     assert rows.nth(0).locator("progress").evaluate("bar => bar.value") == 0.12
     assert [rows.nth(k).locator(".progress-now").inner_text() for k in (1, 2, 120)] == [
-        "Waiting: it is next", "Waiting: 1 before it", "Waiting: 119 before it",
+        "Queued: next", "Queued: 1 before it", "Queued: 119 before it",
     ]  # fmt: skip
     assert page.locator("#jobs-ended li").count() == 20
     page.get_by_role("button", name="Show older jobs").click()

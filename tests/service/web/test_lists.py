@@ -63,7 +63,7 @@ def test_a_model_beyond_the_first_hundred_can_be_checked_against(page: Page) -> 
     lists(page, assets=[an_asset(number) for number in range(235, 0, -1)])
     page.get_by_role("link", name="Check", exact=True).click()
     choice = page.get_by_label("Marked model", exact=True)
-    older = page.get_by_role("button", name="List older models, too")
+    older = page.get_by_role("button", name="Show older models")
     for shown in (101, 201):
         page.locator("#check-asset option").nth(shown - 1).wait_for(state="attached")
         assert choice.locator("option").count() == shown

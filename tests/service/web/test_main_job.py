@@ -73,7 +73,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     assert check(page, stolen) == "Watermark found"
     result = page.locator("#check-result")
     assert "copy made for “Acme”" in result.inner_text()
-    assert "32 of 32 bits" in result.inner_text().replace("\n", " ")
+    assert "32/32 bits" in result.inner_text().replace("\n", " ")
     assert result.locator(".scale.met").count() == 1
     assert page.evaluate("document.activeElement.textContent") == "Watermark found"
     result.locator("figcaption", has_text="Suspect").get_by_text("stolen.spz").wait_for()
@@ -90,13 +90,13 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     opened.value.screenshot(path=tmp_path / "report.png")
     opened.value.close()
 
-    result.get_by_text("Ask a platform to take it down").click()
-    result.get_by_label("Where the copy is").fill("https://a.example/1\nnonsense")
+    result.get_by_text("Request a takedown from a platform").click()
+    result.get_by_label("Address of the copy").fill("https://a.example/1\nnonsense")
     pack = result.get_by_role("button", name="Download the takedown pack")
     pack.click()
     result.get_by_role("alert").wait_for()
-    result.get_by_label("Where the copy is").fill("https://a.example/1\nhttps://a.example/2")
-    result.get_by_label("In your own words").fill("Bought & copied")
+    result.get_by_label("Address of the copy").fill("https://a.example/1\nhttps://a.example/2")
+    result.get_by_label("Your statement").fill("Bought & copied")
     shoot(page, "claim-pack")
     with page.expect_download() as download:
         pack.click()
@@ -119,7 +119,7 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
     page.get_by_role("heading", name="Watermark found").wait_for()
 
     # 7. an original that was never marked
-    assert check(page, plant) == "Derived, without this mark"
+    assert check(page, plant) == "Derived from your asset, watermark not detected"
     said = "derived from your asset; this copy's mark is absent or was taken out"
     assert said in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")

@@ -55,8 +55,8 @@ def walk(folder: Path) -> dict[str, float]:
             write_picture(np.clip(shot, 0.0, 1.0), posted, posted, 85)
             assert check(page, posted) == "Watermark found"
             step("screenshot checked")
-            page.get_by_text("Ask a platform to take it down").click()
-            page.get_by_label("Where the copy is").fill("https://example.com/stolen/1")
+            page.get_by_text("Request a takedown from a platform").click()
+            page.get_by_label("Address of the copy").fill("https://example.com/stolen/1")
             with page.expect_download() as download:
                 page.get_by_role("button", name="Download the takedown pack").click()
             download.value.save_as(folder / "pack.zip")
