@@ -6,11 +6,11 @@ import numpy as np
 
 from engine.flows.views.camera_rig import UP, Extent, direction, measure_extent
 from engine.lab.points.trajectory import Trajectory
+from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.capture.lidar import Lidar, scan_model
 from engine.lab.sim.capture.lod import half_precision, level_of_quality, levels_of_detail
 from engine.lab.sim.capture.pose_estimation import odometry
 from engine.lab.sim.capture.scans import scans_to_model
-from engine.lab.sim.cost import model_cost
 from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
 from engine.lab.sim.scenario.theft_steps import COST_SIZE, COST_VIEWS

@@ -12,7 +12,7 @@ import numpy as np
 from engine.errors import InputError
 from engine.flows.records.opened_record import OpenedRecord
 from engine.flows.views.camera_rig import FIELD_OF_VIEW, UP, Extent, direction
-from engine.lab.sim.cost import Cost
+from engine.lab.sim.attack_cost import Cost
 from engine.lab.sim.edits.edit import EditTrack
 from engine.lab.sim.model_placement import join
 from engine.model import Camera, Float32, GaussianModel, look_at

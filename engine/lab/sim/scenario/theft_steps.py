@@ -9,9 +9,9 @@ from engine.flows.views.camera_rig import make_rig
 from engine.lab.sim.adversaries.collusion import RULES, collude
 from engine.lab.sim.adversaries.retraining import SETTINGS, RetrainConfig, fine_tune, pictures_of, quality_lost, retrain
 from engine.lab.sim.attack import Strength
+from engine.lab.sim.attack_cost import model_cost
 from engine.lab.sim.attacks import image_attack, model_attack
 from engine.lab.sim.capture.trainer import TrainConfig
-from engine.lab.sim.cost import model_cost
 from engine.lab.sim.scenario.sources import mark
 from engine.lab.sim.scenario.state import Advance, Outcome, StepKind, World, step
 from engine.lab.sim.scenario.tables import Table, given
