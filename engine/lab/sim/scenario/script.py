@@ -6,7 +6,6 @@ from typing import TypeVar
 
 from engine.errors import InputError
 from engine.lab.sim.scenario import audit_steps, capture_steps, edit_steps, matter_steps, theft_steps
-from engine.lab.sim.scenario import edit_steps as life_steps
 from engine.lab.sim.scenario.sources import Part
 from engine.lab.sim.scenario.state import Step
 from engine.lab.sim.scenario.tables import Table, given, read_table
@@ -20,7 +19,6 @@ KINDS = {
     **theft_steps.KINDS,
     **edit_steps.KINDS,
     **matter_steps.KINDS,
-    **life_steps.KINDS,
     **capture_steps.KINDS,
     **theft_steps.PATIENT,
     **audit_steps.KINDS,
