@@ -117,9 +117,9 @@ def options(request: pytest.FixtureRequest, attack: Attack) -> dict[str, object]
     return {"others": copies} if attack.name == "collude" else {"source": copies[0]}
 
 
-def test_documented_names_are_all_there_in_their_order() -> None:
-    assert [name for name in MODEL_ATTACKS if name in MODEL_NAMES] == MODEL_NAMES
-    assert [name for name in IMAGE_ATTACKS if name in IMAGE_NAMES] == IMAGE_NAMES
+def test_documented_names_are_all_there() -> None:
+    assert set(MODEL_NAMES) <= set(MODEL_ATTACKS)
+    assert set(IMAGE_NAMES) <= set(IMAGE_ATTACKS)
     assert all(attack.name == name for name, attack in (MODEL_ATTACKS | IMAGE_ATTACKS).items())
 
 

@@ -228,7 +228,7 @@ def test_edits_are_known_and_undone(folder: Path, world: World) -> None:
     back = play(folder, edited, step("undo", "edits = 2")).world
     for name in ("means", "sh", "quats"):
         np.testing.assert_array_equal(getattr(back.flat(), name), getattr(world.flat(), name))
-    with pytest.raises(InputError, match="something else"):
+    with pytest.raises(InputError, match="another step"):
         play(folder, edited, step("float16") + step("undo"))
 
 
