@@ -120,8 +120,6 @@ def test_mark_turn_download_steal_check(page: Page, tmp_path: Path) -> None:
 
     # 7. an original that was never marked
     assert check(page, plant) == "Derived from your asset, watermark not detected"
-    said = "derived from your asset; this copy's mark is absent or was taken out"
-    assert said in page.locator("#check-result").inner_text()
     shoot(page, "claim-negative")
 
     # 8. a picture of it
