@@ -23,9 +23,9 @@ FILES = {
     "ply mesh": ply(faces=True),
     "ply ascii mesh": ply(order="", faces=True),
     "pcd ascii": pcd(encoding="ascii"),
-    "pcd ascii integer colours": pcd(encoding="ascii", packed="U"),
+    "pcd ascii integer colors": pcd(encoding="ascii", packed="U"),
     "pcd binary": pcd(),
-    "pcd binary integer colours": pcd(packed="U"),
+    "pcd binary integer colors": pcd(packed="U"),
     "pcd compressed": pcd(encoding="binary_compressed"),
     "las 1.2": las(),
     "las 1.3": las(minor=3, format=3),
@@ -71,13 +71,13 @@ def test_las_leaves_out_what_the_file_calls_noise(format: int) -> None:
         read_point_cloud(las(format=format, minor=4, classes=(7, 7, 7, 7)))
 
 
-def test_las_colours_of_eight_bits() -> None:
+def test_las_colors_of_eight_bits() -> None:
     cloud, (repair,) = read_point_cloud(las(bits=8))
     check(cloud)
     assert repair.code == "colors_scaled"
 
 
-def test_las_black_everywhere_means_no_colours() -> None:
+def test_las_black_everywhere_means_no_colors() -> None:
     assert read_point_cloud(las(colors=np.zeros_like(COLORS)))[0].colors is None
 
 
@@ -87,7 +87,7 @@ def test_las_may_go_on_where_it_says_so() -> None:
         read_point_cloud(las(minor=3, tail=b"waveform"))
 
 
-def test_colours_of_other_types() -> None:
+def test_colors_of_other_types() -> None:
     head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
 
     def read(kind: str, rows: str) -> tuple[PointCloud, list[str]]:

@@ -226,7 +226,7 @@ def _summary(report: Mapping[str, Any]) -> str:
         chance = PLAIN.odds(report["log10_false_claim"])
         return f"{verdict:<11} {bits}, false claim {chance}, {report['seconds']:.1f} s"
     sure = f"a worn mark would show: {surely(report['power'])} sure"
-    return f"{verdict:<11} {bits}, as coins would; derived all the same; {sure}"
+    return f"{verdict:<11} {bits}, as by chance; derived; {sure}"
 
 
 def _wrong_key(work: _Work) -> dict[str, str]:

@@ -50,7 +50,7 @@ class PointCloud:
 
 
 def unit_colors(raw: npt.NDArray[Any], full: float) -> Float32:
-    """(N, 3) colours 0 to 1 of stored ones in 0 to full; beyond either end they are clipped, NaN is black."""
+    """(N, 3) colors 0 to 1 of stored ones in 0 to full; beyond either end they are clipped, NaN is black."""
     with np.errstate(invalid="ignore", over="ignore"):
         shades = np.clip(raw.astype(np.float32) / np.float32(full), 0.0, 1.0)
     return np.where(np.isnan(shades), np.float32(0.0), shades)
@@ -111,12 +111,12 @@ NANOSECONDS = 1e-9  # devices count whole nanoseconds; only stamps in floating p
 def cloud_of_columns(columns: Columns, *, file: str, element: str) -> tuple[PointCloud, tuple[Repair, ...]]:
     """A cloud out of named columns (N,) (PLY, PCD) of any scalar type and byte order.
 
-    Places are ``x``, ``y``, ``z``; colours ``red``, ``green``, ``blue`` (or ``r``, ``g``, ``b``, ``diffuse_red`` ...:
+    Places are ``x``, ``y``, ``z``; colors ``red``, ``green``, ``blue`` (or ``r``, ``g``, ``b``, ``diffuse_red`` ...:
     whole numbers of the type's full range, or 0 to 1, or 0 to 255) or ``rgb`` / ``rgba`` (0xRRGGBB in an integer or in
     the bits of a float, as PCL writes them). Times are ``time``, ``timestamp``, ``gps_time``, ``t``: seconds,
     nanoseconds where they are whole numbers.
 
-    FormatError if a column of the place is missing, colours are not of one type, or no point is usable.
+    FormatError if a column of the place is missing, colors are not of one type, or no point is usable.
     """
     for name in "xyz":
         if name not in columns:
@@ -141,7 +141,7 @@ def _colors(columns: Columns, file: str, element: str) -> tuple[Float32 | None, 
         return None, ()
     kinds = {columns[name].dtype.newbyteorder("=") for name in names}
     if len(kinds) > 1:
-        message = f"colours of different types: {', '.join(sorted(kind.name for kind in kinds))}"
+        message = f"colors of different types: {', '.join(sorted(kind.name for kind in kinds))}"
         raise FormatError(message, file=file, element=element, prop=names[0])
     kind = kinds.pop()
     raw = np.stack([columns[name] for name in names], axis=1)  # (N, 3)
@@ -149,16 +149,16 @@ def _colors(columns: Columns, file: str, element: str) -> tuple[Float32 | None, 
         return unit_colors(raw, 255.0 if kind.itemsize == 1 else float(np.iinfo(kind).max)), ()
     with np.errstate(invalid="ignore"):
         if bool((np.isfinite(raw) & (raw > 1.0)).any()):
-            text = "colours in floating point go beyond 1: taken as 0 to 255"
+            text = "colors in floating point go beyond 1: taken as 0 to 255"
             return unit_colors(raw, 255.0), (Repair("colors_scaled", len(raw), text),)
     return unit_colors(raw, 1.0), ()
 
 
 def _unpacked(raw: npt.NDArray[Any], name: str, file: str, element: str) -> Float32:
-    """(N, 3) colours of 0xRRGGBB; the bits of a float32 are the integer (PCL)."""
+    """(N, 3) colors of 0xRRGGBB; the bits of a float32 are the integer (PCL)."""
     native = raw.astype(raw.dtype.newbyteorder("="))
     if native.dtype.itemsize != 4:
-        message = f"packed colours have 4 bytes, not {native.dtype.itemsize}"
+        message = f"packed colors have 4 bytes, not {native.dtype.itemsize}"
         raise FormatError(message, file=file, element=element, prop=name)
     bits = native.view(np.uint32)
     return unit_colors(np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1), 255.0)

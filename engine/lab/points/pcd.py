@@ -38,7 +38,7 @@ def looks_like_pcd(data: bytes | memoryview) -> bool:
 
 
 def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud, tuple[Repair, ...]]:
-    """Read a PCD file, without the points that an organised cloud leaves empty.
+    """Read a PCD file, without the points that an organized cloud leaves empty.
 
     The viewpoint of the header is not applied: it says where the scanner stood, not where the points lie. FormatError
     if the bytes are not what the header says, UnsupportedFormatError for another version than 0.7.

@@ -15,14 +15,14 @@ from engine.formats.cameras.files import SUBFOLDERS, read_limited
 from engine.model import Float64
 
 _ROW = struct.Struct("<Q3d3BdQ")
-"""Id, position, colour, reprojection error, length of the track; the track follows, 8 bytes an entry."""
+"""Id, position, color, reprojection error, length of the track; the track follows, 8 bytes an entry."""
 
 _LARGEST = 1e15  # scene units; also false for what is no number
 
 
 @dataclass(frozen=True, eq=False)
 class ColmapPoints:
-    """The sparse points of a reconstruction: places (N, 3) float64, scene units, finite; and colours (N, 3)."""
+    """The sparse points of a reconstruction: places (N, 3) float64, scene units, finite; and colors (N, 3)."""
 
     positions: Float64
     colors: npt.NDArray[np.uint8]
@@ -32,7 +32,7 @@ class ColmapPoints:
 
 
 _Row = tuple[float, float, float, int, int, int, float]
-"""Position, colour, reprojection error."""
+"""Position, color, reprojection error."""
 
 
 def read_points(data: bytes, file: str, *, binary: bool) -> ColmapPoints:
@@ -49,7 +49,7 @@ def _checked(row: _Row, file: str, number: int) -> _Row:
     if not all(abs(value) < _LARGEST for value in row[:3]):
         raise FormatError(f"the position {row[:3]} is not finite", file=file, row=number)
     if not all(0 <= value <= 255 for value in row[3:6]):
-        raise FormatError(f"the colour {row[3:6]} is not in 0..255", file=file, row=number)
+        raise FormatError(f"the color {row[3:6]} is not in 0..255", file=file, row=number)
     if not math.isfinite(row[6]):
         raise FormatError(f"the error {row[6]} is not finite", file=file, row=number)
     return row

@@ -64,7 +64,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def parse_trajectory(data: bytes, *, file: str) -> Trajectory:
-    """The same from the bytes of a file; see `read_trajectory`."""
+    """A trajectory from the bytes of a file; see `read_trajectory`."""
     rows: list[list[float]] = []
     for line in data.decode("utf-8", "replace").splitlines():
         words = line.split()

@@ -56,7 +56,7 @@ def blur_small_kernel(image: Float32, strength: float, rng: np.random.Generator)
     "rotate the picture on its canvas, black corners", "degrees", 30.0, (0.1, 0.5, 1, 3, 10, 20, 30, 45, 90, 180)
 )
 def rotate_image(image: Float32, strength: float, rng: np.random.Generator, *, expand: bool = False) -> Picture:
-    """Rotation about the centre by `strength` degrees counter-clockwise, bilinear, black where nothing was.
+    """Rotation about the center by `strength` degrees counter-clockwise, bilinear, black where nothing was.
 
     `expand` lets the canvas grow to hold the whole image; otherwise its corners are lost.
     """
@@ -111,9 +111,9 @@ def crop_image(image: Float32, strength: float, rng: np.random.Generator) -> Pic
     return image[top : top + height, left : left + width]
 
 
-@ATTACKS.as_code("crop_image", "kept side, centred", 0.4, (0.9, 0.707, 0.4, 0.316, 0.2), "(0, 1]")
+@ATTACKS.as_code("crop_image", "kept side, centered", 0.4, (0.9, 0.707, 0.4, 0.316, 0.2), "(0, 1]")
 def crop_center(image: Float32, strength: float, rng: np.random.Generator) -> Picture:
-    """Keep the centre with both sides times `strength`, as GuardSplat runs "crop 40 %" (16 % of the area)."""
+    """Keep the center with both sides times `strength`, as GuardSplat runs "crop 40 %" (16 % of the area)."""
     height, width = (max(1, round(s * strength)) for s in image.shape[:2])
     top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
     return image[top : top + height, left : left + width]
@@ -196,7 +196,7 @@ def _through(image: Float32, lens: BrownLens | FisheyeLens) -> Float32:
 
 
 def _pixels(height: int, width: int) -> Float64:
-    """(H, W, 2) coordinates x, y of the pixels' centres."""
+    """(H, W, 2) coordinates x, y of the pixels' centers."""
     y, x = np.mgrid[:height, :width] + 0.5
     return np.stack([x, y], axis=-1)
 
@@ -243,7 +243,7 @@ def vignette(image: Float32, strength: float, rng: np.random.Generator) -> Value
     """By the cosine-fourth law."""
     height, width = image.shape[:2]
     y, x = np.mgrid[:height, :width] + 0.5
-    # (squared distance from the centre, 1 in the corners); cos^4 = (1 + tan^2)^-2
+    # (squared distance from the center, 1 in the corners); cos^4 = (1 + tan^2)^-2
     r2 = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
     slope = 1.0 / np.sqrt(1.0 - strength) - 1.0
     return np.asarray(image * (1.0 + slope * r2)[..., None] ** -2.0)
@@ -322,7 +322,7 @@ VIEWERS: dict[str, Callable[[Float64], Float64]] = {
 """What web viewers do wrong, by name, mildest first."""
 
 
-@ATTACKS.add("a screenshot from a viewer that manages colour wrongly", "mistake", "srgb_twice", tuple(VIEWERS))
+@ATTACKS.add("a screenshot from a viewer that manages color wrongly", "mistake", "srgb_twice", tuple(VIEWERS))
 def viewer_color(image: Float32, strength: str, rng: np.random.Generator) -> Values:
     if strength not in VIEWERS:
         raise InputError(f"no viewer mistake is called {strength!r}; there are {', '.join(VIEWERS)}")
@@ -400,7 +400,7 @@ def median(image: Float32, strength: int, rng: np.random.Generator) -> Float32:
     return values_of(cv2.medianBlur(bytes_of(image), strength))
 
 
-@ATTACKS.add("bilateral filter", "colour std, range 1", 0.1, (0.02, 0.05, 0.1, 0.2, 0.4), "(0, inf)")
+@ATTACKS.add("bilateral filter", "color std, range 1", 0.1, (0.02, 0.05, 0.1, 0.2, 0.4), "(0, inf)")
 def bilateral(image: Float32, strength: float, rng: np.random.Generator) -> Float32:
     """Of 3 pixels (Tomasi and Manduchi 1998)."""
     import cv2

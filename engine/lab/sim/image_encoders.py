@@ -1,6 +1,6 @@
 """Attacks by software on the way: sizes there and back, WebP, AVIF, and video in which the picture is one frame.
 
-A frame of a film is not coded by itself: most of it is predicted from its neighbours. So the picture is put in the
+A frame of a film is not coded by itself: most of it is predicted from its neighbors. So the picture is put in the
 middle of a short film, a hand-held pan over the picture itself, and comes back as that frame. Image attacks as in
 `engine.lab.sim.image_attacks`. Of ffmpeg only the command is used, through pipes; what it writes depends on its
 version, so bytes are the same for the same installation (one thread, no time stamps).

@@ -1,7 +1,7 @@
 """Attacks that move a whole model, put it among others, send it through a trade format, or bend it out of shape.
 
 All are pure functions `(model, strength, rng) -> model`, and lose no Gaussian. A moved model looks as before from a
-camera moved alike: quaternions and SH turn with the centres.
+camera moved alike: quaternions and SH turn with the centers.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ _FROM_X = {"x": np.eye(3), "y": np.diag([-1.0, -1.0, 1.0]), "z": np.diag([-1.0, 
 
 
 @ATTACKS.add(
-    "turn the whole model about its centre, random axis", "degrees", 30.0, (1, 5, 15, 30, 60, 90, 120, 150, 180)
+    "turn the whole model about its center, random axis", "degrees", 30.0, (1, 5, 15, 30, 60, 90, 120, 150, 180)
 )
 def rotate(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     axis = rng.standard_normal(3)
@@ -35,16 +35,16 @@ def rotate(model: GaussianModel, strength: float, rng: np.random.Generator) -> G
 
 @ATTACKS.as_code("rotate", "share of a random matrix", 1.0, (0.01, 0.1, 0.3, 1.0), "[0, 1]")
 def mix_axes(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """GaussianMarker's "rotate": centres times a random normal 3x3 matrix, at 1; below, a blend with the identity.
+    """GaussianMarker's "rotate": centers times a random normal 3x3 matrix, at 1; below, a blend with the identity.
 
-    Neither orthogonal nor applied to rotations or colours: as the code runs it.
+    Neither orthogonal nor applied to rotations or colors: as the code runs it.
     """
     matrix = (1.0 - strength) * np.eye(3) + strength * rng.standard_normal((3, 3))
     return model.with_(means=(model.means.astype(np.float64) @ matrix).astype(np.float32))
 
 
 @ATTACKS.add(
-    "scale the whole model about its centre",
+    "scale the whole model about its center",
     "factor",
     0.75,
     (0.99, 1.1, 0.9, 0.75, 1.5, 0.5, 2.0, 0.25, 4.0, 0.1, 10.0),
@@ -83,7 +83,7 @@ def similarity(model: GaussianModel, strength: float, rng: np.random.Generator) 
     return _move(model, factor, random_rotation(rng), rng.standard_normal(3))
 
 
-@ATTACKS.add("turn one axis over, as wrong handedness does", "axis through the centre: x, y or z", "x", ("x", "y", "z"))
+@ATTACKS.add("turn one axis over, as wrong handedness does", "axis through the center: x, y or z", "x", ("x", "y", "z"))
 def mirror(model: GaussianModel, strength: str, rng: np.random.Generator) -> GaussianModel:
     if strength not in _FROM_X:
         raise InputError(f"mirror: no axis is called {strength!r}; there are {', '.join(_FROM_X)}")
@@ -111,7 +111,7 @@ def join(*models: GaussianModel) -> GaussianModel:
 
 
 def _move(model: GaussianModel, factor: float, rotation: Float64, shift: Float64) -> GaussianModel:
-    """Turn and scale about the centre, then shift by `shift` radii."""
+    """Turn and scale about the center, then shift by `shift` radii."""
     extent = measure_extent(model)
     t = extent.center - factor * rotation @ extent.center + extent.radius * shift
     return transform_model(model, factor, rotation, t)
@@ -167,7 +167,7 @@ def merge_into(
 def foreign_scene(model: GaussianModel, count: int, rng: np.random.Generator) -> GaussianModel:
     """A synthetic scene of `count` Gaussians that has nothing to do with the model but resembles it in kind.
 
-    Textured sheets in random places of a ball of three radii of the model. Sizes, opacities and colours
+    Textured sheets in random places of a ball of three radii of the model. Sizes, opacities and colors
     follow normal laws with the model's own mean and spread, so that no threshold on one attribute separates
     the two; no value is copied from the model.
     """

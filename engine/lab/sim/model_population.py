@@ -93,7 +93,7 @@ def impact(model: GaussianModel, cameras: Sequence[Camera] | None, rng: np.rando
 def clone(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """Split a random share `strength` into pairs that together look like the one they replace.
 
-    Each of a pair gets the opacity 1 - sqrt(1 - o), so that at the centre both let as much light through as
+    Each of a pair gets the opacity 1 - sqrt(1 - o), so that at the center both let as much light through as
     the one did, and the second is moved by a twentieth of its standard deviations. The copies come last.
     """
     chosen = _chosen(model, strength, rng)
@@ -139,7 +139,7 @@ def _lowest(score: npt.NDArray[Any], count: int) -> npt.NDArray[np.int64]:
 _KEPT = (0.9, 0.7, 0.5, 0.25, 0.1, 0.05, 0.02)
 
 
-@ATTACKS.add("merge neighbours, pair after pair", "kept share", 0.25, _KEPT, "(0, 1]")
+@ATTACKS.add("merge neighbors, pair after pair", "kept share", 0.25, _KEPT, "(0, 1]")
 def merge(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """NanoGS (Xiong et al. 2026, arXiv 2603.16103): mass is opacity times volume, and light adds up as in blending."""
     return merge_pairs(model, strength, surface=False)

@@ -21,7 +21,7 @@ _OWN_STD = "noise std, in standard deviations of the attribute"
 _SPREADS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
-@ATTACKS.add("noise on the centres", _OWN_STD, 0.01, _SPREADS, "[0, inf)")
+@ATTACKS.add("noise on the centers", _OWN_STD, 0.01, _SPREADS, "[0, inf)")
 def noise_means(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """The standard deviation is pooled over the axes."""
     return model.with_(means=_noisy(model.means, strength, rng))
@@ -41,7 +41,7 @@ def noise_colors(model: GaussianModel, strength: float, rng: np.random.Generator
 
 @ATTACKS.as_code("noise_colors", "noise std on DC coefficients", 8.0, (0.1, 1.0, 8.0), "[0, inf)")
 def noise_dc_wild(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """GaussianMarker's colour noise: N(0, `strength`^2) on the DC coefficients, the code's 8 is far beyond white."""
+    """GaussianMarker's color noise: N(0, `strength`^2) on the DC coefficients, the code's 8 is far beyond white."""
     return model.with_dc(model.sh[:, 0] + np.float32(strength) * normal(model.sh[:, 0], rng))
 
 
@@ -59,7 +59,7 @@ def noise_all(model: GaussianModel, strength: float, rng: np.random.Generator) -
 
 @ATTACKS.add("cut the spherical harmonics", "degree kept", 0, (3, 2, 1, 0), "0..3")
 def drop_sh(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
-    """0 leaves the DC colour alone."""
+    """0 leaves the DC color alone."""
     return model.with_(sh=model.sh[:, : (strength + 1) ** 2])
 
 
@@ -71,9 +71,9 @@ def drop_sh(model: GaussianModel, strength: int, rng: np.random.Generator) -> Ga
     "1..24",
 )
 def quantize(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
-    """A property is one column of a PLY file: one axis of the centres, one SH coefficient of one channel.
+    """A property is one column of a PLY file: one axis of the centers, one SH coefficient of one channel.
 
-    Quaternions are normalised afterwards.
+    Quaternions are normalized afterwards.
     """
     levels = 2**strength - 1
     return model.with_(
@@ -129,7 +129,7 @@ OPACITY_MARGIN = 1.0 / 255.0  # noisy opacities stay this far from 0 and 1, as a
 def inject(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     """Add `strength` Gaussians per Gaussian, appended: they lie among the model's own and look like them in kind.
 
-    Size, rotation, opacity and colour of each are those of independently drawn Gaussians of the model.
+    Size, rotation, opacity and color of each are those of independently drawn Gaussians of the model.
     """
     count = round(strength * len(model))
     pick = [rng.integers(len(model), size=count) for _ in range(5)]
@@ -144,9 +144,7 @@ def inject(model: GaussianModel, strength: float, rng: np.random.Generator) -> G
     )
 
 
-@ATTACKS.add(
-    "noise on the DC colour alone", "noise std, range 1", 0.01, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2), "[0, inf)"
-)
+@ATTACKS.add("noise on the DC color alone", "noise std, range 1", 0.01, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2), "[0, inf)")
 def noise_dc(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
     return model.with_dc(model.sh[:, 0] + np.float32(strength / SH_C0) * normal(model.sh[:, 0], rng))
 
@@ -160,7 +158,7 @@ def noise_opacity(model: GaussianModel, strength: float, rng: np.random.Generato
 
 
 @ATTACKS.add(
-    "noise on the centres, in units of the scene",
+    "noise on the centers, in units of the scene",
     "noise std, robust radii",
     0.005,
     (0.0005, 0.001, 0.005, 0.01, 0.03),
@@ -171,7 +169,7 @@ def noise_position(model: GaussianModel, strength: float, rng: np.random.Generat
     return model.with_(means=model.means + np.float32(std) * normal(model.means, rng))
 
 
-@ATTACKS.add("round the colours alone", "bits a coefficient", 6, (12, 8, 7, 6, 5, 4, 3, 2), "1..24")
+@ATTACKS.add("round the colors alone", "bits a coefficient", 6, (12, 8, 7, 6, 5, 4, 3, 2), "1..24")
 def quantize_colors(model: GaussianModel, strength: int, rng: np.random.Generator) -> GaussianModel:
     """Each SH coefficient between its smallest and largest value."""
     return model.with_(sh=quantize(model, strength, rng).sh)

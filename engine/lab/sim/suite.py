@@ -39,7 +39,7 @@ class Trial:
     # what is attacked; in a copy attack, what is framed is another model
     kind: Literal["model", "image", "copy attack"] = "model"
     reading: Label = "literal"  # of all steps that have it; the others run literally
-    copies: int = 0  # copies of the asset that are needed beside the subject's own
+    copies: int = 0  # copies of the asset that are needed in addition to the subject's own
 
 
 def _read_suite() -> tuple[Trial, ...]:
@@ -71,7 +71,7 @@ class Subject(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Company:
-    """What some attacks need beside the stolen model."""
+    """What some attacks need in addition to the stolen model."""
 
     copies: Sequence[GaussianModel] = field(default_factory=tuple)  # other recipients' copies of the same asset
     # another, unmarked model: the scene merged into, and the victim of the copy attack

@@ -53,7 +53,7 @@ _MIXERS: dict[str, Callable[[GaussianModel, int, np.random.Generator], npt.NDArr
 }
 """By name: model, number of copies and a source of chance to the source of each Gaussian, (N,)."""
 
-FIRST = "first"  # the rule that averages colours and keeps one copy's geometry, whose owner the marks then name loudest
+FIRST = "first"  # the rule that averages colors and keeps one copy's geometry, whose owner the marks then name loudest
 RULES = (*_VALUE_RULES, *_MIXERS, FIRST)  # names of the rules
 
 
@@ -63,10 +63,10 @@ def collude(
 ) -> GaussianModel:
     """One model out of several copies; InputError where the rule is unknown, no other is given or they differ in shape.
 
-    `strength` says what is done with the copies' values of each coefficient, centre, size and opacity: "mean",
+    `strength` says what is done with the copies' values of each coefficient, center, size and opacity: "mean",
     "median", "min", "max", "minmax" (middle of the extremes), "modneg" (min + max - median), "randneg" (min or max by a
     coin); or "interleave" (each Gaussian from a random copy), "patches" (each of some hundred connected pieces from a
-    random copy) and "first" (colours averaged, all else from the first copy).
+    random copy) and "first" (colors averaged, all else from the first copy).
 
     The `others` have the same Gaussians in the same order. Rotations are the same but for rounding, and are taken from
     the first, `model`.
@@ -77,7 +77,7 @@ def collude(
         raise InputError("collusion needs the models of the other copies: others=[...]")
     for number, other in enumerate(others, start=2):
         if other.sh.shape != model.sh.shape:
-            raise InputError(f"copy {number} has colours {other.sh.shape}, the first has {model.sh.shape}")
+            raise InputError(f"copy {number} has colors {other.sh.shape}, the first has {model.sh.shape}")
     copies = [model, *others]
     names = ("sh",) if strength == FIRST else ("means", "log_scales", "opacity_logits", "sh")
     if strength in _MIXERS:

@@ -1,12 +1,12 @@
 """Purification by contribution: GSPure's idea (AAAI 2026), a hidden thing shows as Gaussians that serve no view.
 
-Clusters are found by density: HDBSCAN (Campello, Moulavi and Sander 2013) on a graph of nearest neighbours.
+Clusters are found by density: HDBSCAN (Campello, Moulavi and Sander 2013) on a graph of nearest neighbors.
 
-1. Core distance of a point: distance to its `neighbours`-th neighbour. 2. Minimum spanning tree of the mutual
+1. Core distance of a point: distance to its `neighbors`-th neighbor. 2. Minimum spanning tree of the mutual
 reachability max(core_a, core_b, d_ab). 3. Single linkage: cutting the tree from the longest edge down. 4. Condensing:
 a split counts when both parts hold `least` points. 5. The clusters of greatest stability are selected.
 
-Step 2 uses the edges to `GRAPH` nearest neighbours only, not all pairs: with these a million points take seconds,
+Step 2 uses the edges to `GRAPH` nearest neighbors only, not all pairs: with these a million points take seconds,
 and pieces that no edge joins are joined last, at infinite distance.
 """
 
@@ -27,24 +27,22 @@ TIE = 1e-6
 hang on the order of equal edges."""
 
 
-def cluster_by_density(points: Float64, neighbours: int, least: int, graph: int = GRAPH) -> Int64:
+def cluster_by_density(points: Float64, neighbors: int, least: int, graph: int = GRAPH) -> Int64:
     """Label of each of the points (N, D) float64, 0, 1, ... or -1 for noise: (N,) int64.
 
-    Coordinates are of equal importance. A core point has `neighbours` >= 1, a cluster `least` >= 2 points; the spanning
-    tree goes by `graph` neighbours, not fewer than make a core point. InputError where a number is out of its range.
+    Coordinates are of equal importance. A core point has `neighbors` >= 1, a cluster `least` >= 2 points; the spanning
+    tree goes by `graph` neighbors, not fewer than make a core point. InputError where a number is out of its range.
     """
-    if neighbours < 1 or least < 2 or graph < neighbours:
-        raise InputError(
-            f"clusters need neighbours >= 1, least >= 2, graph >= neighbours: {neighbours}, {least}, {graph}"
-        )
+    if neighbors < 1 or least < 2 or graph < neighbors:
+        raise InputError(f"clusters need neighbors >= 1, least >= 2, graph >= neighbors: {neighbors}, {least}, {graph}")
     n = len(points)
-    if n <= max(neighbours, least):
+    if n <= max(neighbors, least):
         return np.full(n, -1, dtype=np.int64)
-    children, distance, size = _single_linkage(*_spanning_tree(points, neighbours, min(graph, n - 1)), n)
+    children, distance, size = _single_linkage(*_spanning_tree(points, neighbors, min(graph, n - 1)), n)
     return _select(children, distance, size, n, least)
 
 
-def _spanning_tree(points: Float64, neighbours: int, graph: int) -> tuple[Int64, Int64, Float64]:
+def _spanning_tree(points: Float64, neighbors: int, graph: int) -> tuple[Int64, Int64, Float64]:
     """Ends (E,), (E,) and lengths (E,) of the tree's edges, shortest first."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import minimum_spanning_tree
@@ -52,7 +50,7 @@ def _spanning_tree(points: Float64, neighbours: int, graph: int) -> tuple[Int64,
 
     n = len(points)
     distance, near = cKDTree(points).query(points, k=graph + 1, workers=2)
-    core = distance[:, neighbours]
+    core = distance[:, neighbors]
     start = np.repeat(np.arange(n), graph)
     end = near[:, 1:].reshape(-1)
     apart = distance[:, 1:].reshape(-1)
@@ -142,7 +140,7 @@ def _labels(parents: list[int], stability: list[float], cluster: list[int]) -> I
 
 ATTACKS: Attacks[GaussianModel] = Attacks("model")
 
-NEIGHBOURS = 4  # neighbours of a core point: GSPure's second threshold
+NEIGHBORS = 4  # neighbors of a core point: GSPure's second threshold
 LEAST_CLUSTER = 32  # fewest Gaussians of a cluster
 
 
@@ -171,7 +169,7 @@ def purify(
     places = model.means.astype(np.float64) / measure_extent(model).radius
     shown = model.opacities.astype(np.float64)[:, None]
     features = np.column_stack([_even(each) for each in (places, np.log10(relative + 1e-3)[:, None], shown)])
-    label = cluster_by_density(features, NEIGHBOURS, LEAST_CLUSTER)
+    label = cluster_by_density(features, NEIGHBORS, LEAST_CLUSTER)
     grouped = label >= 0
     clusters = int(label.max(initial=-1)) + 1
     members = np.bincount(label[grouped], minlength=clusters)

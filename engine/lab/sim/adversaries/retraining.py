@@ -35,8 +35,8 @@ from engine.raster import render, render_depth
 class FineTuneSetting:
     """What the attacker has."""
 
-    clean_images: bool  # renders of the unmarked model; otherwise his own of the marked one
-    pose_key: bool  # the owner's secret views; otherwise views of his own
+    clean_images: bool  # renders of the unmarked model; otherwise own renders of the marked one
+    pose_key: bool  # the owner's secret views; otherwise own views
 
 
 SETTINGS: dict[str, FineTuneSetting] = {
@@ -213,7 +213,7 @@ def _trainer(marked: GaussianModel, cameras: Sequence[Camera], config: RetrainCo
 def _lift(
     image: Float32, alpha: Float32, depth: Float32, camera: Camera, count: int, rng: np.random.Generator
 ) -> tuple[Float64, Float32]:
-    """At most `count` random pixels of a render as points in the world, and their colours."""
+    """At most `count` random pixels of a render as points in the world, and their colors."""
     rows, columns = np.nonzero((alpha > LEAST_ALPHA) & (depth > 0))
     chosen = rng.permutation(len(rows))[:count]
     rows, columns = rows[chosen], columns[chosen]

@@ -26,9 +26,9 @@ VIEWS, VIEW_SIZE = 6, 400  # key views of the second mark, and their side in pix
     "(0, inf)",
 )
 def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -> GaussianModel:
-    """The same cells (he has the program), other chips; the PSNR is against the model as it came, worst of six views.
+    """The same cells (the program is public), other chips; the PSNR is against the given model, worst of six views.
 
-    The embedding's own stages, without what serves only the reading: no message has to fit, no record is kept. His
+    The embedding's own stages, without what serves only the reading: no message has to fit, no record is kept. The
     key, of chips and views, is `rng`.
     """
     from engine.compress.hvq import HvqConfig, quantize
@@ -50,7 +50,7 @@ def overwrite(model: GaussianModel, strength: float, rng: np.random.Generator) -
     return model.with_(sh=add_dc(model.sh, np.float32(solved.factor) * displacement))
 
 
-NEIGHBOURS = 16  # Gaussians whose mean colour stands for the unmarked one, where the attacker has only the marked model
+NEIGHBORS = 16  # Gaussians whose mean color stands for the unmarked one, where the attacker has only the marked model
 
 
 @ATTACKS.add(
@@ -64,10 +64,10 @@ def transplant(
     source: GaussianModel | None = None,
     clean: GaussianModel | None = None,
 ) -> GaussianModel:
-    """Both models are brought to one centre and radius; each Gaussian gets the displacement of the nearest source's.
+    """Both models are brought to one center and radius; each Gaussian gets the displacement of the nearest source's.
 
     `source` is the marked model to lift from; needed. `clean` is the same without the mark, Gaussian by Gaussian: the
-    worst case, an attacker who was sold it. Without it the mark is estimated as what a mean over 16 neighbours takes
+    worst case, an attacker who was sold it. Without it the mark is estimated as what a mean over 16 neighbors takes
     away. InputError where there is no source, or `clean` is not of its length.
     """
     from scipy.spatial import cKDTree
@@ -80,7 +80,7 @@ def transplant(
     if clean is not None:
         lifted = marked - clean.sh[:, 0]
     else:
-        count = min(NEIGHBOURS, len(source))
+        count = min(NEIGHBORS, len(source))
         near = cKDTree(source.means).query(source.means, k=count, workers=2)[1].reshape(len(source), count)
         lifted = marked - marked[near].mean(axis=1)
     here, there = measure_extent(model), measure_extent(source)

@@ -1,4 +1,4 @@
-"""A LiDAR that scans a Gaussian model: ranges and colours by the rasterizer, along a path."""
+"""A LiDAR that scans a Gaussian model: ranges and colors by the rasterizer, along a path."""
 
 from dataclasses import dataclass
 
@@ -55,7 +55,7 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
     """Scan a model from every pose of a trajectory, each scan taken at once.
 
     A beam goes through the nearest pixel of a picture three times as fine as the beams are, so that its range and
-    direction belong together exactly. Scans hold coloured points in the scanner's frame, of those beams that came back
+    direction belong together exactly. Scans hold colored points in the scanner's frame, of those beams that came back
     (InputError where none did); intensity is the luminance.
     """
     rng = np.random.default_rng(seed)
@@ -76,7 +76,7 @@ def scan_model(model: GaussianModel, trajectory: Trajectory, lidar: Lidar = Lida
 
 
 def _face(model: GaussianModel, pose: Float64, beams: Float64, lidar: Lidar, face: int) -> tuple[Float64, Float64]:
-    """Points (scanner's frame) and colours of the beams within 45 degrees of a quarter's middle."""
+    """Points (scanner's frame) and colors of the beams within 45 degrees of a quarter's middle."""
     middle = 0.5 * np.pi * face
     c, s = np.cos(middle), np.sin(middle)
     to_camera = np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]])  # x right, y down, z forward

@@ -170,9 +170,9 @@ _LARGEST = float(np.finfo(np.float16).max)
 def half_precision(model: GaussianModel) -> GaussianModel:
     """Every value rounded to float16 and back, quaternions brought to unit length again.
 
-    No file format read here holds half floats (SPZ and SOG quantise in their own way): this is what happens in graphics
-    memory, and in files of viewers that dump it. Centres keep 11 bits, so that a scene far from its origin shows steps.
-    InputError if a centre or a coefficient is too large for float16 (65,504).
+    No file format read here holds half floats (SPZ and SOG quantize in their own way): this is what happens in graphics
+    memory, and in files of viewers that dump it. Centers keep 11 bits, so that a scene far from its origin shows steps.
+    InputError if a center or a coefficient is too large for float16 (65,504).
     """
     for name in ("means", "sh"):
         array = getattr(model, name)

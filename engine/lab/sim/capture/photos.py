@@ -79,7 +79,7 @@ def undistort(pixels: npt.NDArray[np.uint8], photo: PosedPhoto, size: int | None
 
 
 def _opencv(K: Float64) -> Float64:
-    """Intrinsics in OpenCV's pixels, whose centres lie at whole numbers."""
+    """Intrinsics in OpenCV's pixels, whose centers lie at whole numbers."""
     moved = K.copy()
     moved[:2, 2] -= 0.5
     return moved
@@ -164,7 +164,7 @@ def load_photos(
 ) -> PhotoSet:
     """Read the photos of a reconstruction from a folder and undistort them, at most `size` pixels on the longest side.
 
-    By the order of the names, the middle one of every `hold_out` photos is held out, so that it has trained neighbours
+    By the order of the names, the middle one of every `hold_out` photos is held out, so that it has trained neighbors
     on both sides; 0 holds none out.
     """
     photos = reconstruction.photos

@@ -146,7 +146,7 @@ def mounted(points: Float64, mounting: Float64 | None) -> Float64:
 
 
 def join_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """All points in one cloud; what is not known of all of them (colours, intensities, times) is left out."""
+    """All points in one cloud; what is not known of all of them (colors, intensities, times) is left out."""
     if not clouds:
         raise InputError("there are no clouds to join")
 
@@ -158,12 +158,12 @@ def join_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 _SAMPLE = 4096
-_AREA_NEIGHBOURS = 8
+_AREA_NEIGHBORS = 8
 _MOST_VOXELS = 2**62
 
-STRAY_NEIGHBOURS = 12
+STRAY_NEIGHBORS = 12
 STRAY_DEVIATIONS = 3.0
-"""Points farther from their neighbours than the mean by so many standard deviations of its logarithm are strays.
+"""Points farther from their neighbors than the mean by so many standard deviations of its logarithm are strays.
 The logarithm, since spacing grows with the distance to the scanner and is nowhere near normal."""
 
 ISLAND_LINK = 6.0  # points closer than this many typical spacings belong together
@@ -173,7 +173,7 @@ ISLAND_SHARE = 2e-4
 
 
 def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
-    """One point a voxel of an edge of `size` scene units: the mean place, colour, intensity and time of those in it.
+    """One point a voxel of an edge of `size` scene units: the mean place, color, intensity and time of those in it.
 
     In the order of the voxels, whatever the order of the points but for rounding.
     """
@@ -204,13 +204,13 @@ def thin_voxels(cloud: PointCloud, size: float) -> PointCloud:
 def typical_spacing(points: Float64) -> float:
     """Edge of the square that a point has for itself on its surface, scene units; the median.
 
-    From the distance to the eighth neighbour, so that lines of a scanner, dense along and sparse across, count as
+    From the distance to the eighth neighbor, so that lines of a scanner, dense along and sparse across, count as
     the surface they lie on; from at most 4,096 points, evenly taken.
     """
     from scipy.spatial import cKDTree
 
     some = points[np.linspace(0, len(points) - 1, min(len(points), _SAMPLE)).astype(int)]
-    k = min(_AREA_NEIGHBOURS, len(points) - 1)
+    k = min(_AREA_NEIGHBORS, len(points) - 1)
     if k < 1:
         return 0.0
     distances = cKDTree(points).query(some, k=[k + 1])[0][:, 0]
@@ -223,7 +223,7 @@ def drop_strays(cloud: PointCloud) -> PointCloud:
 
     The cloud must be of even density, see `thin_voxels`.
     """
-    if len(cloud) <= 2 * STRAY_NEIGHBOURS:
+    if len(cloud) <= 2 * STRAY_NEIGHBORS:
         return cloud
     rest = cloud.take(_in_company(cloud.points))
     return rest.take(_on_land(rest.points))
@@ -233,7 +233,7 @@ def _in_company(points: Float64) -> Bool:
     """(N,) statistical outlier removal (Rusu et al. 2008), on the logarithm of the distance."""
     from scipy.spatial import cKDTree
 
-    distances = cKDTree(points).query(points, k=STRAY_NEIGHBOURS + 1)[0][:, 1:]
+    distances = cKDTree(points).query(points, k=STRAY_NEIGHBORS + 1)[0][:, 1:]
     spacing = np.log(np.maximum(distances.mean(axis=1), np.finfo(np.float64).tiny))
     return np.asarray(spacing <= spacing.mean() + STRAY_DEVIATIONS * spacing.std())
 
@@ -378,7 +378,7 @@ def _thinned(cloud: PointCloud, config: CloudConfig, spacing: float) -> tuple[Po
 
 
 def _colors(cloud: PointCloud) -> tuple[Float32, str]:
-    """(N, 3) colours; grey by intensity where a scanner saw none, the brightest and darkest 1 % cut off."""
+    """(N, 3) colors; grey by intensity where a scanner saw none, the brightest and darkest 1 % cut off."""
     if cloud.colors is not None:
         return cloud.colors, "colors"
     if cloud.intensity is None or not len(cloud) or np.ptp(cloud.intensity) == 0.0:
@@ -389,7 +389,7 @@ def _colors(cloud: PointCloud) -> tuple[Float32, str]:
 
 
 def _origin(points: Float64) -> Float64:
-    """Zero, or a round place in the middle where float32 would merge neighbours."""
+    """Zero, or a round place in the middle where float32 would merge neighbors."""
     largest = float(np.abs(points).max(initial=0.0))
     if len(points) < 2 or largest * np.finfo(np.float32).eps <= _DIGITS_LOST * typical_spacing(points):
         return np.zeros(3)

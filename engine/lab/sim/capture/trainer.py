@@ -91,8 +91,8 @@ class DensifyConfig:
     first: float = 500 / 30_000  # when it begins, part of the training: step 500 of 30,000
     last: float = 0.5  # when it ends: step 15,000
     every: int = 100  # steps between two rounds
-    # Gaussians whose centre is pulled more strongly than this across the image are cloned or split: mean over the views
-    # of the norm of dL/d(centre), in half images
+    # Gaussians whose center is pulled more strongly than this across the image are cloned or split: mean over the views
+    # of the norm of dL/d(center), in half images
     gradient: float = 2e-4
     # larger ones are split, smaller ones cloned; largest standard deviation, part of the extent of the cameras
     split_size: float = 0.01
@@ -119,14 +119,14 @@ class DensifyConfig:
 
 
 class CenterGradients:
-    """Mean pull on every centre across the image, over the views that saw the Gaussian."""
+    """Mean pull on every center across the image, over the views that saw the Gaussian."""
 
     def __init__(self, count: int) -> None:
         self.sums = np.zeros(count, dtype=np.float64)
         self.views = np.zeros(count, dtype=np.int32)
 
     def add(self, centers: Float32, visible: Int32, width: int, height: int) -> None:
-        """One view: centers (2, N) is dL/d(projected centre) in pixels, `visible` who was seen."""
+        """One view: centers (2, N) is dL/d(projected center) in pixels, `visible` who was seen."""
         x, y = centers[0, visible] * (0.5 * width), centers[1, visible] * (0.5 * height)
         self.sums[visible] += np.hypot(x, y)
         self.views[visible] += 1
@@ -146,7 +146,7 @@ def densify(
     *,
     prune_large: bool,
 ) -> None:
-    """One round, in place: clone and split where the centres are pulled, remove what is faint or too large.
+    """One round, in place: clone and split where the centers are pulled, remove what is faint or too large.
 
     `pull` (N,) is `CenterGradients.mean`, `extent` that of the cameras (scene units); `rng` places the parts of split
     Gaussians, and with `prune_large` those beyond `max_size` go.
@@ -191,7 +191,7 @@ class TrainConfig:
     steps: int = 30_000  # one photo each
     # every parameter, or SH alone with the geometry frozen (then nothing is densified)
     trained: Literal["all", "colors"] = "all"
-    position_rate: float = 1.6e-4  # of the centres at the first step, part of the extent of the cameras
+    position_rate: float = 1.6e-4  # of the centers at the first step, part of the extent of the cameras
     position_rate_end: float = 1.6e-6  # at the last step; exponential between
     scale_rate: float = 0.005  # of log-scales
     rotation_rate: float = 0.001  # of quaternions
@@ -201,7 +201,7 @@ class TrainConfig:
     # degree reached in the end, 0 to 3; one more every `sh_every`. None: the model's own, from the start
     sh_degree: int | None = 3
     sh_every: float = 1_000 / 30_000  # part of the training after which the next SH degree joins: 1,000 steps of 30,000
-    # colour behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
+    # color behind the Gaussians; "random" draws one for each step, so that nothing may hide in it
     background: float | tuple[float, float, float] | Literal["random"] = 0.0
     densify: DensifyConfig | None = field(default_factory=DensifyConfig)  # None: the number of Gaussians stays
     seed: int = 0  # of the photos' order, random backgrounds and places of split Gaussians
@@ -218,7 +218,7 @@ class TrainConfig:
         if not all(np.isfinite(rate) and rate > 0.0 for rate in rates):
             raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)}")
         if isinstance(self.background, str) and self.background != "random":
-            raise InputError(f"background must be a colour or 'random', got {self.background!r}")
+            raise InputError(f"background must be a color or 'random', got {self.background!r}")
 
 
 def cameras_extent(cameras: Sequence[Camera]) -> float:

@@ -35,23 +35,23 @@ Action = Literal["change", "delete", "duplicate"]
 
 @dataclass(frozen=True, eq=False)
 class Recoloring:
-    """new colour = gain * colour + tint, for every direction of view; before clipping."""
+    """new color = gain * color + tint, for every direction of view; before clipping."""
 
     gain: Float64  # (3,) factor on red, green and blue, >= 0
-    tint: Float64  # (3,) added, colours ranging 0 to 1
+    tint: Float64  # (3,) added, colors ranging 0 to 1
 
     @classmethod
     def none(cls) -> Recoloring:
-        """The recolouring that changes nothing."""
+        """The recoloring that changes nothing."""
         return cls(np.ones(3), np.zeros(3))
 
     @property
     def offset(self) -> Float64:
-        """(3,) what is added to gain * DC, SH units: colour = 0.5 + SH_C0 * DC."""
+        """(3,) what is added to gain * DC, SH units: color = 0.5 + SH_C0 * DC."""
         return np.asarray((0.5 * (self.gain - 1.0) + self.tint) / SH_C0)
 
     def apply(self, sh: Float32) -> Float32:
-        """(n, K, 3) SH recoloured."""
+        """(n, K, 3) SH recolored."""
         new = sh.astype(np.float64) * self.gain
         new[:, 0] += self.offset
         return new.astype(np.float32)
@@ -66,15 +66,15 @@ class Edited(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """One local edit. It can be carried out again on another model of the same Gaussians, and taken back.
+    """One local edit. It can be repeated on another model of the same Gaussians, and undone.
 
     What is kept to *replay* it are its parameters, never the values it gave: replayed on a record's unmarked reference
     it makes an edited reference without a trace of a mark (DESIGN 4.9). The values from before *take it back*.
     """
 
     name: str
-    # `change`: the rows are moved and recoloured in place. `delete`: they are removed. `duplicate`: moved and
-    # recoloured copies of them are appended
+    # `change`: the rows are moved and recolored in place. `delete`: they are removed. `duplicate`: moved and
+    # recolored copies of them are appended
     action: Action
     count: int  # Gaussians of the model before the edit
     rows: Int64  # (n,) the Gaussians concerned, ascending
@@ -177,7 +177,7 @@ def place(model: GaussianModel, selection: Bool, similarity: Similarity) -> Edit
 
 
 def recolor(model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0, tint: npt.ArrayLike = 0.0) -> Edited:
-    """Multiply the colours of the selected Gaussians by `gain` >= 0, then add `tint`; each scalar or (3,)."""
+    """Multiply the colors of the selected Gaussians by `gain` >= 0, then add `tint`; each scalar or (3,)."""
     change = Recoloring(_channels(gain, "gain"), _channels(tint, "tint"))
     if (change.gain < 0).any():
         raise InputError(f"gain must not be negative, got {change.gain.tolist()}")
@@ -185,12 +185,12 @@ def recolor(model: GaussianModel, selection: Bool, *, gain: npt.ArrayLike = 1.0,
 
 
 def recolor_towards(model: GaussianModel, selection: Bool, color: npt.ArrayLike, strength: float = 1.0) -> Edited:
-    """Paint the selected Gaussians: colour = (1 - strength) * colour + strength * target, scalar or (3,), 0 to 1.
+    """Paint the selected Gaussians: color = (1 - strength) * color + strength * target, scalar or (3,), 0 to 1.
 
     At strength 1 the target is all that is left, and nothing of a mark.
     """
     if not 0 <= strength <= 1:
-        raise InputError(f"strength of a recolouring must lie in [0, 1], got {strength}")
+        raise InputError(f"strength of a recoloring must lie in [0, 1], got {strength}")
     change = Recoloring(np.full(3, 1.0 - strength), strength * _channels(color, "color"))
     return _edit("recolor", model, selection, recoloring=change)
 

@@ -1,7 +1,7 @@
 """What was edited in a suspect, without a track of its edits: a map that separates the edits from the mark.
 
 The record says which displacement the mark makes (C'_k - C_k of every code vector). What a suspect shows
-beyond that, coherently over neighbouring Gaussians, is an edit; what does not lie where it was is moved, copied
+beyond that, coherently over neighboring Gaussians, is an edit; what does not lie where it was is moved, copied
 or foreign; what is missing was removed. Connected patches of changes are described for people. The map looks at the
 chips, so it must not choose the evidence of a claim (DESIGN 4.9); claims are made by `verify_model` and
 `verify_pieces`, which do not.
@@ -23,7 +23,7 @@ from engine.watermark.layout import MARK_SCALE
 from engine.watermark.model_evidence import remove_affine_color
 from engine.watermark.spreading import signed_amplitudes
 
-LINKS = 8  # neighbours by which Gaussians of a patch hang together
+LINKS = 8  # neighbors by which Gaussians of a patch hang together
 REACH = 4.0  # links longer than this many median links join nothing
 
 
@@ -33,9 +33,9 @@ class EditedRegion:
 
     kind: str  # "recolored", "moved", "copied", "foreign" or "removed"
     rows: Int64  # (n,) Gaussians of the suspect; of the reference where removed
-    center: Float64  # (3,) median of the centres, in the suspect's frame
+    center: Float64  # (3,) median of the centers, in the suspect's frame
     radius: float  # 90 % quantile of the distance from it, units of the suspect
-    # new colour = gain * old colour + tint, robustly fitted; None where nothing was matched
+    # new color = gain * old color + tint, robustly fitted; None where nothing was matched
     recoloring: Recoloring | None
     mark_left: float  # how much of the mark the patch still shows (1 all, 0 none); NaN where nothing was matched
     mark_error: float  # standard error of that
@@ -123,12 +123,12 @@ def _line(old: Float64, new: Float64, mark: Float64) -> tuple[float, float]:
     return float(fit[0]), float(fit[1])
 
 
-NEIGHBORS = 12  # neighbours over which a displacement must be coherent; the patch of a single code vector holds more
+NEIGHBORS = 12  # neighbors over which a displacement must be coherent; the patch of a single code vector holds more
 NORMAL = 1.4826  # standard deviation of a normal law over its median absolute deviation
 CHANCE = 1e-6  # rate at which noise alone passes for a coherent displacement, per Gaussian, if normal and independent
 ROUNDS = 3  # times tint and mark are fitted in turn; they hardly have anything in common
 MOST_LEFT = 1.5  # largest factor of the mark that is believed
-BORDER = 0.25  # share of a Gaussian's neighbours in a patch from which it lies next to it
+BORDER = 0.25  # share of a Gaussian's neighbors in a patch from which it lies next to it
 
 FINEST = 0.1 * MARK_SCALE
 """Deviation below which residuals are not believed, SH units: references are rounded, files more so."""
@@ -150,9 +150,9 @@ class Change(IntEnum):
 class EditMap:
     """Where a suspect differs from the record's reference by more than the mark."""
 
-    # (M,) `Change` of every suspect Gaussian; recoloured ones that were moved too count as moved
+    # (M,) `Change` of every suspect Gaussian; recolored ones that were moved too count as moved
     kinds: npt.NDArray[np.int8]
-    recolored: Bool  # (M,) displaced in colour by more than the mark, moved or not
+    recolored: Bool  # (M,) displaced in color by more than the mark, moved or not
     removed: Bool  # (N,) reference Gaussians that are not in the suspect
     displacement: Float64  # (M, 3) DC displacement that the mark does not explain, SH units; 0 where not matched
     mark_left: float  # how much of the mark the untouched Gaussians show: 1 all of it, 0 none
@@ -168,8 +168,8 @@ class EditMap:
 def map_edits(suspect: GaussianModel, opened: OpenedRecord, *, least: float = MARK_SCALE, seed: int = 0) -> EditMap:
     """Find what was edited in a suspect since the asset was marked.
 
-    A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest colour
-    displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps of an 8-bit colour): a
+    A global change of tint or exposure is no edit; nor is a similarity of the whole. `least` is the smallest color
+    displacement of interest, DC units (0.02 by default, the mark's own size and 1.4 steps of an 8-bit color): a
     smaller edit cannot be distinguished from compression.
     """
     pieces = register_pieces(opened.reference, suspect, seed=seed)
@@ -237,7 +237,7 @@ def _mark_of(opened: OpenedRecord) -> Float64:
 
 
 def _beyond(reference: Float64, shown: Float64, mark: Float64, trust: Float64) -> tuple[float, Float64]:
-    """How much of the mark is left, and what neither it nor a global change of colour explains, (n, 3).
+    """How much of the mark is left, and what neither it nor a global change of color explains, (n, 3).
 
     Tint and mark are fitted in turn: a tint fitted alone takes a part of the mark for its own.
     """
@@ -262,7 +262,7 @@ def _share(shown: Float64, mark: Float64, trust: Float64) -> float:
 
 
 def _saturated(expected: Float64, shown: npt.NDArray[np.float32]) -> Bool:
-    """(n, 3) channels that a format without colours beyond 0 and 1 has clipped, there and here alike."""
+    """(n, 3) channels that a format without colors beyond 0 and 1 has clipped, there and here alike."""
     edge = DC_CLIP - MARK_SCALE
     clipped = np.abs(np.abs(shown) - DC_CLIP) < MARK_SCALE
     return np.asarray(clipped & (np.abs(expected) > edge) & (expected * shown > 0))
@@ -276,9 +276,9 @@ def _noise(beyond: Float64) -> Float64:
 def _completed(
     coherent: Bool, near: Int64, means: Float64, old: Float64, now: Float64, mark: Float64, beyond: Float64, left: float
 ) -> Bool:
-    """(n,) the coherent Gaussians and those next to them that the same change of colour explains.
+    """(n,) the coherent Gaussians and those next to them that the same change of color explains.
 
-    A Gaussian that had about the colour it was painted in is displaced little or another way than the rest.
+    A Gaussian that had about the color it was painted in is displaced little or another way than the rest.
     """
     done = coherent.copy()
     chance = float(np.square(3.0 * _noise(beyond)).sum())
@@ -296,19 +296,19 @@ def _completed(
 
 
 def _coherent(means: Float64, beyond: Float64, trust: Float64, least: float) -> tuple[Bool, Int64]:
-    """(n,) whether a Gaussian's displacement is shared by its neighbours, beyond noise and `least`.
+    """(n,) whether a Gaussian's displacement is shared by its neighbors, beyond noise and `least`.
 
-    And those neighbours, (n, k), itself the first.
+    And those neighbors, (n, k), itself the first.
     """
     from scipy.spatial import cKDTree
     from scipy.special import chdtri
 
     noise = _noise(beyond)
-    k = min(NEIGHBORS + 1, len(means))  # a Gaussian is its own nearest neighbour
+    k = min(NEIGHBORS + 1, len(means))  # a Gaussian is its own nearest neighbor
     _, near = cKDTree(means).query(means, k=k, workers=1)
     near = near.reshape(-1, k)  # (n, k)
     weight = np.maximum(trust, 1e-3)[near]
-    # The middle one of the neighbours' displacements: half of them must agree, and no outlier drags it.
+    # The middle one of the neighbors' displacements: half of them must agree, and no outlier drags it.
     common = np.median(beyond[near], axis=1)  # (n, k, 3) -> (n, 3)
     # The variance of a median of k normal values is pi / 2 times that of their mean.
     count = weight.sum(axis=1) * (2.0 / np.pi)

@@ -1,12 +1,12 @@
-"""Deleting fills the hole from its neighbours: the surface around it goes on, in copies of its own Gaussians.
+"""Deleting fills the hole from its neighbors: the surface around it goes on, in copies of its own Gaussians.
 
 1. The ring of Gaussians around the hole, and the surface through it: a quadric height field.
-2. The surface seen along its normal: which cells are covered, in what colour; which are the hole.
+2. The surface seen along its normal: which cells are covered, in what color; which are the hole.
 3. For each cell of the hole, the covered cell to copy, textures continuing from the rim (Criminisi, Perez, Toyama,
    "Region filling and object removal by exemplar-based inpainting", IEEE TIP 2004): the hole closes from its rim, and
    each patch on the rim is completed from the known patch that fits it best.
 4. The Gaussians of that cell are copied: moved along the surface, turned with its normal, their height above
-   it kept, their colour shifted to that of the hole's rim.
+   it kept, their color shifted to that of the hole's rim.
 
 A hole that no surface surrounds (something that stood alone in the air) is left empty.
 """
@@ -175,7 +175,7 @@ REUSE = 0.15  # cost of each earlier use of a source patch, in units of the medi
 def complete_cells(colors: Float64, known: Bool, wanted: Bool) -> tuple[Int64, Bool]:
     """Row and column of the cell to copy into every wanted cell, (H, W, 2), and the cells completed, (H, W) bool.
 
-    Colours (H, W, 3) are meaningful where known (H, W); no wanted cell is. All wanted cells are completed, unless
+    Colors (H, W, 3) are meaningful where known (H, W); no wanted cell is. All wanted cells are completed, unless
     nothing is known.
     """
     source = np.zeros((*wanted.shape, 2), np.int64)
@@ -275,7 +275,7 @@ def smooth(values: Float64, known: Bool, sigma: float) -> Float64:
 
 
 def _source_patches(image: Float64, known: Bool) -> tuple[int, Int64, Float64]:
-    """All patches of the largest side that are known throughout: side, (n, 2) middles and (n, side^2, 3) colours."""
+    """All patches of the largest side that are known throughout: side, (n, 2) middles and (n, side^2, 3) colors."""
     for side in SIDES:
         half = side // 2
         whole = _box_sum(known, half) == side * side
@@ -317,7 +317,7 @@ SHOWN, STOOD = 0.05, 0.1
 """Opacity from which a cell shows anything at all, and from which the deleted Gaussians stood in it."""
 
 BASE_COLOR = 3.0
-"""Standard deviation, in cells, of the average that is a surface's base colour; what is finer is texture."""
+"""Standard deviation, in cells, of the average that is a surface's base color; what is finer is texture."""
 
 ROUNDS = 8  # times the surface is looked at again for cells that the copies so far left open
 
@@ -344,7 +344,7 @@ def inpaint(model: GaussianModel, selection: Bool, config: InpaintConfig = Inpai
     """Delete the selected Gaussians and fill the hole they leave in the surface around them.
 
     The Gaussians left come in their order, then the filling (`edit.filling`; None where no surface surrounds the
-    hole). Copies carry the marked colours of the Gaussians they come from.
+    hole). Copies carry the marked colors of the Gaussians they come from.
     """
     cut = delete(model, selection)
     rows = np.flatnonzero(selection)
@@ -374,7 +374,7 @@ def _fill(
     known = alpha >= config.covered * usual
     _, footprint = frame.see(frame.place(hole))
     gap = enclosed(known, ~known & binary_dilation(footprint > STOOD))
-    # What is copied is the texture; the base colour is the rim's, continued.
+    # What is copied is the texture; the base color is the rim's, continued.
     base = smooth(color, known, BASE_COLOR)
     rim = harmonic_fill(base, known, gap)
     widest = WIDEST_COPY * frame.cell * float(np.sqrt(gap.sum() / np.pi))
@@ -419,7 +419,7 @@ class _Frame:
         self.camera: Camera = look_at(eye, [*self.middle, 0.0], [0.0, 1.0, 0.0], focal, self.cells, self.cells)
 
     def place(self, model: GaussianModel) -> GaussianModel:
-        """A model in the flat world: u, v and height as coordinates, base colour only."""
+        """A model in the flat world: u, v and height as coordinates, base color only."""
         turn = rotation_to_quaternion(self.surface.axes)
         quats = quaternion_product(turn, model.quats).astype(np.float32)
         means = self.surface.local(model.means).astype(np.float32)

@@ -78,7 +78,7 @@ class BoxTree:
 
 
 BOX_DEVIATIONS = 3.0
-"""A bounding box reaches this many standard deviations past every centre, as a splat on the screen does."""
+"""A bounding box reaches this many standard deviations past every center, as a splat on the screen does."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """A body: a model embedded in elastic tetrahedra, with a position and a velocity for every lattice point.
 
 Every cube of the lattice is split into six tetrahedra along its diagonal from (0, 0, 0) to (1, 1, 1), one for
-each order of the three coordinates (Kuhn's subdivision): neighbouring cubes agree on their common face, and the
+each order of the three coordinates (Kuhn's subdivision): neighboring cubes agree on their common face, and the
 tetrahedron and barycentric coordinates of a point follow from sorting three numbers. `assemble` puts all bodies of a
 world into one set of arrays for the kernels.
 """
@@ -24,7 +24,7 @@ from engine.lab.sim.vectors import check_triple
 from engine.model import Bool, Float64, GaussianModel, Int32, Int64
 from engine.numerics.similarity import quaternion_to_rotation
 
-REACH = 2.0  # matter is looked for within this many robust radii of the centre
+REACH = 2.0  # matter is looked for within this many robust radii of the center
 VISIBLE = 0.1  # Gaussians below this share of the largest opacity are not matter; they ride along
 ISLAND = 0.02  # islands with less than this share of all voxels are floaters: they ride along with the nearest matter
 RESOLUTIONS = (2, 96)  # allowed voxels along the longest extent
@@ -60,7 +60,7 @@ def build_lattice(model: GaussianModel, resolution: int) -> tuple[Lattice, Bindi
     """Fill the model with tetrahedra and bind every Gaussian to them.
 
     `resolution` is the number of voxels along the model's longest robust extent, 2 to 96. Matter is in the voxels that
-    hold visible Gaussians (centre or one standard deviation along an axis), with closed hollows filled and floating
+    hold visible Gaussians (center or one standard deviation along an axis), with closed hollows filled and floating
     islands left out. InputError if the model is empty or the resolution is out of range.
     """
     low, high = RESOLUTIONS
@@ -241,7 +241,7 @@ def pose(body: Body) -> GaussianModel:
 
 
 def kernel_means(body: Body) -> Float64:
-    """(N, 3) where the Gaussians' centres are now, scene units."""
+    """(N, 3) where the Gaussians' centers are now, scene units."""
     return _interpolated(body, body.positions)
 
 
@@ -270,12 +270,12 @@ def strain_norms(body: Body) -> Float64:
 
 
 def color_by_strain(body: Body, full: float = 0.5) -> GaussianModel:
-    """The deformed model in degree 0, its strain as colour: matplotlib's "viridis", yellow from a norm of `full` on."""
+    """The deformed model in degree 0, its strain as color: matplotlib's "viridis", yellow from a norm of `full` on."""
     from matplotlib import colormaps
 
     from engine.model import SH_C0
 
-    check_positive(full, "the strain of full colour")
+    check_positive(full, "the strain of full color")
     colors: npt.NDArray[Any] = colormaps["viridis"](np.clip(strain_norms(body) / full, 0.0, 1.0))[:, :3]
     posed = pose(replace(body, model=body.model.with_(sh=body.model.sh[:, :1])))
     return posed.with_dc(((colors - 0.5) / SH_C0).astype(np.float32))
@@ -288,7 +288,7 @@ def _interpolated(body: Body, values: Float64) -> Float64:
 
 
 CONTACT = 0.45
-"""Radius of a point in contacts, in cells: neighbours at rest are 1 cell apart and stay clear of each other."""
+"""Radius of a point in contacts, in cells: neighbors at rest are 1 cell apart and stay clear of each other."""
 
 
 @dataclass(frozen=True, eq=False)

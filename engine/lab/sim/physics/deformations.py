@@ -14,7 +14,7 @@ import numpy.typing as npt
 from engine.errors import InputError
 from engine.model import Float64, GaussianModel
 
-REACH = 2.0  # Gaussians within this many robust radii of the centre say how long the body is
+REACH = 2.0  # Gaussians within this many robust radii of the center say how long the body is
 END = 0.01  # share of them beyond each end
 
 PointMap = Callable[[Float64, float, float], tuple[Float64, Float64]]
@@ -31,7 +31,7 @@ class Axes:
 
 
 def longest_axis(model: GaussianModel, axis: npt.ArrayLike | None = None, toward: npt.ArrayLike | None = None) -> Axes:
-    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the centre.
+    """The body's frame: along its longest extent, or as given. Its length holds 98 % of the Gaussians near the center.
 
     `axis` is the direction of h, by default the coordinate axis along which the model is longest; `toward` that of v,
     of which the part across the axis counts, by default the next coordinate axis. InputError if the model is empty, or
@@ -92,7 +92,7 @@ def bend_points(points: Float64, length: float, angle: float) -> tuple[Float64, 
     turn = angle / length * clipped
     c, s = np.cos(turn), np.sin(turn)
     beyond = h - clipped
-    # Centre of curvature at v = length / angle; the sine and versed sine over the angle stay finite without one.
+    # Center of curvature at v = length / angle; the sine and versed sine over the angle stay finite without one.
     arc = clipped * np.sinc(turn / np.pi)  # sin(turn) / curvature
     rise = 0.5 * clipped * turn * np.sinc(0.5 * turn / np.pi) ** 2  # (1 - cos(turn)) / curvature
     moved = np.stack([arc - s * v + c * beyond, rise + c * v + s * beyond, w], axis=-1)

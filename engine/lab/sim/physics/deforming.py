@@ -1,4 +1,4 @@
-"""A model after its matter has moved: means, covariances and colours follow (Eq 12)."""
+"""A model after its matter has moved: means, covariances and colors follow (Eq 12)."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
@@ -40,7 +40,7 @@ def deform_model(
     if count and (index.min() < 0 or index.max() >= len(matrices)):
         raise InputError(f"elements {index.min()} to {index.max()} of {len(matrices)} gradients")
     if not (np.isfinite(matrices).all() and np.isfinite(means).all()):
-        raise InputError("deformed centres and gradients must be finite")
+        raise InputError("deformed centers and gradients must be finite")
     log_scales, quats = np.empty_like(model.log_scales), np.empty_like(model.quats)
     deform_covariances(model.log_scales, model.quats, matrices, index, log_scales, quats)
     return model.with_(means=means, log_scales=log_scales, quats=quats, sh=_turned(model, matrices, index))

@@ -1,8 +1,8 @@
 """XPBD constraints and contacts, projected one after the other in a fixed order (Gauss-Seidel), one pass per substep.
 
-A few thousand constraints cost less than waking threads for every colour of a colouring, and a fixed order gives
+A few thousand constraints cost less than waking threads for every color of a coloring, and a fixed order gives
 the same bytes whatever the thread count. The direction of the pass alternates, so that no end of a body is
-favoured. With one pass per substep the multipliers start from zero (Macklin et al., "Small Steps in Physics
+favored. With one pass per substep the multipliers start from zero (Macklin et al., "Small Steps in Physics
 Simulation", SCA 2019): a constraint C of compliance alpha gets, over a substep h,
 
     d_lambda = -C / (sum_i w_i |grad_i C|^2 + alpha / h^2)      (Macklin, Mueller and Chentanez, "XPBD", MIG 2016)
@@ -214,7 +214,7 @@ def restore_spins(x, x_prev, masses, firsts, free, spins, lost):
     Projections push along lines between points as they are in the middle of the pass, but momentum counts
     lever arms from where the points were: without this a body that vibrates loses or gains spin (measured:
     3 % a second). `lost` (B, 3) is room for what was lost. The turn is linear in its angle, so one solve of
-    three equations is exact; the centre of mass stays.
+    three equations is exact; the center of mass stays.
     """
     measure_spins(x, x_prev, masses, firsts, lost)
     center, a = np.empty(3), np.empty((3, 3))
@@ -230,7 +230,7 @@ def restore_spins(x, x_prev, masses, firsts, free, spins, lost):
         for k in range(3):
             center[k] /= total
             lost[b, k] = spins[b, k] - lost[b, k]
-        # sum of m p cross (theta cross r) = [sum of m (p.r 1 - r p^T)] theta, with p before and r from the centre
+        # sum of m p cross (theta cross r) = [sum of m (p.r 1 - r p^T)] theta, with p before and r from the center
         a[:] = 0.0
         for i in range(firsts[b], firsts[b + 1]):
             dot = 0.0
@@ -342,7 +342,7 @@ def _bucket(a, b, c, mask):
 
 @inlined
 def _touch(x, rest, body, radii, i, j):
-    """Whether points are closer than the sum of their radii, and not neighbours at rest in one body."""
+    """Whether points are closer than the sum of their radii, and not neighbors at rest in one body."""
     least = radii[i] + radii[j]
     square, at_rest = 0.0, 0.0
     for k in range(3):
@@ -389,7 +389,7 @@ def find_pairs(x, rest, surface, body, radii, reach):
     found = 0
     for s in range(count):
         i = surface[s]
-        for cell in range(13, 27):  # its own cell and one of each pair of opposite neighbours
+        for cell in range(13, 27):  # its own cell and one of each pair of opposite neighbors
             a, b, c = cells[s, 0] + cell // 9 - 1, cells[s, 1] + cell // 3 % 3 - 1, cells[s, 2] + cell % 3 - 1
             slot = _bucket(a, b, c, size - 1)
             for at in range(starts[slot], starts[slot + 1]):

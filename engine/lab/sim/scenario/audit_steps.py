@@ -41,9 +41,9 @@ def _only(world: World, on: str) -> str:
 @step(KINDS, "map_edits", "a map of the edits found without a track of them: least, on")
 @dataclass(frozen=True)
 class MapEdits:
-    """Orange recoloured, blue moved, yellow copied, violet foreign, red removed; the world stays as it was."""
+    """Orange recolored, blue moved, yellow copied, violet foreign, red removed; the world stays as it was."""
 
-    least: float = given(Table.number, 0.02, 1e-6, 10.0)  # smallest colour displacement of interest, DC units
+    least: float = given(Table.number, 0.02, 1e-6, 10.0)  # smallest color displacement of interest, DC units
     on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:
@@ -57,7 +57,7 @@ class MapEdits:
 
 
 def paint_map(suspect: GaussianModel, found: EditMap, reference: GaussianModel) -> GaussianModel:
-    """The suspect in grey, its edits in their colours, and in red what was removed."""
+    """The suspect in grey, its edits in their colors, and in red what was removed."""
     plain = suspect.with_(sh=suspect.sh[:, :1])
     grey = (0.5 + SH_C0 * plain.sh[:, 0]).mean(axis=1, keepdims=True).clip(0.0, 1.0)  # (N, 1)
     colors = np.repeat(0.25 + 0.5 * grey, 3, axis=1)

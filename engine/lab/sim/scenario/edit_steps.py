@@ -1,6 +1,6 @@
 """Steps that edit a model, add and remove objects, and let time pass for objects that move.
 
-Lengths and places are in robust radii of the model the step works on, about its centre: a scenario fits any scene.
+Lengths and places are in robust radii of the model the step works on, about its center: a scenario fits any scene.
 """
 
 from abc import ABC, abstractmethod
@@ -237,7 +237,7 @@ def _mask_file(path: Path) -> Float32:
 
 
 def _disc(u: float, v: float, radius: float) -> Float32:
-    """A disc in a square picture; centre and radius in shares of its side."""
+    """A disc in a square picture; center and radius in shares of its side."""
     y, x = (np.mgrid[:MASK_SIZE, :MASK_SIZE] + 0.5) / MASK_SIZE
     return np.asarray((x - u) ** 2 + (y - v) ** 2 <= radius**2, dtype=np.float32)
 

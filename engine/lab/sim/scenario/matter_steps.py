@@ -32,13 +32,13 @@ from engine.numerics.similarity import transform_model
 KINDS: dict[str, StepKind] = {}
 
 GRAVITY = 9.81
-FLOOR_QUANTILE = 0.005  # the floor lies below all but this share of a body's centres: a floater does not hold it up
+FLOOR_QUANTILE = 0.005  # the floor lies below all but this share of a body's centers: a floater does not hold it up
 BALL_GAUSSIANS = 4000
 LIGHT = np.array([0.4, -0.8, 0.45])  # where the light comes from by which a ball is drawn
 
 
 def read_ball(table: Table, name: str) -> tuple[float, ...] | None:
-    """Centre and radius of a fixed ball, or None where not given."""
+    """Center and radius of a fixed ball, or None where not given."""
     if name not in table:
         return None
     ball = table.vector(name, None, 4)
@@ -56,7 +56,7 @@ class _Simulate(ABC):
     compliance: float = given(Table.number, 2e-5, 0.0, 1.0)  # 1 / Young's modulus, 1/Pa
     resolution: int = given(Table.integer, 16, 2, 96)  # voxels along the longest side of a body
     ball: tuple[float, ...] | None = given(read_ball)  # fixed: x, y, z and radius, radii about the middle
-    strain: bool = given(Table.flag, False)  # whether the film shows strain for colour
+    strain: bool = given(Table.flag, False)  # whether the film shows strain for color
     on: str = given(Table.text, "")
 
     def run(self, world: World, rng: np.random.Generator, advance: Advance) -> Outcome:

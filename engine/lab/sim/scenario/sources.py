@@ -163,7 +163,7 @@ def _as_discs(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
 def _as_codebook(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
     book = make_codebook(_plain(unmarked), seed=seed)
     sizes = ", ".join(f"{name} {len(codes)}" for name, codes in book.centers.items())
-    return Unmarked(_loaded(book, CODEBOOK), f"quantised to codebooks (Compact3D): {sizes}")
+    return Unmarked(_loaded(book, CODEBOOK), f"quantized to codebooks (Compact3D): {sizes}")
 
 
 def _as_clip(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
@@ -172,7 +172,7 @@ def _as_clip(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:
 
 
 GENERATED_VIEWS, GENERATED_SIZE, GENERATED_POINTS, GENERATED_STEPS = 24, 256, 4000, 400
-"""Renders, on black, that guide a generated object in the place of a diffusion model; and how long it is optimised."""
+"""Renders, on black, that guide a generated object in the place of a diffusion model; and how long it is optimized."""
 
 
 def _as_generated(unmarked: Unmarked, seed: int, progress: Progress) -> Unmarked:

@@ -1,6 +1,6 @@
 """Strict reading of TOML tables: every value has a type and a range, and unknown names are errors.
 
-A dataclass says beside each field how its value is read, `views: int = given(Table.integer, 100, 1, 10_000)`, and
+Each field of a dataclass says how its value is read, `views: int = given(Table.integer, 100, 1, 10_000)`, and
 `Table.read` makes one.
 """
 

@@ -1,9 +1,9 @@
 """Discs (2DGS) and clips (4DGS) made from ordinary models, since no captured files of these kinds are at hand.
 
 Discs are **made, not trained**: a Gaussian model loses its smallest axis, its discs are widened by what a 3DGS
-rasterizer adds to every splat, and their colours are fitted to renders of the original. A trained 2DGS also has
+rasterizer adds to every splat, and their colors are fitted to renders of the original. A trained 2DGS also has
 surfaces that agree with each other, and normals; what matters to a mark is alike: two scales, the ray-splat
-intersection, colours that a 2DGS viewer shows.
+intersection, colors that a 2DGS viewer shows.
 
 A clip starts from a *truth*, a scene that sways in low-order modes and some parts of which appear and vanish; from it a
 Spacetime model is **fitted by least squares**, as a capture of that scene would be: cubics cannot follow the sines
@@ -27,13 +27,13 @@ from engine.raster import RasterSettings, render
 from engine.scenes.spacetime import LOGIT_LIMIT, SpacetimeModel
 
 FIT_VIEWS, FIT_SIZE, FIT_EPOCHS = 12, 512, 2
-"""Views of the regular rig, pixels a side, and passes over them, in which colours are fitted."""
+"""Views of the regular rig, pixels a side, and passes over them, in which colors are fitted."""
 
 
 def make_discs(
     model: GaussianModel, epochs: int = FIT_EPOCHS, advance: Callable[[float], None] | None = None
 ) -> GaussianModel:
-    """A 3DGS model as discs that look like it, in its order: flattened, widened, colours fitted (see `fit_colors`)."""
+    """A 3DGS model as discs that look like it, in its order: flattened, widened, colors fitted (see `fit_colors`)."""
     cameras = make_rig(model, FIT_VIEWS, FIT_SIZE, FIT_SIZE)
     return fit_colors(widen(flatten(model), cameras), model, cameras, epochs, advance)
 
@@ -42,7 +42,7 @@ def widen(discs: GaussianModel, cameras: Sequence[Camera]) -> GaussianModel:
     """Discs with the dilation that 3DGS adds on the screen folded into their scales.
 
     EWA splatting adds `eps2d` square pixels to both variances of every splat, 2DGS nothing. Here that amount goes
-    to the two scales, at the mean magnification (pixels a scene unit) of the cameras that see the disc's centre in
+    to the two scales, at the mean magnification (pixels a scene unit) of the cameras that see the disc's center in
     front of them, which have the size in pixels at which the discs are to look right. Measured on real scenes: 4 to
     5 dB.
     """
@@ -82,7 +82,7 @@ def fit_colors(
 
 MODES = 4
 FRAMES = 24  # moments of the truth that a fit sees
-CENTERS = (0.35, 0.5, 0.65)  # temporal centres of what lasts; real captures spread them as well
+CENTERS = (0.35, 0.5, 0.65)  # temporal centers of what lasts; real captures spread them as well
 SOFT = 0.02  # time in which something appears or vanishes, parts of the clip: a few frames
 CELLS = 64  # parts of a scene that come and go as one
 SHORTEST, MARGIN = 0.05, 0.2
@@ -126,7 +126,7 @@ class SwayingScene:
 
 
 def set_in_motion(model: GaussianModel, *, swing: float = 0.04, transient: float = 0.1, seed: int = 0) -> SwayingScene:
-    """Let a still scene sway about its foot, with parts of it coming and going; its view-dependent colour is dropped.
+    """Let a still scene sway about its foot, with parts of it coming and going; its view-dependent color is dropped.
 
     `swing` is the largest displacement, in radii of the scene; `transient` the share, 0 to 1, of its cells that are not
     there all the time.

@@ -70,7 +70,7 @@ DISC_MODEL_CASES: Cases = (
     ("crop to 10 %", "crop", 0.1),
     ("noise 0.1 on all", "noise_all", 0.1),
     ("SH cut to degree 0", "drop_sh", 0),
-    ("quantised to 8 bits", "quantize", 8),
+    ("quantized to 8 bits", "quantize", 8),
     (".spz and back", "convert", "spz"),
     (".sog and back", "convert", "sog"),
 )

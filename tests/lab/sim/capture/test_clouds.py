@@ -17,7 +17,7 @@ from tests.lab.sim.capture.rooms import room_points
 
 
 def thinned_slowly(cloud: PointCloud, size: float) -> dict[tuple[int, ...], np.ndarray]:
-    """Mean of place, colour, intensity and time in each voxel, one point after the other."""
+    """Mean of place, color, intensity and time in each voxel, one point after the other."""
     held: dict[tuple[int, ...], list[np.ndarray]] = {}
     low = cloud.points.min(axis=0)
     for k in range(len(cloud)):
@@ -96,8 +96,8 @@ def test_flat_kernels_of_points_in_one_place_and_on_a_line() -> None:
     model = flat_kernels_from_points(points, np.full((30, 3), 0.5))
     assert np.isfinite(model.log_scales).all()
     np.testing.assert_allclose(np.linalg.norm(model.quats, axis=1), 1.0, atol=1e-6)
-    with pytest.raises(InputError, match="neighbours is 2"):
-        flat_kernels_from_points(points, np.full((30, 3), 0.5), neighbours=2)
+    with pytest.raises(InputError, match="neighbors is 2"):
+        flat_kernels_from_points(points, np.full((30, 3), 0.5), neighbors=2)
 
 
 def test_a_cloud_on_a_map_grid_gets_an_origin(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_knobs(tmp_path: Path) -> None:
             CloudConfig(**wrong)  # type: ignore[arg-type]
 
 
-def test_grey_by_intensity_where_there_are_no_colours(tmp_path: Path) -> None:
+def test_grey_by_intensity_where_there_are_no_colors(tmp_path: Path) -> None:
     points, _ = room_points(400)
     file = tmp_path / "grey.las"
     file.write_bytes(las(points, format=1))

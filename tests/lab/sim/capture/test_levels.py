@@ -41,7 +41,7 @@ def front(model: GaussianModel, size: int = 96, far: float = 3.2) -> list[Camera
 
 
 def weights_slowly(model: GaussianModel, camera: Camera) -> Float64:
-    """Sum of squared weights: the image is linear in colours, so each Gaussian alone in white shows its weight."""
+    """Sum of squared weights: the image is linear in colors, so each Gaussian alone in white shows its weight."""
     total = np.zeros(len(model))
     for k in range(len(model)):
         colors = np.zeros((len(model), 1, 3), np.float32)

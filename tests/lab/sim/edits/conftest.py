@@ -49,7 +49,7 @@ def scene() -> MarkedScene:
 
 
 def solid(seed: int, n: int = 3000) -> GaussianModel:
-    """A knobbly ball of its own shape and colours, SH degree 1."""
+    """A knobbly ball of its own shape and colors, SH degree 1."""
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Deleting fills the hole from its neighbours: covered, in the right colours, and only where a surface was."""
+"""Deleting fills the hole from its neighbors: covered, in the right colors, and only where a surface was."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_a_moved_piece_looks_as_before_from_a_moved_camera(model: GaussianModel)
     world[:3, :3] = camera.viewmat[:3, :3] @ TURN.R.T
     world[:3, 3] = -world[:3, :3] @ eye
     assert psnr(render(model, camera), render(changed, Camera(world, camera.K, 96, 96))) > 55
-    # colours that depend on the view turned, too: without Wigner-D the picture differs
+    # colors that depend on the view turned, too: without Wigner-D the picture differs
     still = changed.with_(sh=model.sh)
     assert psnr(render(model, camera), render(still, Camera(world, camera.K, 96, 96))) < 45
 

@@ -108,7 +108,7 @@ def test_a_higher_threshold_keeps_off_the_edge(sheet: GaussianModel) -> None:
     assert ((share > 0.05) & (share < 0.95) & (weight > 0)).any()
 
 
-def test_hidden_gaussians_follow_their_neighbours(sheet: GaussianModel) -> None:
+def test_hidden_gaussians_follow_their_neighbors(sheet: GaussianModel) -> None:
     behind = sheet.with_(means=sheet.means - np.array([0, 0, 0.02]))
     camera = look_at([0, 0, 4], [0, 0, 0], [0, 1, 0], 300.0, 160, 160)
     opaque = sheet.with_(opacity_logits=np.full(len(sheet), 9.0))

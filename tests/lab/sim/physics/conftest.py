@@ -1,4 +1,4 @@
-"""A small solid ball of Gaussians with directional colour, and the real plant."""
+"""A small solid ball of Gaussians with directional color, and the real plant."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def test_squash_changes_length_and_width(rod: GaussianModel) -> None:
 
 @pytest.mark.parametrize("name", ["bend", "twist", "squash"])
 def test_attacks_carry_the_covariances_along(name: str, rod: GaussianModel) -> None:
-    """Three neighbours at a thousandth of the body's length tell what the map did to a Gaussian's surroundings."""
+    """Three neighbors at a thousandth of the body's length tell what the map did to a Gaussian's surroundings."""
     chosen = np.arange(150, 2000, 120)
     step = 2e-3
     probes = [rod.take(chosen).with_(means=rod.means[chosen] + step * e) for e in np.eye(3)]

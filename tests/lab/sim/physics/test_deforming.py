@@ -12,7 +12,7 @@ from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster import render
-from tests.reference.deformation import deformed_colour, deformed_covariance, nearest_rotation
+from tests.reference.deformation import deformed_color, deformed_covariance, nearest_rotation
 from tests.reference.similarity import covariance
 from tests.threads import with_one_and_two_threads
 
@@ -43,14 +43,14 @@ def test_covariances_match_the_twin(ball: GaussianModel) -> None:
     assert np.abs(moved.log_scales - ball.log_scales).max() > 0.5
 
 
-def test_colours_match_the_twin(ball: GaussianModel) -> None:
+def test_colors_match_the_twin(ball: GaussianModel) -> None:
     F = gradients(30, seed=2)
     element = np.arange(len(ball)) % 30
     moved = deform_model(ball, ball.means, F, element)
     direction = np.array([0.36, -0.48, 0.8])
     seen = 0.5 + np.einsum("k,nkc->nc", sh_basis(direction, 3), moved.sh.astype(np.float64))
     for i in range(0, len(ball), 29):
-        np.testing.assert_allclose(seen[i], deformed_colour(ball, i, F[element[i]], direction), atol=1e-5)
+        np.testing.assert_allclose(seen[i], deformed_color(ball, i, F[element[i]], direction), atol=1e-5)
 
 
 def test_more_gradients_than_a_batch_are_each_their_own_gaussians(ball: GaussianModel) -> None:
@@ -130,7 +130,7 @@ def test_rigid_motion_renders_as_transform_model_does(ball: GaussianModel) -> No
     camera = look_at(center + np.array([0.4, -1.1, 1.6]), center, (0, -1, 0), 110.0, 96, 96)
     picture = render(expected, camera)
     assert psnr(picture, render(moved, camera)) > 80
-    assert psnr(picture, render(moved.with_(sh=ball.sh), camera)) < 40  # would notice colours left unturned
+    assert psnr(picture, render(moved.with_(sh=ball.sh), camera)) < 40  # would notice colors left unturned
     assert psnr(picture, render(moved.with_(quats=ball.quats), camera)) < 40
 
 
