@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.catalogue.entry import Entry
-from engine.catalogue.neighbours import Growing, Neighbours
+from engine.catalogue.neighbors import Growing, Neighbors
 from engine.model import Float32, Float64, Int64
 from engine.pictures.camera.view_agreement import agreement_of_views
 from engine.pictures.landmarks.keypoints import detect_keypoints, luma
@@ -40,7 +40,7 @@ LOUDEST = 400
 
 
 class Sketches:
-    """Sketches as bytes, one behind the other: those of a file stay on disk until they are asked for."""
+    """Sketches as bytes, one behind the other: those of a file stay on disk until first use."""
 
     def __init__(self, data: npt.NDArray[np.uint8] | None = None, ends: Iterable[int] = ()) -> None:
         self._data = np.zeros(0, np.uint8) if data is None else data
@@ -72,7 +72,7 @@ class Catalogue:
     """Assets by name, in the order they came."""
 
     def __init__(
-        self, names: Iterable[str], fields: dict[str, Neighbours], views: Int64, places: Float32, sketches: Sketches
+        self, names: Iterable[str], fields: dict[str, Neighbors], views: Int64, places: Float32, sketches: Sketches
     ) -> None:
         self.names = list(names)
         self._number = {name: number for number, name in enumerate(self.names)}
@@ -88,7 +88,7 @@ class Catalogue:
         for field, (length, codec) in FIELDS.items():
             sample = np.concatenate([np.zeros((0, length), np.float32), *(each[field] for each in vectors)])
             expected = len(sample) * len(names) // max(1, len(vectors))
-            fields[field] = Neighbours.learnt(sample, expected, codec)
+            fields[field] = Neighbors.learnt(sample, expected, codec)
         made = cls([], fields, np.zeros(0, np.int64), np.zeros((0, 2), np.float32), Sketches())
         for name in names:
             made.add(name, load(name))
@@ -175,7 +175,7 @@ class Catalogue:
     @classmethod
     def load(cls, folder: Path, *, growing: bool = False) -> Catalogue:
         """What `save` wrote; most of it stays on disk until it is looked at, unless assets are to be added."""
-        fields = {field: Neighbours.load(folder / field, growing=growing) for field in FIELDS}
+        fields = {field: Neighbors.load(folder / field, growing=growing) for field in FIELDS}
         plain = json.loads((folder / "assets.json").read_text())
         sketches = Sketches(np.memmap(folder / "sketches.bin", np.uint8, "r"), plain["ends"]) if plain["ends"] else None
         with np.load(folder / "views.npz") as kept:

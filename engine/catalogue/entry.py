@@ -27,8 +27,8 @@ SAME_PLACE = 4.0
 """How far apart landmarks of two views lie that are one, pixels at the usual distance."""
 SAME_LOOK = 300.0
 """How far apart their descriptors are, at most: those of two places are 380 to 450 in the median."""
-NEIGHBOURS = 16
-"""Landmarks near one that are asked, itself among them."""
+NEIGHBORS = 16
+"""Landmarks near one that are compared, itself among them."""
 
 _MAGIC = b"M3DGSEN1"
 _PREFIX = struct.Struct("<8sII")
@@ -105,7 +105,7 @@ def _views_of_each(landmarks: Landmarks, cameras: Sequence[Camera]) -> Int64:
     eyes = np.array([camera.position for camera in cameras])
     distance = np.median(np.linalg.norm(landmarks.points - eyes[landmarks.views], axis=1))
     reach = SAME_PLACE * distance / cameras[0].K[0, 0]
-    _, near = scipy.spatial.cKDTree(landmarks.points).query(landmarks.points, NEIGHBOURS, distance_upper_bound=reach)
+    _, near = scipy.spatial.cKDTree(landmarks.points).query(landmarks.points, NEIGHBORS, distance_upper_bound=reach)
     descriptors = landmarks.descriptors.astype(np.float32)
     shown_by = np.zeros((len(landmarks), len(cameras)), dtype=bool)
     for column in near.T:

@@ -13,7 +13,7 @@ __all__ = ["Likeness", "screen_model", "screen_pictures"]
 
 COMPARED = 32
 """Assets whose sketches are compared with a model, 5 to 15 ms each; as many again while there are alike ones among
-them, so that nobody hides an asset behind near copies of it."""
+them, so that near copies of an asset cannot hide it."""
 MOST_COMPARED = 256
 SHOWN = 2.0
 """Agreeing votes from which a picture shows an asset. Among 1,000 assets others had up to 0.83 in 360 pictures."""

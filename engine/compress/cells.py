@@ -14,11 +14,28 @@ COLOR_WEIGHT = 0.06
 """Weight of a unit of DC colour against a unit of the scene's radius in the split rule."""
 
 
+@inlined
+def _widest_feature(features, weights, order, begin, end, total):  # type: ignore[no-untyped-def]
+    """The feature with the largest weighted variance over rows order[begin:end], which weigh `total`."""
+    best, widest = 0, -1.0
+    for d in range(features.shape[1]):
+        mean = 0.0
+        for j in range(begin, end):
+            mean += weights[order[j]] * features[order[j], d]
+        mean /= total
+        spread = 0.0
+        for j in range(begin, end):
+            gap = features[order[j], d] - mean
+            spread += weights[order[j]] * gap * gap
+        if spread > widest:
+            widest, best = spread, d
+    return best
+
+
 @parallel_kernel
 def _split_level(features, weights, order, starts, keys, masses, scratch, cuts, call):  # type: ignore[no-untyped-def]
     """Split every node [starts[k], starts[k+1]) of `order` at its weighted median along its widest feature. Both halves
     keep the order of the file, in which equal ones are dealt out, too. Keys, masses and scratch (N,) are its own."""
-    dims = features.shape[1]
     for k in share_of(len(starts) - 1, call):
         begin, end = starts[k], starts[k + 1]
         if end - begin < 2:
@@ -27,18 +44,7 @@ def _split_level(features, weights, order, starts, keys, masses, scratch, cuts, 
         total = 0.0
         for j in range(begin, end):
             total += weights[order[j]]
-        best, widest = 0, -1.0
-        for d in range(dims):
-            mean = 0.0
-            for j in range(begin, end):
-                mean += weights[order[j]] * features[order[j], d]
-            mean /= total
-            spread = 0.0
-            for j in range(begin, end):
-                gap = features[order[j], d] - mean
-                spread += weights[order[j]] * gap * gap
-            if spread > widest:
-                widest, best = spread, d
+        best = _widest_feature(features, weights, order, begin, end, total)
         for j in range(begin, end):
             keys[j], masses[j] = features[order[j], best], weights[order[j]]
         median, below = _weighted_median(keys, masses, begin, end, 0.5 * total)

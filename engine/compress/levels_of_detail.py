@@ -17,7 +17,7 @@ from engine.numerics.moment_matching import merge_groups
 
 __all__ = ["merge_pairs", "merge_voxels"]
 
-NEIGHBOURS = 12
+NEIGHBORS = 12
 """Among so many nearest Gaussians each one looks for its partner."""
 
 COLOR_STD = 0.2
@@ -81,7 +81,7 @@ def _numbered(first: Int64) -> Int64:
 
 def _pairs(model: GaussianModel, wanted: int, *, surface: bool) -> Int64:
     """At most `wanted` disjoint pairs (p, 2) of neighbours, those that lose least by being merged."""
-    k = min(NEIGHBOURS + 1, len(model))
+    k = min(NEIGHBORS + 1, len(model))
     near = np.asarray(cKDTree(model.means).query(model.means, k=k, workers=2)[1]).reshape(len(model), k)
     mass = surface_mass(model) if surface else volume_mass(model)
     sigma = covariances(model)

@@ -52,8 +52,8 @@ def read_picture(path: Path) -> Float32:
     except (OSError, ValueError, SyntaxError) as error:
         raise FormatError(f"no readable picture ({error})", file=name) from error
     if upright.mode.startswith("I;16") or upright.mode == "I":  # 16-bit grey
-        grey = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
-        return np.ascontiguousarray(np.repeat(np.clip(grey, 0.0, 1.0)[:, :, None], 3, axis=2))
+        gray = np.asarray(upright, dtype=np.float32) / np.float32(65535.0)
+        return np.ascontiguousarray(np.repeat(np.clip(gray, 0.0, 1.0)[:, :, None], 3, axis=2))
     if "A" in upright.getbands() or "transparency" in upright.info:
         layered = upright.convert("RGBA")
         upright = Image.new("RGBA", layered.size, (0, 0, 0, 255))

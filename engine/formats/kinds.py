@@ -1,4 +1,4 @@
-"""The kinds of model files: how each is told, read and written. A new format is a module and its entry here."""
+"""The kinds of model files: how each is recognized, read and written. A new format is a module and its entry here."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Any file with Gaussians in it, told by its first bytes and not by its name."""
+"""Any file of Gaussians, recognized by its first bytes and not by its name."""
 
 import hashlib
 import os
@@ -28,7 +28,7 @@ _OTHERS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
         "is a web page: give the model that it loads, or a screenshot of what it shows",
     ),
 )
-"""What else people hold for a suspect, told by its first bytes, and what to do with it."""
+"""Other files given as a suspect, recognized by their first bytes, and what to do with them."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def _decode(data: bytes, file: str, spz_frame: str) -> LoadedModel:
 
 
 def _read(data: bytes, file: str, spz_frame: str) -> tuple[Kind, Read]:
-    """What its first bytes say, which a .splat may begin with, too: by chance, or so that nobody checks it. Its rows
-    tell it then (in other files of real scenes up to 13 % of the rows look like those of a .splat, half are needed)."""
+    """The kind by its first bytes. A .splat may begin with those of another kind, by chance or to evade a check: it is
+    recognized by its rows (in other files of real scenes up to 13 % look like rows of a .splat; half are needed)."""
     splat = looks_like_splat(data)
     try:
         kind = _told(data, file)
@@ -106,7 +106,7 @@ def _told(data: bytes, file: str) -> Kind:
     if not data:
         raise FormatError("is empty", file=file)
     message = f"is none of the formats read here: {', '.join(READ)}"
-    raise UnsupportedFormatError(next((text for told, text in _OTHERS if told(data)), message), file=file)
+    raise UnsupportedFormatError(next((text for recognizes, text in _OTHERS if recognizes(data)), message), file=file)
 
 
 def _read_folder(path: Path, file: str) -> LoadedModel:

@@ -1,4 +1,7 @@
-"""Quantiles of the chi-square distribution, without SciPy's third of a second to import."""
+"""Quantiles of the chi-square distribution.
+
+Importing `scipy.special` instead takes 0.16 of the 0.6 to 1.0 CPU seconds in which a model is verified.
+"""
 
 import math
 from functools import cache

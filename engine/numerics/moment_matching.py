@@ -39,8 +39,8 @@ def merge_groups(model: GaussianModel, group: Int64, *, surface: bool) -> Gaussi
         return np.asarray(np.stack(sums, axis=1).reshape(count, *values.shape[1:]), dtype=np.float64)
 
     means = part.means.astype(np.float64)
-    centre = mean_of(means)
-    gap = means - centre[of]
+    center = mean_of(means)
+    gap = means - center[of]
     values, vectors = np.linalg.eigh(mean_of(covariances(part) + gap[:, :, None] * gap[:, None, :]))
     vectors[np.linalg.det(vectors) < 0, :, 0] *= -1.0
     scales = np.sqrt(np.maximum(values, 1e-30))
@@ -49,7 +49,7 @@ def merge_groups(model: GaussianModel, group: Int64, *, surface: bool) -> Gaussi
     else:
         opacity = -np.expm1(np.bincount(of, np.log1p(-np.minimum(part.opacities.astype(np.float64), 1 - 1e-7)), count))
     opacity = np.clip(opacity, 1e-6, 1 - 1e-6)
-    result.means[touched] = centre
+    result.means[touched] = center
     result.log_scales[touched] = np.log(scales)
     result.quats[touched] = rotation_to_quaternion(vectors)
     result.opacity_logits[touched] = np.log(opacity / (1 - opacity))

@@ -24,7 +24,7 @@ REACH = np.float32(9.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
+class Neighbors:
     """The answer of a query of M points: `index` (M,) int32 of the nearest reference point, -1 if none lies within the
     limits; `distance2` (M,) float32, its squared distance, infinity if there is none; `probability` (M,) float32.
 
@@ -72,7 +72,7 @@ class WhitenedGrid:
         _cells(points, self.axes, self.edges, out)
         return out
 
-    def query(self, points: Float32, quats: Float32, *, box: float, limit2: float) -> Neighbours:
+    def query(self, points: Float32, quats: Float32, *, box: float, limit2: float) -> Neighbors:
         """Nearest reference point of each of M points (M, D), with quaternions (M, 4) in the reference's frame already.
 
         `box` is the largest deviation in each of the grid's five coordinates, `limit2` the largest squared distance.
@@ -91,7 +91,7 @@ class WhitenedGrid:
         rules = (self.hard, self.soft_cap, self.quat_weight)
         found = (index, distance2, probability)
         _search(grid, *rules, points, quats, order, np.float32(box), np.float32(limit2), found)
-        return Neighbours(index, distance2, probability)
+        return Neighbors(index, distance2, probability)
 
 
 def _edges(values: Float32, cells: int) -> Float32:

@@ -134,10 +134,10 @@ def smooth(image: Float32, sigma: float) -> Float32:
     return np.asarray(blurred, dtype=np.float32).reshape(image.shape)
 
 
-def resized(grey: Float32, width: int, height: int) -> Float32:
+def resized(gray: Float32, width: int, height: int) -> Float32:
     """An image (H, W) at another size, reduced by areas."""
     import cv2
 
-    if (height, width) == grey.shape:
-        return grey
-    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    if (height, width) == gray.shape:
+        return gray
+    return np.asarray(cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)

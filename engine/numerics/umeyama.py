@@ -48,8 +48,8 @@ def umeyama(
     if len(a) < 3 or not total > 0:
         return None
     w = w / total
-    centre_a, centre_b = w @ a, w @ b
-    da, db = a - centre_a, b - centre_b
+    center_a, center_b = w @ a, w @ b
+    da, db = a - center_a, b - center_b
     cross = (db * w[:, None]).T @ da
     u, singular, vt = np.linalg.svd(cross)
     # Rank 2 determines a proper rotation (three points do); rank 1, a line, does not.
@@ -62,7 +62,7 @@ def umeyama(
     scale = float(singular @ sign) / variance
     if not (np.isfinite(scale) and scale > 0):
         return None
-    return Similarity(scale, R, centre_b - scale * R @ centre_a)
+    return Similarity(scale, R, center_b - scale * R @ center_a)
 
 
 def robust_umeyama(

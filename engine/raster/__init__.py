@@ -1,6 +1,6 @@
 """The CPU rasterizer: images of a Gaussian model, and their exact gradients (Eq 2 and 3).
 
-Everybody above may come in, by the names below: `render` for a picture; `prepare_view` for many pictures and gradients
+All rooms above may import the names below: `render` for a picture; `prepare_view` for many pictures and gradients
 of one view's colours; `draw` and `backward` for the gradients of everything. A newcomer starts at `geometry`, which
 runs the passes in order (`projection` or `disc_projection`, `sorting`, `binning`), then reads `tiles` and `forward`;
 `backward` and `moments` walk the same tiles. The `lane_*` modules are sixteen numbers as one value inside numba.

@@ -43,7 +43,7 @@ def rasterize(
     alpha_skip, transmittance_stop, by_distance).
     """
     if importlib.util.find_spec("gsplat") is None:
-        raise InputError("tensors are on a CUDA device: install the extra mark3dgs[gsplat], or move them to the CPU")
+        raise InputError("tensors are on a CUDA device: pip install 'mark3dgs[cuda]', or move them to the CPU")
     fixed = RasterSettings(eps2d=settings.eps2d, near=settings.near, antialiased=settings.antialiased)
     if settings != fixed:
         raise InputError(f"gsplat's alpha limits, order and stop rule are fixed: expected {fixed}, got {settings}")

@@ -1,4 +1,4 @@
-"""Pass 4: blend the lists front to back (Eq 3, and Eq 8 where asked for), tile by tile, any number of channels."""
+"""Pass 4: blend the lists front to back (Eq 3, and Eq 8 on request), tile by tile, any number of channels."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls, disable-error-code="assignment"
 import numpy as np

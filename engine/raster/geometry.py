@@ -40,7 +40,7 @@ class Geometry:
     visible: Int32  # (V,) indices of the visible Gaussians, nearest first
     ids: Int32  # (P,) the tiles' lists, one after the other
     starts: Int64  # (tiles + 1,) where each begins
-    firsts: Int32  # (max(N, 16) + 1,) empty, as `slots`, if they were not asked for
+    firsts: Int32  # (max(N, 16) + 1,) empty, as `slots`, if they were not requested
     slots: Int32  # (P,) places of Gaussian i in `ids`: ``slots[firsts[i]:firsts[i + 1]]``
 
     @property

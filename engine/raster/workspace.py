@@ -61,7 +61,7 @@ class Workspace:
 
 @contextmanager
 def borrow_workspace() -> Iterator[Workspace]:
-    """A workspace nobody else uses until the block ends."""
+    """A workspace for this call alone until the block ends."""
     with _lock:
         workspace = _idle.pop() if _idle else Workspace()
     try:

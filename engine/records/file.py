@@ -16,11 +16,11 @@ written twice.
 import struct
 from hashlib import sha256
 
-import zstandard
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESSIV
 
 from engine.errors import InputError, MalformedRecordError, RecordTooNewError
+from engine.formats import zstd
 from engine.records.codec import canonical_json, parse_json
 from engine.records.header import FIELDS, FORMAT_VERSION, RecordHeader, check_key
 from engine.watermark.keys import RECORD_SEAL, OwnerKey
@@ -54,7 +54,7 @@ def seal(header: RecordHeader, body: bytes, key: OwnerKey) -> bytes:
     check_key(header, key)
     if len(body) > MAX_BODY_BYTES:
         raise InputError(f"a record of {len(body)} bytes exceeds the largest, {MAX_BODY_BYTES}")
-    packed = zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(body)
+    packed = zstd.compress(body, _ZSTD_LEVEL)
     text = canonical_json(header.to_json())
     sealed_length = _TAG_BYTES + len(packed)
     public = _PREFIX.pack(_MAGIC, header.format_version, 0, len(text), len(body), sealed_length) + text
@@ -131,10 +131,10 @@ def _open_public(data: bytes) -> tuple[bytes, RecordHeader, int]:
 
 def _decompress(packed: bytes, length: int) -> bytes:
     try:
-        if zstandard.frame_content_size(packed) != length:  # before anything is allocated
+        if zstd.content_size(packed) != length:  # before anything is allocated
             raise MalformedRecordError("the record's body is not as long as its header says")
-        return zstandard.ZstdDecompressor().decompress(packed, allow_extra_data=False)
-    except zstandard.ZstdError as error:
+        return zstd.decompress(packed, length)
+    except zstd.ZstdError as error:
         raise MalformedRecordError("the record's body cannot be decompressed") from error
 
 

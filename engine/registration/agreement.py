@@ -1,4 +1,4 @@
-"""Is a proposed similarity right? It is refined, its errors are learnt, and it must beat decoys of itself."""
+"""Confirms a hypothesis: a similarity is refined, its errors are measured, and it must explain more than decoys."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,16 +19,15 @@ ROUNDS = 8
 ORDER_SAMPLE = 4000
 """Pairs looked at to tell whether the order was kept."""
 GLANCE = 250
-"""Suspect Gaussians on which a proposal is dismissed without further work."""
+"""Suspect Gaussians on which a hypothesis is dismissed without further work."""
 CLIPPED = 0.001
 """Share of the reference's Gaussians smaller than the suspect's smallest from which sizes are believed clipped."""
 ORDER_ROUNDS = 4
 """Rounds of measuring errors on the pairs in order that agree; where half are wrong, the first is far too large."""
 STRAYS = 0.001
-"""Share of pairs in order without trust that nobody looks for elsewhere: to lay the reference out costs more time than
-all else."""
+"""Share of pairs in order without trust that are not searched elsewhere: laying the reference out costs most time."""
 DECOYS = 3
-"""The right similarity must explain more than wrong ones of the same scale at the same place."""
+"""Wrong similarities of equal scale at the same place; the right one must explain more than each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ class Verdict:
 
 
 def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity) -> float:
-    """Log scale in the reference's frame below which sizes are not told apart, minus infinity where nothing is lost.
+    """Log scale in the reference's frame below which sizes were clipped, minus infinity where nothing is lost.
 
     SPZ holds no log scale below -10 and a scene made small has many: whatever clips them, the suspect's smallest is
     what is left of all that were smaller.
@@ -71,7 +70,7 @@ def clipped_at(reference: GaussianModel, suspect: GaussianModel, fit: Similarity
     return smallest if below > CLIPPED else -np.inf
 
 
-def judge(
+def confirm_similarity(
     reference: GaussianModel,
     suspect: GaussianModel,
     fit: Similarity,
@@ -82,11 +81,11 @@ def judge(
     *,
     min_matches: int,
 ) -> Verdict | None:
-    """Refine a proposal and accept or refuse it; None if it explains no more than its decoys.
+    """Refine a hypothesis and accept it; None if it explains no more than its decoys.
 
-    `inliers`: reference and suspect index (k,) of pairs that speak for it; they tell how noisy the suspect is. `rows`
-    (s,): suspect Gaussians to look at, which must be matched to at least `min_matches` distinct reference Gaussians.
-    `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
+    `inliers`: reference and suspect index (k,) of the pairs that support it; the suspect's noise is measured on them.
+    `rows` (s,): sample of suspect Gaussians, of which at least `min_matches` distinct reference Gaussians must be
+    matched. `floor_matcher`: the reference laid out for the smallest errors. `rng` draws the decoys.
     """
     floor = replace(floor_matcher.deviations, smallest=clipped_at(reference, suspect, fit))
     deviations = floor
@@ -95,26 +94,46 @@ def judge(
         if measured.much_above(floor, 1.5):
             # Candidates are pairs that look alike: their errors are too small by selection.
             deviations = measured
+    spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
+    if not _distinguishes(deviations, spread):
+        return None
     as_laid_out = deviations is floor and floor.smallest == floor_matcher.deviations.smallest
     matcher = floor_matcher if as_laid_out else Matcher(reference, deviations)
-    spread = reference.means[:: max(1, len(reference) // 20_000)].std(axis=0, dtype=np.float64)
-    if not _tells(deviations, spread):
-        return None
     part = suspect.take(rows)
     if inliers is not None and len(rows) > 4 * GLANCE:
         glance = part.take(np.arange(0, len(rows), len(rows) // GLANCE))
         if not beats_decoys(reference, glance, matcher, fit, deviations, rng, 1.5, 2.0):
             return None
+    refined = _refine(reference, part, fit, matcher, deviations, floor, spread, min_matches)
+    if refined is None:
+        return None
+    fit, matcher, deviations = refined
+    beats = beats_decoys(reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0)
+    return Verdict(fit, matcher, deviations) if beats else None
+
+
+def _refine(
+    reference: GaussianModel,
+    part: GaussianModel,
+    fit: Similarity,
+    matcher: Matcher,
+    deviations: Deviations,
+    floor: Deviations,
+    spread: npt.NDArray[np.float64],
+    min_matches: int,
+) -> tuple[Similarity, Matcher, Deviations] | None:
+    """Match, fit and measure errors until these settle; None where too few Gaussians match, or errors get as large as
+    the model."""
     pairs = paired(matcher.match(part, fit, deviations))
     for _ in range(ROUNDS):
-        if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian are one witness
+        if len(np.unique(pairs[0])) < min_matches:  # copies of one Gaussian support a similarity once
             return None
         better = fit_suspect(part.means[pairs[1]], reference.means[pairs[0]], start=fit)
         if better is None:
             return None
         fit = better
         measured = estimate_deviations(reference, part, pairs, fit, floor)
-        if not _tells(measured, spread):
+        if not _distinguishes(measured, spread):
             return None
         settled = not (measured.much_above(matcher.deviations, 1.25) or matcher.deviations.much_above(measured, 2.0))
         deviations = measured
@@ -123,11 +142,7 @@ def judge(
         pairs = paired(matcher.match(part, fit, deviations))
         if settled:
             break
-    if len(np.unique(pairs[0])) < min_matches or not beats_decoys(
-        reference, part, matcher, fit, deviations, rng, 2.0, min_matches - 1.0
-    ):
-        return None
-    return Verdict(fit, matcher, deviations)
+    return (fit, matcher, deviations) if len(np.unique(pairs[0])) >= min_matches else None
 
 
 def fit_suspect(
@@ -142,8 +157,8 @@ def fit_suspect(
     return None if back is None else back.inverse()
 
 
-def _tells(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
-    """Whether errors this large still tell one place from another; random pairs have the spread itself."""
+def _distinguishes(deviations: Deviations, spread: npt.NDArray[np.float64]) -> bool:
+    """Whether errors are clearly below the model's spread, which errors of random pairs have."""
     share = deviations.position / np.maximum(spread, deviations.position)
     return bool(np.exp(np.log(share).mean()) < 0.3)
 
@@ -196,11 +211,11 @@ def same_order(
     right = np.median(np.abs(a - b), axis=0)
     wrong = np.median(np.abs(a - b[rng.permutation(len(rows))]), axis=0)
     groups = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10))
-    # 2: a group whose shuffled pairs lie as close as the smallest errors tells nothing either way
-    tells = [float(wrong[g].max()) > 2.0 for g in groups]
+    # 2: a group whose shuffled pairs lie as close as the smallest errors carries no information
+    informative = [float(wrong[g].max()) > 2.0 for g in groups]
     agrees = [float(right[g].mean()) < 0.5 * float(wrong[g].mean()) for g in groups]
-    looks = [yes for yes, told in zip(agrees[1:], tells[1:], strict=True) if told]
-    if not (tells[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
+    looks = [yes for yes, counts in zip(agrees[1:], informative[1:], strict=True) if counts]
+    if not (informative[0] and agrees[0]) or not looks or sum(looks) < min(2, len(looks)):
         return None
     before = 0
     for _ in range(ORDER_ROUNDS):
@@ -229,7 +244,7 @@ def _order_quality(
 ) -> Float32:
     """(n,) trust 0..1 that suspect Gaussian i is reference Gaussian i, by where it lies only if `placed`.
 
-    `growth` tells by how much errors of position grow with the Gaussians.
+    `growth`: by how much errors of position grow with the Gaussians.
     """
     origin = np.zeros(3)
     a = joint_vectors(reference, Similarity.identity(), deviations, origin, suspect=False)

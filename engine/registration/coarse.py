@@ -30,14 +30,14 @@ __all__ = ["FEATURES", "Coarse", "Crowd", "agreement", "describe"]
 FEATURES = 20
 """Of each of two scales: mean colour (3), spreads along the principal axes (3), distance of the centroid from the
 place, gradients of the three colours."""
-NEIGHBOURHOOD = 0.2
+NEIGHBORHOOD = 0.2
 """Standard deviation of the window about a place, in extents of the model; the finer scale has half of it."""
 VOXEL, APART = 0.2, 1 / 3
 """Side of a voxel, and distance between places, in neighbourhoods."""
 REACH = 2.5
 """Where a window ends, in neighbourhoods."""
 LEAST_VOXELS = 8
-"""Voxels within reach of a place, below which it tells nothing."""
+"""Voxels within reach of a place, below which it is not described."""
 LADDER = 1.25
 """Step between the sizes of neighbourhood that a suspect is described at."""
 MOST_GAUSSIANS = 300_000
@@ -108,7 +108,7 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
     matter = mass, model.means.astype(np.float64), np.clip(0.5 + SH_C0 * model.sh[:, 0].astype(np.float64), 0.0, 1.0)
     found = []
     for step in range(steps if extent > 0 else 0):
-        window = NEIGHBOURHOOD * extent * LADDER**step
+        window = NEIGHBORHOOD * extent * LADDER**step
         weight, where, color = _voxels(matter, VOXEL * window)
         heavy, at, _ = _voxels(matter, APART * window)
         if step == 0:
@@ -118,9 +118,9 @@ def describe(model: GaussianModel, most: int, steps: int = 1) -> Coarse:
             places = places[np.sort(np.random.default_rng(0).choice(len(places), most, replace=False))]
         moments, count = np.zeros((len(places), 2, 22)), np.zeros(len(places), np.int64)
         _moments(weight, where, color, places, window, REACH * window, moments, count)
-        told = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
-        features = np.concatenate([_features(moments[told, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
-        found.append((places[told], features, np.full(told.sum(), window)))
+        usable = (count >= LEAST_VOXELS) & (moments[:, 0, 0] > 0)
+        features = np.concatenate([_features(moments[usable, s], window * (0.5 + 0.5 * s)) for s in range(2)], axis=1)
+        found.append((places[usable], features, np.full(usable.sum(), window)))
     if not found:
         return Coarse(np.zeros((0, 3), np.float32), np.zeros((0, FEATURES), np.float32), np.zeros(0, np.float32))
     return Coarse(*(np.concatenate(parts).astype(np.float32) for parts in zip(*found, strict=True)))
@@ -150,7 +150,7 @@ def agreement(sketch: Coarse, suspect: Crowd) -> float:
         return 0.0
     partner = suspect.partners(sketch)
     y = sketch.places.astype(np.float64)
-    extent = float(np.median(sketch.sizes)) / NEIGHBOURHOOD
+    extent = float(np.median(sketch.sizes)) / NEIGHBORHOOD
     chance = chance_table(y, extent, np.random.default_rng(0), samples=20_000)
     size = np.log(sketch.sizes.astype(np.float64) / suspect.suspect.sizes[partner])
     turn = np.zeros((len(y), 4))
@@ -180,8 +180,8 @@ def _mass(model: GaussianModel) -> Float64:
 
 def _extent(means: Float32, mass: Float64) -> float:
     """Median distance from the median centre, by mass, scene units."""
-    centre = np.array([_median(means[:, axis].astype(np.float64), mass) for axis in range(3)])
-    return _median(np.linalg.norm(means - centre, axis=1), mass)
+    center = np.array([_median(means[:, axis].astype(np.float64), mass) for axis in range(3)])
+    return _median(np.linalg.norm(means - center, axis=1), mass)
 
 
 def _median(values: Float64, weights: Float64) -> float:

@@ -116,9 +116,9 @@ def register_deformed(
         if field is None:
             break
         straight = field.straighten(suspect)
-        neighbours = field.matcher.match(straight, Similarity.identity(), field.deviations)
-        quality = field.matcher.quality(neighbours)
-        matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+        neighbors = field.matcher.match(straight, Similarity.identity(), field.deviations)
+        quality = field.matcher.quality(neighbors)
+        matches = np.where(quality > 0, neighbors.index, -1).astype(np.int32)
         tried += field.rounds
         best = Deformed(matches, quality, tried, same_hand[0].mirrored)
         rows = sample_rows(len(suspect), GLANCE, rng)

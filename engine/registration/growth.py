@@ -50,8 +50,8 @@ class Field:
 
     def straighten(self, suspect: GaussianModel) -> GaussianModel:
         """The suspect in the reference's frame."""
-        known = np.flatnonzero(self.explained)
-        return warped(suspect, blend(self.nodes[known], self.maps[known], suspect.means))
+        fitted = np.flatnonzero(self.explained)
+        return warped(suspect, blend(self.nodes[fitted], self.maps[fitted], suspect.means))
 
 
 def grow(
@@ -80,7 +80,7 @@ def grow(
     deviations = unturned(deviations)
     source, target = suspect.means[pairs[1]].astype(np.float64), reference.means[pairs[0]].astype(np.float64)
     first = _first_map(source, target)
-    maps, known = np.broadcast_to(first, (len(nodes), 3, 4)).copy(), np.zeros(len(nodes), dtype=bool)
+    maps, fitted = np.broadcast_to(first, (len(nodes), 3, 4)).copy(), np.zeros(len(nodes), dtype=bool)
     # A map handed on is wrong by the field's bend over one node; the errors in size and look still tell.
     step = float(np.median(beside)) * float(np.cbrt(abs(np.linalg.det(first[:, :3]))))
     matcher = Matcher(reference, replace(deviations, position=np.maximum(deviations.position, BEND * step)))
@@ -88,27 +88,27 @@ def grow(
     rounds, last = 0, -1
     while rounds < ROUNDS:
         rounds += 1
-        known, maps = _fit_nodes(nodes, maps, known, reach, source, target)
-        if not known.any():
+        fitted, maps = _fit_nodes(nodes, maps, fitted, reach, source, target)
+        if not fitted.any():
             return None
-        use = known[home]
-        moved = warped(part.take(use), blend(nodes[known], maps[known], points[use]))
-        neighbours = matcher.match(moved, same, deviations)
-        hit = np.flatnonzero(neighbours.index >= 0)
-        trust = neighbours.probability[hit]
-        asked = np.flatnonzero(use)
-        weight = np.bincount(home[asked[hit]], trust, len(nodes))
-        explained = known & (weight > EXPLAINED * members) & (weight > 2.0)
-        sure = hit[(trust > 0.5) & explained[home[asked[hit]]]]
+        use = fitted[home]
+        moved = warped(part.take(use), blend(nodes[fitted], maps[fitted], points[use]))
+        neighbors = matcher.match(moved, same, deviations)
+        hit = np.flatnonzero(neighbors.index >= 0)
+        trust = neighbors.probability[hit]
+        used = np.flatnonzero(use)
+        weight = np.bincount(home[used[hit]], trust, len(nodes))
+        explained = fitted & (weight > EXPLAINED * members) & (weight > 2.0)
+        sure = hit[(trust > 0.5) & explained[home[used[hit]]]]
         if len(sure) < 16:
             return None
-        source = points[asked[sure]]
-        target = reference.means[neighbours.index[sure]].astype(np.float64)
+        source = points[used[sure]]
+        target = reference.means[neighbors.index[sure]].astype(np.float64)
         if len(sure) <= 1.004 * last:
             break
         last = len(sure)
-        known = explained
-    measured = _measure(reference, moved, paired(neighbours), floor)
+        fitted = explained
+    measured = _measure(reference, moved, paired(neighbors), floor)
     return Field(nodes, maps, explained, Matcher(reference, measured), measured, rounds)
 
 
@@ -132,7 +132,7 @@ def _first_map(source: Float64, target: Float64) -> Affine:
 
 
 def _fit_nodes(
-    nodes: Float64, maps: Affine, known: Bool, reach: Float64, source: Float64, target: Float64
+    nodes: Float64, maps: Affine, fitted: Bool, reach: Float64, source: Float64, target: Float64
 ) -> tuple[Bool, Affine]:
     """Maps of all nodes that have matches within reach, from their nearest ones; others keep what they had."""
     k = min(PAIRS, len(source))
@@ -140,9 +140,9 @@ def _fit_nodes(
     distance, index = distance.reshape(-1, k), index.reshape(-1, k)  # (A, k)
     near = distance[:, min(7, k - 1)] < reach
     prior = maps[near]
-    fresh = ~known[near]
-    if fresh.any() and known.any():
-        old = np.flatnonzero(known)
+    fresh = ~fitted[near]
+    if fresh.any() and fitted.any():
+        old = np.flatnonzero(fitted)
         prior[fresh] = maps[old[np.asarray(scipy.spatial.cKDTree(nodes[old]).query(nodes[near][fresh])[1])]]
     chosen = index[near]
     out = maps.copy()

@@ -1,4 +1,4 @@
-"""What registration works out about a reference, each part once and only when asked for."""
+"""What registration works out about a reference, each part once at first use."""
 
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -91,8 +91,8 @@ class FeatureIndex:
         features = self._columns(invariant_features(reference, slice(None), degree))
         step = max(1, len(features) // 20_000)
         sample = features[::step].copy()
-        self.centre = np.median(sample, axis=0)
-        deviation = 1.4826 * np.median(np.abs(sample - self.centre), axis=0)
+        self.center = np.median(sample, axis=0)
+        deviation = 1.4826 * np.median(np.abs(sample - self.center), axis=0)
         self.scale = np.maximum(np.maximum(deviation, 0.3 * sample.std(axis=0)), 1e-3)
         white = self._whiten(features)
         covariance = np.cov(white[::step].T) if len(sample) > 1 else np.eye(white.shape[1])
@@ -120,7 +120,7 @@ class FeatureIndex:
 
     def _whiten(self, features: Float64) -> Float64:
         """The features over their spread, in place: of all Gaussians they are large."""
-        features -= self.centre
+        features -= self.center
         features /= self.scale
         return np.clip(features, -5.0, 5.0, out=features)
 

@@ -1,4 +1,4 @@
-"""Errors that grow with the Gaussians: whoever moves each by a part of its own size moves the large ones far.
+"""Errors that grow with the Gaussians: noise in proportion to a Gaussian's size moves the large ones far.
 
 One error for all would be too small for the large ones and too large for the small ones. So the Gaussians are matched
 in classes of like size, each with errors of its own, learnt as the others are: from the matches, until they settle.
@@ -66,7 +66,7 @@ class Growth:
 def growth_in_order(reference: GaussianModel, suspect: GaussianModel, fit: Similarity, alike: Bool) -> Growth:
     """How much farther larger Gaussians are moved, from rows that are each other's partners where they are `alike`.
 
-    Only what lies within OWN_SIZE is asked and believed: what looks like its namesake elsewhere is another.
+    Only pairs within OWN_SIZE count: what looks like its namesake elsewhere is another.
     """
     sizes = _sizes(suspect) + np.log(fit.scale)
     error = np.abs(fit.apply(suspect.means) - reference.means) / np.exp(sizes)[:, None]
@@ -109,13 +109,13 @@ def by_size(
         # strangers may be of sizes that the reference has not
         rows.append(alike if len(alike) >= LEAST_PAIRS else np.arange(len(reference)))
         mine = np.flatnonzero(home == number)
-        asked = mine[sample_rows(len(mine), SAMPLE, rng)]
-        part = suspect.take(asked)
+        sampled = mine[sample_rows(len(mine), SAMPLE, rng)]
+        part = suspect.take(sampled)
         typical = float(np.median(theirs[mine])) if len(mine) else before
         grown = begin.position * np.exp(max(0.0, typical - before))
         begin = replace(begin, position=np.maximum(deviations.position, grown))
         if in_order:
-            found = _compare(reference.take(asked), part, fit, floor)
+            found = _compare(reference.take(sampled), part, fit, floor)
         else:
             found = _learn(reference.take(rows[-1]), part, fit, begin, floor)
         learnt.append(found or deviations)

@@ -60,7 +60,7 @@ def count_agreeing(columns, tol_size, wide, cos_half, cos_line, out, call):
     """`degrees_of_agreement`, to `out`."""
     for i in share_of(len(out), call):
         count = 0
-        for j in range(len(out)):  # nobody agrees with itself: the length is 0
+        for j in range(len(out)):  # no pair agrees with itself: the length is 0
             count += _agree(columns, i, j, tol_size, wide, cos_half, cos_line)
         out[i] = count
 
@@ -186,6 +186,17 @@ def best_triples(
     return found
 
 
+@inlined
+def _compatible(columns, i, tol_size, wide, cos_half, cos_line, friends):
+    """Number of matches that agree with match i; their indices go to `friends`."""
+    many = 0
+    for j in range(len(friends)):
+        if _agree(columns, i, j, tol_size, wide, cos_half, cos_line):
+            friends[many] = j
+            many += 1
+    return many
+
+
 @parallel_kernel
 def draw_triples(x, y, columns, seeds, draws, rules, chance, seed, scratch, found, call):
     """`best_triples`, to `found`, which holds zeros, and -1 in the bins."""
@@ -197,11 +208,7 @@ def draw_triples(x, y, columns, seeds, draws, rules, chance, seed, scratch, foun
     turns, moves, scores, bins, tries = found
     for s in share_of(len(seeds), call):
         i = seeds[s]
-        many = 0
-        for j in range(len(x)):
-            if _agree(columns, i, j, tol_size, wide, cos_half, cos_line):
-                friends[many] = j
-                many += 1
+        many = _compatible(columns, i, tol_size, wide, cos_half, cos_line, friends)
         if many < 2:
             continue
         state = np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15) * np.uint64(i + 1)

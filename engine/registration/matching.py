@@ -18,7 +18,7 @@ import numpy.typing as npt
 from engine.kernels.jit import parallel_kernel, share_of
 from engine.model import Float32, Float64, GaussianModel, Int32
 from engine.numerics.chi_square import chi_square_beyond
-from engine.numerics.nearest import Neighbours, WhitenedGrid
+from engine.numerics.nearest import Neighbors, WhitenedGrid
 from engine.numerics.similarity import quaternion_product, rotation_to_quaternion
 from engine.numerics.umeyama import Similarity
 
@@ -115,9 +115,9 @@ def _joint(means, log_scales, logits, sh, turn, shift, log_scale, gain, offset, 
 
 
 def joint_vectors(
-    model: GaussianModel, fit: Similarity, deviations: Deviations, centre: Float64, *, suspect: bool = True
+    model: GaussianModel, fit: Similarity, deviations: Deviations, center: Float64, *, suspect: bool = True
 ) -> Float32:
-    """(n, 10) float32: position (about `centre`, for the sake of float32), sorted log scales, opacity logit and DC,
+    """(n, 10) float32: position (about `center`, for the sake of float32), sorted log scales, opacity logit and DC,
     each over its expected error; `fit` takes the model into the reference's frame, the colour change applies to a
     `suspect` only."""
     gain, offset = (deviations.gain, deviations.offset) if suspect else (np.ones(3), np.zeros(3))
@@ -128,7 +128,7 @@ def joint_vectors(
         model.opacity_logits,
         model.sh,
         fit.scale * fit.R,
-        fit.t - centre,
+        fit.t - center,
         np.log(fit.scale),
         gain,
         offset,
@@ -152,8 +152,8 @@ class Matcher:
 
     def __init__(self, reference: GaussianModel, deviations: Deviations) -> None:
         self.deviations = deviations
-        self.centre: Float64 = np.median(reference.means[:: max(1, len(reference) // 20000)], axis=0).astype(float)
-        vectors = joint_vectors(reference, Similarity.identity(), deviations, self.centre, suspect=False)
+        self.center: Float64 = np.median(reference.means[:: max(1, len(reference) // 20000)], axis=0).astype(float)
+        vectors = joint_vectors(reference, Similarity.identity(), deviations, self.center, suspect=False)
         weight = deviations.rotation**-2 if np.isfinite(deviations.rotation) else 0.0
         dims = vectors.shape[1] + (3 if weight > 0 else 0)
         self.limit2 = chi_square_beyond(dims, 1e-3)
@@ -169,7 +169,7 @@ class Matcher:
         # Else colour and opacity may be retouched on single Gaussians: at most they use up 0.6 of the limit.
         self.grid = WhitenedGrid(vectors, reference.quats, quat_weight=weight, hard=hard, soft_cap=cap)
 
-    def match(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations | None = None) -> Neighbours:
+    def match(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations | None = None) -> Neighbors:
         """The reference Gaussian of each suspect Gaussian under a similarity.
 
         The errors are those the matcher was made for; of `deviations` only the colour change is used.
@@ -177,24 +177,24 @@ class Matcher:
         use = self.deviations
         if deviations is not None:
             use = replace(use, gain=deviations.gain, offset=deviations.offset)
-        vectors = joint_vectors(suspect, fit, use, self.centre)
+        vectors = joint_vectors(suspect, fit, use, self.center)
         if self.basis is not None:
             vectors = vectors @ self.basis
         # 3.2 standard deviations in five coordinates hold 99.3 % of the true partners.
         return self.grid.query(vectors, turned_quats(suspect.quats, fit), box=3.2, limit2=self.limit2)
 
-    def quality(self, neighbours: Neighbours) -> Float32:
+    def quality(self, neighbors: Neighbors) -> Float32:
         """(M,) trust 0..1: the chance that the nearest is the right one, fading out towards the limit."""
         usual = chi_square_beyond(self.grid.points.shape[1] + (3 if self.grid.quat_weight > 0 else 0), 0.5)
-        fade = (self.limit2 - neighbours.distance2) / (self.limit2 - usual)
-        trust: Float32 = (neighbours.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
+        fade = (self.limit2 - neighbors.distance2) / (self.limit2 - usual)
+        trust: Float32 = (neighbors.probability * np.clip(fade, 0.0, 1.0)).astype(np.float32)
         return trust
 
     def pair(self, suspect: GaussianModel, fit: Similarity, deviations: Deviations) -> tuple[Int32, Float32]:
         """(M,) reference Gaussian of each suspect Gaussian, -1 where there is none, and the trust in it, 0 to 1."""
-        neighbours = self.match(suspect, fit, deviations)
-        quality = self.quality(neighbours)
-        return np.where(quality > 0, neighbours.index, -1).astype(np.int32), quality
+        neighbors = self.match(suspect, fit, deviations)
+        quality = self.quality(neighbors)
+        return np.where(quality > 0, neighbors.index, -1).astype(np.int32), quality
 
 
 def estimate_deviations(
@@ -256,7 +256,7 @@ def _tint(suspect: Float64, reference: Float64) -> tuple[Float64, Float64]:
     return gain, offset
 
 
-def paired(neighbours: Neighbours) -> tuple[Int32, npt.NDArray[np.int64]]:
+def paired(neighbors: Neighbors) -> tuple[Int32, npt.NDArray[np.int64]]:
     """Reference and suspect index of the matched Gaussians."""
-    hit = np.flatnonzero(neighbours.index >= 0)
-    return neighbours.index[hit], hit
+    hit = np.flatnonzero(neighbors.index >= 0)
+    return neighbors.index[hit], hit

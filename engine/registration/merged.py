@@ -1,6 +1,6 @@
 """Registration of a suspect whose Gaussians are merged ones (`mixtures`): hardly any is one of the reference's.
 
-Where those that were never merged gave the similarity away, it is known. Else merging helps: it keeps mass, mean and
+Where unmerged Gaussians gave the similarity, it is known. Else merging helps: it keeps mass, mean and
 covariance of whatever is merged, so those of the whole model, too, and their axes give the similarity but for signs.
 """
 
@@ -90,9 +90,9 @@ def register_merged(
 
 
 def _promise(wholes: Wholes, parts: Parts, fit: Similarity, rng: np.random.Generator) -> float:
-    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are not asked."""
-    spots = wholes.centres[sample_rows(len(wholes.centres), SPOTS, rng)]
-    distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centres)))
+    """Mean trust in the mixtures of a few suspect Gaussians and their neighbours; parts elsewhere are left out."""
+    spots = wholes.centers[sample_rows(len(wholes.centers), SPOTS, rng)]
+    distance, beside = wholes.tree.query(spots, k=min(AROUND, len(wholes.centers)))
     reach, spot = scipy.spatial.cKDTree(spots).query(fit.inverse().apply(parts.means), workers=2)
     near = parts.take(np.flatnonzero(reach < 2.0 * distance.reshape(len(spots), -1)[spot, -1]))
     owner, _ = wholes.find(near, fit)
@@ -129,9 +129,9 @@ def _mixed(
     singles: Singles | None = None,
 ) -> Merged:
     if singles is None:
-        neighbours = index.matcher.match(suspect, fit)
-        quality = index.matcher.quality(neighbours)
-        matches = np.where(quality > 0, neighbours.index, -1).astype(np.int32)
+        neighbors = index.matcher.match(suspect, fit)
+        quality = index.matcher.quality(neighbors)
+        matches = np.where(quality > 0, neighbors.index, -1).astype(np.int32)
     else:
         matches, quality = singles
     return Merged(fit, matches, quality, mix(parts, suspect, fit, matches, quality), tried)
@@ -140,26 +140,26 @@ def _mixed(
 def _by_axes(parts: Parts, wholes: Parts) -> list[Similarity]:
     """The similarities that take mean and covariance of the whole suspect to the reference's: four, for an axis has no
     direction."""
-    (centre_a, values_a, axes_a), (centre_b, values_b, axes_b) = _axes(wholes), _axes(parts)
+    (center_a, values_a, axes_a), (center_b, values_b, axes_b) = _axes(wholes), _axes(parts)
     if not (values_a[0] > 0 and values_b[0] > 0):
         return []
     scale = float(np.sqrt(values_b.sum() / values_a.sum()))
     fits = []
     for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
         R = (axes_b * np.array(signs)) @ axes_a.T
-        fits.append(Similarity(scale, R, centre_b - scale * R @ centre_a))
+        fits.append(Similarity(scale, R, center_b - scale * R @ center_a))
     return fits
 
 
 def _axes(parts: Parts) -> tuple[Float64, Float64, Float64]:
     """Mean (3,), variances (3,) and axes (3, 3), right-handed columns, of a model as one distribution."""
     share = parts.mass / max(parts.mass.sum(), 1e-300)
-    centre = share @ parts.means
-    gap = parts.means - centre
+    center = share @ parts.means
+    gap = parts.means - center
     sigma = np.einsum("n,nij->ij", share, parts.sigma) + (gap * share[:, None]).T @ gap
     values, vectors = np.linalg.eigh(sigma)
     vectors[:, 0] *= np.sign(np.linalg.det(vectors))
-    return centre, values, vectors
+    return center, values, vectors
 
 
 def _evidence(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> float:
@@ -181,10 +181,10 @@ def _refined(wholes: Wholes, parts: Parts, fit: Similarity, extent: float) -> Si
     for _ in range(ROUNDS):
         owner, _ = wholes.find(parts, fit)
         rows = np.flatnonzero(owner >= 0)
-        better = umeyama(wholes.centres[owner[rows]], parts.means[rows], weight[owner[rows]])
+        better = umeyama(wholes.centers[owner[rows]], parts.means[rows], weight[owner[rows]])
         if better is None:
             break
-        settled = _moved(fit, better, wholes.centres) < SETTLED * extent
+        settled = _moved(fit, better, wholes.centers) < SETTLED * extent
         fit = better
         if settled:
             break

@@ -21,7 +21,7 @@ from engine.numerics.gaussians import covariances, surface_mass
 from engine.numerics.umeyama import Similarity
 from engine.registration.matching import DC_CLIP
 
-NEIGHBOURS = 8
+NEIGHBORS = 8
 """Among so many nearest suspect Gaussians a reference Gaussian looks for the one that it went into."""
 LIMIT = 30.0
 """Largest squared distance of a part from its whole, its own spread included, in the whole's covariance. Over all parts
@@ -62,8 +62,8 @@ class Wholes:
     """Suspect Gaussians in their own frame, each as a distribution that may hold reference Gaussians."""
 
     def __init__(self, suspect: GaussianModel) -> None:
-        self.centres = suspect.means.astype(np.float64)  # (m, 3)
-        self.tree = scipy.spatial.cKDTree(self.centres, balanced_tree=False, compact_nodes=False)
+        self.centers = suspect.means.astype(np.float64)  # (m, 3)
+        self.tree = scipy.spatial.cKDTree(self.centers, balanced_tree=False, compact_nodes=False)
         sigma = _solid(covariances(suspect))
         self.precision = np.asarray(np.linalg.inv(sigma), dtype=np.float64)  # (m, 3, 3)
         self.log_det: Float64 = np.asarray(np.linalg.slogdet(sigma)[1], dtype=np.float64)
@@ -77,13 +77,13 @@ class Wholes:
         """
         back = fit.inverse()
         turn = back.scale * back.R
-        k = min(NEIGHBOURS, len(self.centres))
+        k = min(NEIGHBORS, len(self.centers))
         points = back.apply(parts.means)
         near = np.asarray(self.tree.query(points, k=k, workers=2)[1]).reshape(len(points), k)
         sigma = turn @ parts.sigma @ turn.T
         found = np.full(len(points), -1, np.int32), np.full(len(points), np.inf)
         likeliest_wholes(
-            points, sigma, parts.colors, near, self.centres, self.precision, self.log_det, self.colors, found
+            points, sigma, parts.colors, near, self.centers, self.precision, self.log_det, self.colors, found
         )
         return found
 
@@ -137,11 +137,11 @@ def mix(parts: Parts, suspect: GaussianModel, fit: Similarity, matches: Int32, q
 def agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32) -> tuple[Float64, Float32]:
     """Share of each part in its `owner` (n,), by mass, and the trust (m,), 0 to 1, that the parts of each whole are all
     of it: their moments against its own."""
-    m = len(wholes.centres)
+    m = len(wholes.centers)
     shares = parts.mass / np.maximum(np.bincount(owner, parts.mass, m)[owner], 1e-300)
     back = fit.inverse()
     turn = back.scale * back.R
-    off = back.apply(parts.means) - wholes.centres[owner]  # (n, 3)
+    off = back.apply(parts.means) - wholes.centers[owner]  # (n, 3)
     mean = np.stack([np.bincount(owner, shares * column, m) for column in off.T], axis=1)
     precision = wholes.precision[owner]
     around = off - mean[owner]
@@ -154,7 +154,7 @@ def agreement(wholes: Wholes, parts: Parts, fit: Similarity, owner: Int32) -> tu
 
 
 @parallel_kernel
-def likeliest_wholes(points, sigma, colors, near, centres, precision, log_det, whole_colors, found, call):
+def likeliest_wholes(points, sigma, colors, near, centers, precision, log_det, whole_colors, found, call):
     """Of the candidates `near` (n, k) of each part the one under whose distribution, blurred by the part's own, it is
     likeliest; -1 where the best lies beyond the limit. And the squared distance, infinity there. Both to `found`, which
     holds -1 and infinity."""
@@ -165,9 +165,9 @@ def likeliest_wholes(points, sigma, colors, near, centres, precision, log_det, w
             j = near[i, at]
             d2 = 0.0
             for a in range(3):
-                ga = points[i, a] - centres[j, a]
+                ga = points[i, a] - centers[j, a]
                 for b in range(3):
-                    d2 += precision[j, a, b] * (ga * (points[i, b] - centres[j, b]) + sigma[i, a, b])
+                    d2 += precision[j, a, b] * (ga * (points[i, b] - centers[j, b]) + sigma[i, a, b])
             apart = 0.0
             for c in range(3):
                 apart += (colors[i, c] - whole_colors[j, c]) ** 2

@@ -122,27 +122,27 @@ def _find_patch(
     reference = looks.reference
     k = min(LOOK_ALIKES, len(reference))
     near = np.asarray(looks.tree.query(_looks(part, looks.degree), k=k)[1]).reshape(len(rows), k)  # (n, k)
-    who = np.repeat(np.arange(len(rows)), k)
+    source_rows = np.repeat(np.arange(len(rows)), k)
     target = near.reshape(-1).astype(np.int64)
-    x, y = part.means[who].astype(np.float64), reference.means[target].astype(np.float64)
+    x, y = part.means[source_rows].astype(np.float64), reference.means[target].astype(np.float64)
     # As many reference Gaussians as the patch has, were the models equally dense: no scale needs to be known.
     crowd = min(int(1.5 * len(rows) * max(1.0, len(reference) / len(suspect))), len(reference))
     best: dict[int, tuple[int, Affine, float, npt.NDArray[np.bool_]]] = {}
-    for friends, radius in _crowds(looks, y, who, crowd):
-        for hand, (count, map_, inlying) in _draw(x, y, who, friends, TOLERANCE * radius, rng).items():
+    for crowd_pairs, radius in _crowds(looks, y, source_rows, crowd):
+        for hand, (count, map_, inlying) in _draw(x, y, source_rows, crowd_pairs, TOLERANCE * radius, rng).items():
             if hand not in best or count > best[hand][0]:
                 best[hand] = (count, map_, radius, inlying)
     patches = []
     for count, map_, radius, inlying in best.values():
         if count >= LEAST_PAIRS + 4:
-            pairs = (target[inlying], who[inlying])
+            pairs = (target[inlying], source_rows[inlying])
             patches.append(_verify(reference, suspect, rows, map_, pairs, radius, floor, rng))
     return [patch for patch in patches if patch is not None]
 
 
-def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int64, float]]:
+def _crowds(looks: Looks, y: Float64, source_rows: Int64, crowd: int) -> list[tuple[Int64, float]]:
     """Where look-alikes crowd together: the pairs there, and the radius of the reference about them."""
-    first = np.flatnonzero(np.diff(who, prepend=-1))  # the best look-alike of each Gaussian
+    first = np.flatnonzero(np.diff(source_rows, prepend=-1))  # the best look-alike of each Gaussian
     middles = y[first]
     radii = looks.radii(middles, crowd)
     distance2 = np.square(middles).sum(axis=1)[:, None] + np.square(y).sum(axis=1) - 2.0 * (middles @ y.T)
@@ -161,12 +161,12 @@ def _crowds(looks: Looks, y: Float64, who: Int64, crowd: int) -> list[tuple[Int6
 
 
 def _draw(
-    x: Float64, y: Float64, who: Int64, friends: Int64, tolerance: float, rng: np.random.Generator
+    x: Float64, y: Float64, source_rows: Int64, crowd_pairs: Int64, tolerance: float, rng: np.random.Generator
 ) -> dict[int, tuple[int, Affine, npt.NDArray[np.bool_]]]:
     """The affine map of four pairs of a crowd that explains most of it, after a refinement on those: the best that
     keeps left and right (1), and the best that mirrors (-1)."""
-    a, b, names = x[friends], y[friends], who[friends]
-    picks = rng.integers(len(friends), size=(DRAWS, 4))
+    a, b, names = x[crowd_pairs], y[crowd_pairs], source_rows[crowd_pairs]
+    picks = rng.integers(len(crowd_pairs), size=(DRAWS, 4))
     edges = a[picks[:, 1:]] - a[picks[:, :1]]  # (D, 3, 3)
     spread = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
     # flatter tetrahedra than this determine nothing across them
@@ -192,7 +192,7 @@ def _draw(
         if refined is not None:
             map_, inlying = refined
             everyone = np.zeros(len(x), dtype=bool)
-            everyone[friends[inlying]] = True
+            everyone[crowd_pairs[inlying]] = True
             found[hand] = len(np.unique(names[inlying])), map_, everyone
     return found
 

@@ -1,6 +1,6 @@
 """Finding the reference in a suspect model, whatever similarity, mirror, shuffle, cut, copy or noise it went through.
 
-The steps, cheapest first; each hands its proposal to the same judge (`agreement`):
+The steps, cheapest first; `agreement.confirm_similarity` tests the hypotheses of each:
 
 1. same order: as many Gaussians as the reference has, each looking like its namesake;
 2. same frame: the reference's coordinates, or turned by a multiple of 90 degrees about the axes;
@@ -11,8 +11,7 @@ The steps, cheapest first; each hands its proposal to the same judge (`agreement
 5. deformation: where no similarity is the whole story, small patches and what grows from them
    (`deformed`).
 
-Steps 1 to 3 (`similarity_search`) ask for the suspect as it came and for its mirror image; step 4 sees a mirror in
-its maps.
+Steps 1 to 3 (`similarity_search`) search the suspect as it came and its mirror image; the maps of step 4 may mirror.
 
 Nothing here knows the secret of the mark: only the unmarked reference and the suspect enter. So one
 registration is one hypothesis of the claim, however many alignments were weighed; their number is reported
@@ -43,7 +42,7 @@ MOSTLY = 0.5
 LEAST_REST = 64
 """Gaussians below which nothing is looked for in what is left over: as few as a mark needs."""
 LEFT_OVER = 0.02
-"""Share of the suspect's Gaussians without a match from which on they are asked whether they are merged ones: a voxel
+"""Share of the suspect's Gaussians without a match from which merged Gaussians are searched among them: a voxel
 tree makes many into few."""
 
 
@@ -120,7 +119,7 @@ def register(
             (_unmerge(index, hands, rigid, rng) if (rigid.matches < 0).mean() > LEFT_OVER else rigid, found)
             for rigid, found in either
         ]
-    # A thing as symmetric as a pot lies in its mirror image, too: what explains more is told when all is explained.
+    # A thing as symmetric as a pot lies in its mirror image, too: which explains more shows when all is explained.
     rigid, verdict = max(either, key=lambda one: float(one[0].mixtures.quality.sum()))
     rigid = replace(rigid, hypotheses_tried=max(tried, *(one.hypotheses_tried for one, _ in either)))
     return _bend(index, hands, rigid, verdict, rng) if config.deformed else rigid
@@ -161,7 +160,7 @@ def _other_hand(
     if len(left) < max(LEAST_REST, (1.0 - MOSTLY) * len(rigid.matches)):
         return [], 0
     rest = Hands(hands.suspect.take(left))
-    other, count = locate(index, rest, rng, asked=(not rigid.mirrored,), colorless=False)
+    other, count = locate(index, rest, rng, hands_searched=(not rigid.mirrored,), colorless=False)
     if other is None or other.order_quality is not None:
         return [], count
     return [(_answer(index, hands, other, rigid.hypotheses_tried + count, rng), other)], count
@@ -176,11 +175,11 @@ def _found(reference: GaussianModel, matches: Int32) -> float:
 
 def _unmerge(index: ReferenceIndex, hands: Hands, plain: Registration, rng: np.random.Generator) -> Registration:
     """Step 4: the registration by mixtures, where they explain clearly more than plain matches."""
-    asked: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
+    starts: list[tuple[bool, Similarity | None]] = [(False, None), (True, None)]
     if plain.found:
         # Where few are matched well, the place may be wrong itself.
-        asked = [(plain.mirrored, plain.similarity), *(asked if plain.match_quality.mean() < MOSTLY else [])]
-    for mirrored, start in asked:
+        starts = [(plain.mirrored, plain.similarity), *(starts if plain.match_quality.mean() < MOSTLY else [])]
+    for mirrored, start in starts:
         singles = None if start is None else (plain.matches, plain.match_quality)
         merged = register_merged(index, hands.of(mirrored), start, axis_rotations(), rng, singles)
         if merged is not None:

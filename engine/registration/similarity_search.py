@@ -1,7 +1,7 @@
 """Steps 1 to 3 of the registration: the similarity between the reference and a suspect, or its mirror image.
 
-Looks know no left and right, so both hands share one search for candidates; where they lie tells the hands apart, and
-either is judged by the same judge. Rotations stay proper all the way: it is the suspect that is mirrored.
+Features are invariant to mirroring, so both hands share one search for candidates; positions distinguish them, and one
+test confirms either. Rotations stay proper all the way: it is the suspect that is mirrored.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from engine.model import Float64, GaussianModel
 from engine.numerics.similarity import MIRROR, MIRROR_QUATS, mirror_model, quaternion_product
 from engine.numerics.umeyama import Similarity
-from engine.registration.agreement import Verdict, fit_suspect, judge, same_order
+from engine.registration.agreement import Verdict, confirm_similarity, fit_suspect, same_order
 from engine.registration.hypotheses import Agreement, Hypothesis, propose
 from engine.registration.looks_index import ReferenceIndex
 from engine.registration.match_candidates import sample_rows
@@ -30,20 +30,20 @@ CANDIDATES = 3000
 SEEDS, DRAWS = 64, 64
 """Candidates around which triples are drawn, and triples per such candidate."""
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
-"""Scales outside are not believed."""
+"""Scales outside are not credible."""
 MIN_EVIDENCE = 12.0
-"""Nats of evidence a hypothesis needs before it is judged against the whole models."""
+"""Nats of evidence a hypothesis needs before it is tested against the whole models."""
 SAMPLE, GLANCE = 4000, 400
-"""Suspect Gaussians on which a hypothesis is judged and refined, and on which the turns of the axes are compared."""
+"""Suspect Gaussians on which a hypothesis is tested and refined, and on which the turns of the axes are compared."""
 MIN_MATCHES = 5
 """Distinct reference Gaussians matched in that sample below which nothing is found."""
 BOTH = (False, True)
-"""Whether mirrored: as it came is asked first."""
+"""Whether mirrored; the suspect as it came is searched first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """A suspect and its mirror image, which is made when first asked for."""
+    """A suspect and its mirror image, which is made at first use."""
 
     suspect: GaussianModel
 
@@ -57,7 +57,7 @@ class Hands:
         return self if suspect.sh_degree == 0 else Hands(suspect.with_(sh=suspect.sh[:, :1]))
 
     def bare(self, mirrored: bool) -> GaussianModel:
-        """The one or the other without its harmonics, for what does not ask for them: a tenth of the bytes to move."""
+        """The one or the other without its harmonics, where they are not needed: a tenth of the bytes to move."""
         return self._bare.of(mirrored)
 
     def of(self, mirrored: bool) -> GaussianModel:
@@ -70,39 +70,41 @@ def locate(
     hands: Hands,
     rng: np.random.Generator,
     *,
-    asked: Sequence[bool] = BOTH,
+    hands_searched: Sequence[bool] = BOTH,
     colorless: bool = True,
 ) -> tuple[Verdict | None, int]:
     """Where the reference is in a suspect, or in its mirror image: a similarity found right, and how many were weighed.
 
-    `asked`: the hands, mirrored or not. `colorless`: search once more without colours.
+    `hands_searched`: mirrored or not, in order. `colorless`: search once more without colors.
     """
     tried = 0
     if len(index.model) == len(hands.suspect):
         tried += 1
-        mirrored = _nearer_hand(index.model, hands, asked, rng)
+        mirrored = _nearer_hand(index.model, hands, hands_searched, rng)
         verdict = same_order(index.model, hands.bare(mirrored), index.floor, rng)
         if verdict is not None:
             return replace(verdict, mirrored=mirrored), tried
-    verdict, count = _same_frame(index, hands, asked, rng)
+    verdict, count = _same_frame(index, hands, hands_searched, rng)
     tried += count
     if verdict is None:
-        verdict, count = _search(index, hands, asked, rng, colorless)
+        verdict, count = _search(index, hands, hands_searched, rng, colorless)
         tried += count
     return verdict, tried
 
 
-def _nearer_hand(reference: GaussianModel, hands: Hands, asked: Sequence[bool], rng: np.random.Generator) -> bool:
+def _nearer_hand(
+    reference: GaussianModel, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
+) -> bool:
     """The hand that lies nearer to the reference, were the order kept; a flat thing lies near with either."""
     rows = sample_rows(len(reference), SAMPLE, rng)
     target, source = reference.means[rows], hands.suspect.means[rows]
     errors = []
-    for mirrored in asked:
+    for mirrored in hands_searched:
         points = source * MIRROR if mirrored else source
         fit = fit_suspect(points, target)
         gap = np.inf if fit is None else float(np.median(np.linalg.norm(fit.apply(points) - target, axis=1)))
         errors.append(gap)
-    return asked[int(np.argmin(errors))]
+    return hands_searched[int(np.argmin(errors))]
 
 
 def axis_rotations() -> list[Float64]:
@@ -114,14 +116,14 @@ def axis_rotations() -> list[Float64]:
 
 
 def _same_frame(
-    index: ReferenceIndex, hands: Hands, asked: Sequence[bool], rng: np.random.Generator
+    index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator
 ) -> tuple[Verdict | None, int]:
     """Step 2: no scale, no translation, at most a turn of the axes, and a mirror."""
     rows = sample_rows(len(hands.suspect), GLANCE, rng)
     part = hands.bare(False).take(rows)
     quarter = axis_rotations()
     hits: list[int] = []
-    for mirrored in asked:
+    for mirrored in hands_searched:
         seen = mirror_model(part) if mirrored else part
         for R in quarter:
             matched = index.matcher.match(seen, Similarity(1.0, R, np.zeros(3)))
@@ -134,11 +136,11 @@ def _same_frame(
     if hits[best] < max(MIN_MATCHES, 0.01 * len(rows)):
         return None, len(hits)
     fit = Similarity(1.0, quarter[best % len(quarter)], np.zeros(3))
-    return _judge(index, hands, asked[best // len(quarter)], fit, None, rng), len(hits)
+    return _confirm(index, hands, hands_searched[best // len(quarter)], fit, None, rng), len(hits)
 
 
 def _search(
-    index: ReferenceIndex, hands: Hands, asked: Sequence[bool], rng: np.random.Generator, colorless: bool
+    index: ReferenceIndex, hands: Hands, hands_searched: Sequence[bool], rng: np.random.Generator, colorless: bool
 ) -> tuple[Verdict | None, int]:
     """Step 3: candidates, agreement, triples."""
     suspect = hands.suspect
@@ -148,7 +150,7 @@ def _search(
     for colors, deep in stages:
         queries = (10 if deep else 2) * CANDIDATES
         if deep and len(suspect) <= queries // 5:
-            continue  # they were all asked before
+            continue  # the shallow search had them all
         looks = index.features(degree, colors=colors)
         pairs = looks.candidates(suspect, CANDIDATES, rng, queries=queries, deep=deep)
         votes = np.exp(pairs.size)
@@ -157,16 +159,16 @@ def _search(
         for level in (EXACT, LOOSE):
             for agreement in (level, Agreement(level.size, level.edge, np.inf)):
                 scene, seed = (index.extent, index.chance), int(rng.integers(2**31))
-                believed: list[tuple[Hypothesis, bool]] = []
-                for mirrored in asked:
+                credible: list[tuple[Hypothesis, bool]] = []
+                for mirrored in hands_searched:
                     seen, turn = pairs.mirrored() if mirrored else pairs, turns(*theirs, mirrored)
                     hypotheses, count = propose(seen, turn, agreement, *scene, seeds=SEEDS, draws=DRAWS, seed=seed)
                     tried += count
-                    believed += [(h, mirrored) for h in hypotheses[:2] if _believable(h)]
+                    credible += [(h, mirrored) for h in hypotheses[:2] if _credible(h)]
                 # A flat or noisy thing is explained by either hand, but by its own far better.
-                for h, mirrored in sorted(believed, key=lambda each: -each[0].evidence):
+                for h, mirrored in sorted(credible, key=lambda each: -each[0].evidence):
                     inliers = (pairs.reference[h.inliers], pairs.suspect[h.inliers])
-                    verdict = _judge(index, hands, mirrored, h.fit, inliers, rng)
+                    verdict = _confirm(index, hands, mirrored, h.fit, inliers, rng)
                     if verdict is not None:
                         return verdict, tried
     return None, tried
@@ -178,12 +180,12 @@ def turns(reference: npt.NDArray[np.float32], suspect: npt.NDArray[np.float32], 
     return quaternion_product(reference, conjugate)
 
 
-def _believable(hypothesis: Hypothesis) -> bool:
-    """Whether it is worth judging."""
+def _credible(hypothesis: Hypothesis) -> bool:
+    """Whether it is worth testing."""
     return hypothesis.evidence >= MIN_EVIDENCE and MIN_SCALE <= hypothesis.fit.scale <= MAX_SCALE
 
 
-def _judge(
+def _confirm(
     index: ReferenceIndex,
     hands: Hands,
     mirrored: bool,
@@ -193,5 +195,5 @@ def _judge(
 ) -> Verdict | None:
     suspect = hands.bare(mirrored)
     rows = sample_rows(len(suspect), SAMPLE, rng)
-    verdict = judge(index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=MIN_MATCHES)
+    verdict = confirm_similarity(index.model, suspect, fit, inliers, rows, index.matcher, rng, min_matches=MIN_MATCHES)
     return None if verdict is None else replace(verdict, mirrored=mirrored)

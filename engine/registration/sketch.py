@@ -4,7 +4,7 @@ It asks in two ways, and for mirror images, too; either is enough.
 
 A sketch holds two thousand Gaussians of a model: of its visible half, those of the rarest looks in every region.
 To compare, each is looked up among all Gaussians of the suspect by what no similarity changes (size ratios,
-opacity, colour), and the partners found are asked how many of them agree with each other: the same change of
+opacity, colour), and the partners found are counted by how many agree with each other: the same change of
 size, the same turn, distances changed alike. In a derivative dozens do, in a foreign model two or three.
 
 Merging and training anew leave none of the Gaussians; what lies about places all over the model stays (`coarse`).
@@ -55,14 +55,14 @@ NATS = 12.0
 """Evidence of the places that counts as one agreeing partner. On seven real scenes foreign pairs, pieces of them and
 noisy ones reach at most 50, models merged to a twentieth at least 280."""
 MOST_PAIRS = 512
-"""Partners asked for agreement, the least ambiguous ones; the time grows with the square."""
+"""Partners compared for agreement, the least ambiguous ones; the time grows with the square."""
 
 CROWD = 256
 """Gaussians of one look that a suspect is searched by."""
 
 _BUCKETS = 1 << 20
 _MIX = np.array([73856093, 19349663, 83492791, 49979687, 67867979, 32452843], dtype=np.int32)
-"""Looks are told apart by a hash; two looks in one bucket count as one."""
+"""Features are compared by a hash; two looks in one bucket count as one."""
 
 LOOK_ERRORS = np.array([0.08, 0.08, 0.2, 0.12, 0.12, 0.12], dtype=np.float32)
 """Expected errors of the looks, which a derivative's may differ by: rounding, noise, a mark, a slight tint."""
@@ -192,7 +192,7 @@ def _telling(model: GaussianModel, count: int) -> Int64:
 def _uncrowded(points: Float32) -> Int64:
     """Indices, ascending, of at most CROWD points of one look.
 
-    Where thousands look the same, a partner tells nothing, and looking for it takes all the time there is.
+    Where thousands look the same, a partner carries no information, and searching for it takes most of the time.
     """
     steps = np.floor(np.float32(0.5) * points).astype(np.int32)
     bucket = (steps * _MIX).sum(axis=1, dtype=np.int32) & (_BUCKETS - 1)

@@ -84,5 +84,5 @@ def blend(nodes: npt.NDArray[np.floating], maps: Affine, points: npt.NDArray[np.
 
 
 def unturned(deviations: Deviations) -> Deviations:
-    """The same without rotations: which axis of a deformed ellipsoid was which, nobody knows."""
+    """The warped model without rotations: the axes of a deformed ellipsoid cannot be matched."""
     return replace(deviations, rotation=np.inf)

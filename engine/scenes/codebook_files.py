@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, InputError
+from engine.extras import load_extra
 from engine.formats.file_writing import write_whole
 from engine.formats.guards import opening
 from engine.formats.ply.body import read_tables
@@ -87,7 +88,7 @@ def write_codebook(model: CodebookModel, folder: str | os.PathLike[str]) -> int:
 
     The same model gives the same bytes.
     """
-    import torch  # only needed for the archive of centres
+    torch = load_extra("torch", "train", "a folder of codebooks")  # for the archive of centres alone
 
     base = Path(folder)
     try:
@@ -121,7 +122,7 @@ def _content(path: Path, limit: int | None = None) -> bytes:
 
 
 def _read_centers(data: bytes, params: list[str], file: str) -> dict[str, Float32]:
-    import torch
+    torch = load_extra("torch", "train", "a folder of codebooks")
 
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:  # torch stores; a deflated entry may be a bomb

@@ -61,7 +61,7 @@ class CodeShares:
     def variance(self, left: Float64, trust: Float64) -> Float64:
         """(codes, R) variance of each mean, from the errors (n, R) of suspect Gaussians along the carriers.
 
-        Infinity for code vectors for which nobody speaks.
+        Infinity for code vectors without members.
         """
         total, squared = self._sums(np.stack([trust, trust**2], axis=1), 2).T
         members = total**2 / np.maximum(self._sums(trust[:, None] ** 2, 4)[:, 0], 1e-300)  # as many as weigh alike

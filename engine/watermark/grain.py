@@ -2,7 +2,7 @@
 
 Each centre moves by a small part of the Gaussian's own size along each of its three axes, each log scale by a small
 step; the signs follow from the owner's key. Nothing predicts where a Gaussian's centre lies to a twentieth of its size,
-neither its neighbours nor its colour, so nobody can average this layer away: it goes only with the geometry.
+neither its neighbors nor its color, so this layer cannot be averaged away: it goes only with the geometry.
 Opacities stay: their chips would be a seventh of all, and the first to go in merging, pruning and re-training.
 
 Flat order of the chips: Gaussian, then its attributes (centre along axes 0 to 2, log scale of axes 0 to 2).

@@ -2,8 +2,8 @@
 
 One owner key serves everything. HKDF-SHA256 (RFC 5869) derives from it one sub-key per purpose and
 context; a sub-key feeds ChaCha20 (RFC 8439), and signs, permutations and uniform numbers are read off
-that keystream. Nothing here comes from a statistical generator: whoever sees half of the chips still
-learns nothing about the other half, and a chip of a key that had no part in a suspect is a fair coin.
+that keystream. Nothing here comes from a statistical generator: half of the chips reveal
+nothing about the other half, and a chip of a key that had no part in a suspect is a fair coin.
 """
 
 from __future__ import annotations

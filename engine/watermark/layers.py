@@ -1,8 +1,8 @@
 """Both layers of a mark in one evidence, and each by itself.
 
-Whoever takes one copy's geometry and another's colours drowns the second copy's tint in the first one's grain. So three
-questions are asked, and counted as three tries: both layers together, the tint alone, the grain alone. Pictures are
-read in two ways (`image_evidence.PictureEvidence`), and asked all three in each.
+A suspect with one copy's geometry and another's colors would hide the second copy's tint under the first one's grain.
+So three hypotheses are tested and counted: both layers together, the tint alone, the grain alone. Pictures are read in
+two ways (`image_evidence.PictureEvidence`); all three are tested in each.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Gaussians that hold still: a value which very many share would scatter in sight of anybody (no key needed).
+"""Gaussians that hold still: moving a value that very many share would be visible without the key.
 
 Files of few values clip: on real scenes up to half of all Gaussians have a channel at pure white or black. A mark that
 moved them would tear such a mass apart, and a histogram shows that. They get a code vector of their own that carries

@@ -159,7 +159,7 @@ def _take_turns(stages: list[CodeShares], residual: Float64, trust: Float64) -> 
 
 def _weigh(y: Float64, variance: Float64, amplitudes: Float64, carriers: int) -> Evidence:
     seen = np.isfinite(variance)
-    # Registration, quantisation and whoever cleaned the model leave errors that the members share and that their own
+    # Registration, quantization and cleaning of the model leave errors that the members share and that their own
     # spread does not show. How large means are shows it; and no mean is trusted beyond the mark's own size, so that
     # this layer drowns neither the other nor the other routes.
     variance = np.where(seen, variance, 1.0) + amplitudes**2 + _shared(y, seen, carriers) + 1e-12

@@ -16,7 +16,7 @@ from engine.watermark.image_evidence import PictureEvidence
 __all__ = ["Together", "find_contradicting"]
 
 LEAST_PICTURES = 3
-"""Of two that disagree nobody knows which is the odd one."""
+"""Of two that disagree, either may be the wrong one."""
 TOLD = 6.0
 """Standard deviations of chance by which a picture must be expected to agree with the others before it is judged."""
 AGREES = 0.3

@@ -1,9 +1,8 @@
 """Which false-claim rate a claim must meet: not the claimant's choice (DESIGN 4.9).
 
-A record that somebody made after he saw the suspect can be one of very many that he tried: 10^10 plans reach a bound of
-10^-9 by themselves. So 10^-9 is enough only where somebody else vouches that the record is older than the suspect, or
-that what its chips follow from was drawn by somebody else (then nobody could try records out). Else the bound must be
-below 2^-128.
+A record made after its owner saw the suspect can be the best of very many tried: 10^10 plans reach a bound of 10^-9 by
+chance. So 10^-9 is enough only where a third party attests that the record is older than the suspect, or contributed
+randomness to its chips, so that records could not be tried out. Else the bound must be below 2^-128.
 """
 
 from dataclasses import asdict, dataclass
@@ -28,12 +27,12 @@ DEMANDS = {basis: CHANCE_RATE if basis in ("attested", "drawn") else DISHONEST_C
 
 @dataclass(frozen=True)
 class Attested:
-    """Somebody else's word on when a record existed. ValueError if the time is none."""
+    """A third party's attestation of when a record existed. ValueError if `at` is no time."""
 
     at: str  # UTC, ISO 8601
     by: str  # who says so, for people
-    # The attester drew a part of the plan, which decides the chips, when the reference and the key were settled: nobody
-    # could try many records beforehand
+    # The attester drew a part of the plan, which decides the chips, when the reference and the key were settled:
+    # many records could not be tried beforehand
     drawn: bool = False
 
     def __post_init__(self) -> None:
@@ -68,7 +67,7 @@ def applicable_rate(asked: float, attested: Attested | None, suspect_seen: str =
     asked : float
         In (0, 1).
     suspect_seen : str
-        Since when the suspect is known, ISO 8601 (a date counts from its first moment); empty where nobody knows.
+        Since when the suspect is known, ISO 8601 (a date counts from its first moment); empty if unknown.
         InputError if it is no time.
     """
     usual = min(asked, CHANCE_RATE)

@@ -1,6 +1,6 @@
-"""Cells that only the key knows (DESIGN 4.5): whoever cannot tell where one ends cannot tell what it was moved by.
+"""Cells that only the key knows (DESIGN 4.5): without their borders, displacements cannot be estimated.
 
-The quantiser's cells are public: anybody builds them from the model. They are small, and each copy's key joins them to
+The quantizer's cells are public: they follow from the model. They are small, and each copy's key joins them to
 code vectors of its own, neighbours only, by a k-d tree whose cuts it draws; it draws how much each one moves, too.
 All of that is settled, and bound by the record id, before a chip is drawn from another sub-key.
 """

@@ -79,7 +79,7 @@ def spread_grain(subkey: bytes, gaussians: int, bits: int) -> Spreading:
 
 
 def public_signs(chips: int) -> Float64:
-    """(chips,) +-1 that everybody knows: they stand for those of a key where none may be looked at."""
+    """(chips,) +-1 that are public: they stand for a key's signs where these must not be used."""
     return np.asarray(2.0 * np.random.default_rng(0).integers(0, 2, chips, dtype=np.int8) - 1.0, dtype=np.float64)
 
 

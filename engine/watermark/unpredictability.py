@@ -1,7 +1,7 @@
 """How badly a code vector's colour can be guessed from those around it (DESIGN 4.5).
 
-A displacement that stands out against its surroundings is seen by people, found by detectors, and taken out by whoever
-subtracts what he did not expect. So amplitudes follow what the unmarked scene itself leaves unexplained.
+A displacement that stands out against its surroundings is seen by people, found by detectors, and removed by
+subtracting what is unexpected. So amplitudes follow what the unmarked scene itself leaves unexplained.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import scipy
 
 from engine.model import Float64, Int64
 
-NEIGHBOURS = 24
+NEIGHBORS = 24
 """Code vectors from which a colour is guessed, by a plane fitted to them."""
 AROUND = 9
 """Code vectors, itself among them, over which the misses are averaged: one alone may have been guessed by luck."""
@@ -42,7 +42,7 @@ def guess(centers: Float64, colors: Float64) -> tuple[Float64, Int64]:
     Of at least two code vectors, else as in `unexplained`.
     """
     count = len(centers)
-    near = scipy.spatial.cKDTree(centers).query(centers, k=min(NEIGHBOURS + 1, count), workers=2)[1][:, 1:]  # (M, k)
+    near = scipy.spatial.cKDTree(centers).query(centers, k=min(NEIGHBORS + 1, count), workers=2)[1][:, 1:]  # (M, k)
     offset = centers[near] - centers[:, None]
     offset /= np.sqrt(np.square(offset).sum(axis=2).mean(axis=1))[:, None, None] + 1e-300
     design = np.concatenate([offset, np.ones((*near.shape, 1))], axis=2)  # (M, k, 4)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.catalogue import neighbours
+from engine.catalogue import neighbors
 from engine.catalogue.catalogue import Catalogue
 from engine.catalogue.entry import Entry
 from engine.catalogue.screening import SHOWN, screen_model, screen_pictures
@@ -40,7 +40,7 @@ def entries(plant: GaussianModel) -> dict[str, Entry]:
 def catalogue(entries: dict[str, Entry], tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     """With lists, as where there are many; saved and opened."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(neighbours, "FEW", 1000)
+        patch.setattr(neighbors, "FEW", 1000)
         made = Catalogue.build(list(entries)[1:], entries.__getitem__)
     folder = tmp_path_factory.mktemp("catalogue")
     made.save(folder)

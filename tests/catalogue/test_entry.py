@@ -42,7 +42,7 @@ def test_the_strongest_of_each_view_are_kept_where_it_showed_them(monkeypatch: p
 def test_what_other_views_show_is_kept_before_what_is_strong(monkeypatch: pytest.MonkeyPatch, scale: float) -> None:
     """At the same place and looking alike; in three views before in two; a heap seen by one view counts for nothing."""
     monkeypatch.setattr(entries, "POINTS", 12)
-    monkeypatch.setattr(entries, "NEIGHBOURS", 120)  # that places decide, not how many lie near
+    monkeypatch.setattr(entries, "NEIGHBORS", 120)  # that places decide, not how many lie near
     model = clusters(0, 400)
     cameras = make_rig(transform_model(model, scale, np.eye(3), np.zeros(3)), 3, 640, 480)
     rng = np.random.default_rng(1)

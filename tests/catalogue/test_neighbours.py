@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.catalogue import neighbours
-from engine.catalogue.neighbours import NEAREST, Neighbours
+from engine.catalogue import neighbors
+from engine.catalogue.neighbors import NEAREST, Neighbors
 from engine.model import Float32
 
 
@@ -15,8 +15,8 @@ def crowd(seed: int = 0, assets: int = 6, each: int = 50) -> list[Float32]:
     return [rng.normal(size=(each, 8)).astype(np.float32) for _ in range(assets)]
 
 
-def filled(vectors: list[Float32]) -> Neighbours:
-    made = Neighbours.learnt(np.concatenate(vectors), sum(map(len, vectors)), "Flat")
+def filled(vectors: list[Float32]) -> Neighbors:
+    made = Neighbors.learnt(np.concatenate(vectors), sum(map(len, vectors)), "Flat")
     for number, part in enumerate(vectors):
         made.add(number, part)
     return made
@@ -48,7 +48,7 @@ def test_a_query_speaks_for_an_asset_once() -> None:
 def test_many_vectors_are_sorted_into_lists_and_found_all_the_same(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(neighbours, "FEW", 1000)
+    monkeypatch.setattr(neighbors, "FEW", 1000)
     vectors = crowd(2, 40, 100)
     near = filled(vectors)
     assert hasattr(near._index, "nprobe")
@@ -57,7 +57,7 @@ def test_many_vectors_are_sorted_into_lists_and_found_all_the_same(
     assert int(np.argmax(near.by_asset(near.votes(noisy), 40))) == 17
     near.save(tmp_path / "field")
     for growing in (False, True):
-        again = Neighbours.load(tmp_path / "field", growing=growing)
+        again = Neighbors.load(tmp_path / "field", growing=growing)
         np.testing.assert_array_equal(again.votes(noisy).row, near.votes(noisy).row)
     again.add(40, noisy)
     assert int(np.argmax(again.by_asset(again.votes(noisy), 41))) == 40
@@ -65,7 +65,7 @@ def test_many_vectors_are_sorted_into_lists_and_found_all_the_same(
 
 
 def test_nothing_and_too_few_speak_without_failing() -> None:
-    none = Neighbours.learnt(np.zeros((0, 8), np.float32), 0, "Flat")
+    none = Neighbors.learnt(np.zeros((0, 8), np.float32), 0, "Flat")
     assert len(none.votes(np.zeros((3, 8), np.float32)).row) == 0
     few = filled([np.eye(8, dtype=np.float32)[:2]])
     votes = few.votes(np.eye(8, dtype=np.float32)[:1])

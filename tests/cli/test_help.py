@@ -21,7 +21,6 @@ COMMANDS = (
     ["attack"],
     ["sim"],
     ["evaluate"],
-    ["bench"],
     ["config", "show"],
     ["credentials", "sign"],
     ["credentials", "trial"],

@@ -40,13 +40,13 @@ def test_our_own_file(tmp_path: Path) -> None:
 def test_inria_file(tmp_path: Path) -> None:
     """Rotation is camera to world, position the camera's centre; the principal point is in the middle."""
     turn = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix()
-    centre = np.array([1.0, 2.0, -3.0])
+    center = np.array([1.0, 2.0, -3.0])
     entry = {"id": 0, "img_name": "a", "width": 640, "height": 480, "fx": 500, "fy": 505.5}
-    entry |= {"position": centre.tolist(), "rotation": turn.tolist()}
+    entry |= {"position": center.tolist(), "rotation": turn.tolist()}
     (camera,) = read_cameras(write_json(tmp_path / "c.json", [entry]))
-    ahead = camera.viewmat @ [*(centre + turn @ [0, 0, 2]), 1]  # two units before the camera
+    ahead = camera.viewmat @ [*(center + turn @ [0, 0, 2]), 1]  # two units before the camera
     np.testing.assert_allclose(ahead, [0, 0, 2, 1], atol=1e-12)
-    np.testing.assert_allclose(camera.position, centre)
+    np.testing.assert_allclose(camera.position, center)
     np.testing.assert_array_equal(camera.K, [[500, 0, 320], [0, 505.5, 240], [0, 0, 1]])
 
 

@@ -99,8 +99,8 @@ def test_chains_of_formats_stay_the_same_scene() -> None:
         assert len(model) == 1000
     original = read_model(TRAIN).model
     extent = float(np.ptp(original.means, axis=0).max())
-    centre = np.abs(model.means.mean(axis=0) - original.means.mean(axis=0)).max()
-    assert centre < 1e-3 * extent
+    center = np.abs(model.means.mean(axis=0) - original.means.mean(axis=0)).max()
+    assert center < 1e-3 * extent
     np.testing.assert_allclose(np.sort(model.opacities), np.sort(original.opacities), atol=0.02)
 
 

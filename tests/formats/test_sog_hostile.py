@@ -45,13 +45,13 @@ def test_meta_must_be_json():
 
 
 def test_images_that_do_not_fit_are_refused():
-    grey = np.zeros((20, 16, 4), dtype=np.uint8)
+    gray = np.zeros((20, 16, 4), dtype=np.uint8)
     huge = webp(np.zeros((4000, 4000, 3), dtype=np.uint8))
     assert len(huge) < 100_000
     good = unbundle(SCENE)["quats.webp"]
     for parts in (
         {"quats": None},
-        {"quats": webp(grey[:10])},  # too few pixels
+        {"quats": webp(gray[:10])},  # too few pixels
         {"quats": webp(np.zeros((40, 40, 4), dtype=np.uint8))},  # another size than the rest
         {"quats": huge},
         {"means_l": huge},
@@ -67,7 +67,7 @@ def test_images_that_do_not_fit_are_refused():
         with pytest.raises(FormatError):
             read_sog(with_parts(SCENE, **parts), file="x")
     with pytest.raises(UnsupportedFormatError, match="lossy"):
-        read_sog(with_parts(SCENE, sh0=webp(grey, lossless=False)), file="x")
+        read_sog(with_parts(SCENE, sh0=webp(gray, lossless=False)), file="x")
 
 
 def test_archives_that_lie_are_refused():

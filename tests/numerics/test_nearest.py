@@ -12,8 +12,8 @@ from tests.threads import with_one_and_two_threads
 
 def scene(n: int, d: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    centres = rng.normal(0, 10, (8, d))
-    points = centres[rng.integers(8, size=n)] + rng.normal(0, 2, (n, d))
+    centers = rng.normal(0, 10, (8, d))
+    points = centers[rng.integers(8, size=n)] + rng.normal(0, 2, (n, d))
     quats = rng.normal(size=(n, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     return points.astype(np.float32), quats.astype(np.float32)

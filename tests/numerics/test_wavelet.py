@@ -85,7 +85,7 @@ def test_energy_map_sums_to_the_details_and_lies_where_the_edge_is() -> None:
 
 
 def test_energy_map_of_grey_and_odd_images() -> None:
-    grey = np.random.default_rng(4).uniform(size=(13, 7)).astype(np.float32)
-    colour = np.repeat(grey[:, :, None], 3, axis=2)
-    np.testing.assert_allclose(high_frequency_energy(grey), high_frequency_energy(colour), rtol=1e-5)
-    assert high_frequency_energy(grey).shape == (13, 7)
+    gray = np.random.default_rng(4).uniform(size=(13, 7)).astype(np.float32)
+    colour = np.repeat(gray[:, :, None], 3, axis=2)
+    np.testing.assert_allclose(high_frequency_energy(gray), high_frequency_energy(colour), rtol=1e-5)
+    assert high_frequency_energy(gray).shape == (13, 7)

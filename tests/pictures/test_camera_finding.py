@@ -11,11 +11,11 @@ from engine.errors import InputError
 from engine.kernels.thread_crew import use_threads
 from engine.model import Camera, GaussianModel, look_at
 from engine.numerics.similarity import mirror_model
-from engine.pictures.camera import camera_search as camera_finding
 from engine.pictures.camera import keypoint_cameras, pose_refinement
 from engine.pictures.camera.camera_motion import normalized, project
 from engine.pictures.camera.camera_search import find_camera
 from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.pose_refinement import Refined, refine_level
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -205,8 +205,8 @@ def test_refinement_gives_up_where_nothing_is_seen(plant: GaussianModel) -> None
 
 
 def test_knobs_are_within_reason() -> None:
-    assert keypoint_cameras.LEAST_START <= keypoint_cameras.LEAST_INLIERS < camera_finding.SUPPORTED
-    assert pose_refinement.LEAST_CORRELATION < camera_finding.SURE_CORRELATION < 1.0
+    assert CONFIG.keypoints.least_start <= CONFIG.keypoints.least_inliers < CONFIG.supported
+    assert pose_refinement.LEAST_CORRELATION < CONFIG.settled_correlation < 1.0
 
 
 @pytest.mark.parametrize("roll", [0.0, 90.0, 180.0])
@@ -229,11 +229,11 @@ def test_how_the_viewer_draws_is_told_from_the_picture(plant: GaussianModel, ban
     for settings in (RasterSettings(), RasterSettings(antialiased=True)):
         found = find_camera(bank, plant, jpeg(render(plant, true, settings=settings), 80))
         assert found is not None
-        assert found.drawn == settings
+        assert found.settings == settings
     plain, tagged = RasterSettings(antialiased=False), replace(plant, antialiased=True)
     found = find_camera(bank, tagged, jpeg(render(plant, true, settings=plain), 80))
     assert found is not None
-    assert found.drawn == plain
+    assert found.settings == plain
 
 
 def test_a_picture_without_keypoints_is_found_by_its_edges(plant: GaussianModel) -> None:
@@ -256,9 +256,9 @@ def test_edges_of_something_else_are_no_picture_of_it(plant: GaussianModel, monk
     """Some view always fits best; what it shows decides, and soon: what has no hope costs nothing at full size."""
     kept, sizes = Picture.refined, []
 
-    def counted(picture: Picture, camera: Camera, mirrored: bool, size: int, *rest: Any) -> Refined | None:
-        sizes.append(size)
-        return kept(picture, camera, mirrored, size, *rest)
+    def counted(picture: Picture, camera: Camera, level: Level, **rest: Any) -> Refined | None:
+        sizes.append(level.side)
+        return kept(picture, camera, level, **rest)
 
     monkeypatch.setattr(Picture, "refined", counted)
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures.camera import camera_proposals as camera_candidates
-from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera import camera_proposals, camera_search
 from engine.pictures.camera.camera_proposals import Candidate
 from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.found_camera import FoundCamera
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import render
@@ -57,7 +57,7 @@ def test_where_the_part_within_a_frame_is_not_recognised_the_whole_is(
     """A frame may be wrong, and may leave next to nothing."""
     true = around(plant, 48, 33, 1.1, 0.8)
     for rows in (slice(0, 60), slice(0, 5)):
-        monkeypatch.setattr(camera_candidates, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
+        monkeypatch.setattr(camera_proposals, "find_frame", lambda *_, rows=rows: (rows, slice(0, 480)))
         found = find_camera(bank, plant, jpeg(render(plant, true), 80))
         assert found is not None
         assert found.frame is None
@@ -79,7 +79,7 @@ def test_a_picture_that_is_explained_is_asked_for_neither_frame_nor_shape(
         raise AssertionError("asked")
 
     for name in ("frame", "shape"):
-        monkeypatch.setattr(camera_candidates.Candidates, name, fail)
+        monkeypatch.setattr(camera_proposals.Candidates, name, fail)
     assert find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80)) is not None
 
 
@@ -87,14 +87,14 @@ def test_a_picture_that_is_explained_is_asked_for_neither_frame_nor_shape(
 def test_what_is_nearly_explained_in_small_is_asked_at_its_own_size_first(
     plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch, small: float, asks: bool
 ) -> None:
-    kept, asked = camera_finding._best, []
+    kept, asked = camera_search._best_candidate, []
 
     def rough(*given: Any) -> Candidate | None:
         best = kept(*given)
-        return None if best is None else replace(best, correlation=small, clear=small)
+        return None if best is None else replace(best, correlation=small, uncovered_correlation=small)
 
-    monkeypatch.setattr(camera_finding, "_best", rough)
-    monkeypatch.setattr(camera_candidates.Candidates, "shape", lambda *_: asked.append(True))
+    monkeypatch.setattr(camera_search, "_best_candidate", rough)
+    monkeypatch.setattr(camera_proposals.Candidates, "shape", lambda *_: asked.append(True))
     assert find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80)) is not None
     assert bool(asked) is asks
 
@@ -117,15 +117,15 @@ def test_a_frame_in_which_less_is_explained_is_none(
     true = around(plant, 48, 33, 1.1, 0.8)
     picture = np.clip(render(plant, true), 0, 1)
     picture[:, 380:] = 0.5  # some of it is hidden: not all is explained
-    monkeypatch.setattr(camera_finding, "ALIKE", 0.9999)
-    monkeypatch.setattr(camera_candidates, "find_frame", lambda *_: (slice(0, 360), slice(0, 380)))
-    kept, asked, trial = camera_finding.find_camera, [], camera_finding._best
+    monkeypatch.setattr(camera_search, "CONFIG", replace(CONFIG, explained_uncovered=0.9999))
+    monkeypatch.setattr(camera_proposals, "find_frame", lambda *_: (slice(0, 360), slice(0, 380)))
+    kept, asked, trial = camera_search.find_camera, [], camera_search._best_candidate
 
     def rough(*given: Any) -> Candidate | None:
         best = trial(*given)
-        return None if best is None else replace(best, correlation=small, clear=small)
+        return None if best is None else replace(best, correlation=small, uncovered_correlation=small)
 
-    monkeypatch.setattr(camera_finding, "_best", rough)
+    monkeypatch.setattr(camera_search, "_best_candidate", rough)
 
     def worse(*given: object, **named: object) -> FoundCamera | None:
         found = kept(*given, **named)  # type: ignore[arg-type]  # as they came
@@ -133,10 +133,10 @@ def test_a_frame_in_which_less_is_explained_is_none(
         return (
             None
             if found is None
-            else replace(found, correlation=correlation, clear=correlation, gain=gain * found.gain)
+            else replace(found, correlation=correlation, uncovered_correlation=correlation, gain=gain * found.gain)
         )
 
-    monkeypatch.setattr(camera_finding, "find_camera", worse)
+    monkeypatch.setattr(camera_search, "find_camera", worse)
     found = kept(bank, plant, jpeg(picture, 80))
     assert asked
     assert found is not None
@@ -148,10 +148,10 @@ def test_what_a_panel_lies_over_is_asked_for_no_frame(
 ) -> None:
     """All else is explained; the search within a frame takes as long as that of the whole."""
     asked: list[object] = []
-    monkeypatch.setattr(camera_candidates.Candidates, "frame", lambda *_: asked.append(True))
+    monkeypatch.setattr(camera_proposals.Candidates, "frame", lambda *_: asked.append(True))
     picture = np.clip(render(plant, around(plant, 48, 33, 0.8, 0.8)), 0, 1)
     picture[200:290, 240:310] = 0.1 + 0.1 * picture[200:290, 240:310]
     found = find_camera(bank, plant, picture)
     assert found is not None
-    assert found.correlation < camera_finding.ALIKE < found.clear
+    assert found.correlation < CONFIG.explained_uncovered < found.uncovered_correlation
     assert not asked

@@ -32,8 +32,8 @@ def test_what_is_light_and_dark_in_the_same_places_is_no_picture_of_it(plant: Ga
     coarse = smooth(image, wide) / np.maximum(smooth(alpha, wide), 0.05)[..., None]
     alike = np.clip(alpha[..., None] * (coarse + 0.5 * (other - smooth(other, wide))), 0.0, 1.0)
     camera = views[1].with_side(640)
-    grey = resized(luma(alike), camera.width, camera.height)
-    refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
+    gray = resized(luma(alike), camera.width, camera.height)
+    refined = pose_refinement.refine_level(plant, gray, camera, 8, 0.05)
     assert refined is not None
     assert refined.correlation > pose_refinement.LEAST_CORRELATION, "as large as that of a picture of it"
     assert find_camera(none, plant, alike, far=lambda: far) is None
@@ -50,22 +50,22 @@ def test_single_pixels_have_no_detail() -> None:
 def test_a_small_piece_alike_by_chance_is_no_picture_of_it(plant: GaussianModel) -> None:
     """A few strokes of a drawing once fitted a small part of a statue: a large one says more."""
     camera = around(plant, 90.0, 30.0, 1.3, 1.1)
-    grey = luma(np.clip(render(plant, camera), 0.0, 1.0))
-    noise = smooth(np.random.default_rng(0).normal(size=grey.shape).astype(np.float32), 4.0)
-    noise *= 0.1 * grey.std() / noise.std()
+    gray = luma(np.clip(render(plant, camera), 0.0, 1.0))
+    noise = smooth(np.random.default_rng(0).normal(size=gray.shape).astype(np.float32), 4.0)
+    noise *= 0.1 * gray.std() / noise.std()
     told = {}
     for name, part in (("whole", 1), ("part", 8)):
-        shown = np.zeros(grey.shape, dtype=np.bool_)
-        middle = tuple(slice(side // 2 - side // 2 // part, side // 2 + side // 2 // part) for side in grey.shape)
+        shown = np.zeros(gray.shape, dtype=np.bool_)
+        middle = tuple(slice(side // 2 - side // 2 // part, side // 2 + side // 2 // part) for side in gray.shape)
         shown[middle] = True
-        told[name] = compare_detail(grey + noise, grey, np.ones_like(grey), shown, camera)
+        told[name] = compare_detail(gray + noise, gray, np.ones_like(gray), shown, camera)
     assert told["whole"][0] == pytest.approx(told["part"][0], abs=0.2)
     assert told["whole"][1] > 4.0 * told["part"][1] > 0.0
-    refined = pose_refinement.refine_level(plant, grey, camera, 8, 0.05)
+    refined = pose_refinement.refine_level(plant, gray, camera, 8, 0.05)
     assert refined is not None
     assert refined.alike
-    assert refined.telling > pose_refinement.LEAST_TELLING
-    assert not replace(refined, telling=pose_refinement.LEAST_TELLING - 1.0).alike
+    assert refined.detail_z > pose_refinement.LEAST_DETAIL_Z
+    assert not replace(refined, detail_z=pose_refinement.LEAST_DETAIL_Z - 1.0).alike
 
 
 def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:
@@ -78,7 +78,7 @@ def test_what_lies_over_the_model_is_left_out(plant: GaussianModel) -> None:
     refined = pose_refinement.refine_level(plant, resized(picture, small.width, small.height), small, 8, 0.05)
     assert refined is not None
     assert refined.correlation < 0.8
-    assert refined.clear > 0.97
+    assert refined.uncovered_correlation > 0.97
     assert refined.alike
 
 

@@ -10,8 +10,8 @@ from tests.pictures.image_cases import picture
 
 
 def test_keypoints_move_with_the_picture() -> None:
-    grey = luma(picture(0))
-    a, b = detect_keypoints(grey[:-20, :-30], 400), detect_keypoints(grey[20:, 30:], 400)
+    gray = luma(picture(0))
+    a, b = detect_keypoints(gray[:-20, :-30], 400), detect_keypoints(gray[20:, 30:], 400)
     first, second = match_within(a.descriptors, b.descriptors, 0.8)
     shift = a.points[first] - b.points[second]
     assert len(first) > 50
@@ -19,8 +19,8 @@ def test_keypoints_move_with_the_picture() -> None:
 
 
 def test_brightness_does_not_decide_what_is_found() -> None:
-    grey = luma(picture(0))
-    whole, dim = detect_keypoints(grey, 300), detect_keypoints(0.3 * grey, 300)
+    gray = luma(picture(0))
+    whole, dim = detect_keypoints(gray, 300), detect_keypoints(0.3 * gray, 300)
     assert len(dim) == len(whole) == 300
     distance = np.linalg.norm(whole.points[:, None] - dim.points[None], axis=2).min(axis=1)
     assert np.mean(distance < 0.5) > 0.9
@@ -70,13 +70,13 @@ def test_a_flat_picture_has_no_keypoints() -> None:
 
 
 def test_keypoints_turned_over_are_those_of_the_picture_turned_over() -> None:
-    grey = luma(picture(0))[:, :280]
-    there = detect_keypoints(grey, 400).turned_over(280)
-    here = detect_keypoints(np.ascontiguousarray(grey[:, ::-1]), 400)
+    gray = luma(picture(0))[:, :280]
+    there = detect_keypoints(gray, 400).turned_over(280)
+    here = detect_keypoints(np.ascontiguousarray(gray[:, ::-1]), 400)
     first, second = match_within(there.descriptors, here.descriptors, 0.8)
     assert len(first) > 150
     assert np.mean(np.abs(there.points[first] - here.points[second]).max(axis=1) < 0.5) > 0.95
     gap = there.descriptors[first].astype(np.float64) - here.descriptors[second]
     assert np.median(np.linalg.norm(gap, axis=1)) < 40  # of 512
     again = there.turned_over(280)
-    assert again.descriptors.tobytes() == detect_keypoints(grey, 400).descriptors.tobytes()
+    assert again.descriptors.tobytes() == detect_keypoints(gray, 400).descriptors.tobytes()

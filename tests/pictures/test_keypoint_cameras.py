@@ -12,15 +12,8 @@ from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import smooth
 from engine.pictures.camera.camera_motion import moved, project
-from engine.pictures.camera.keypoint_cameras import (
-    ENOUGH,
-    LEAST_INLIERS,
-    LEAST_RESEMBLANCE,
-    Look,
-    keypoints_of,
-    look_closer,
-    look_near,
-)
+from engine.pictures.camera.config import CONFIG
+from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of, match_closer, match_near
 from engine.pictures.camera.visible_window import Window
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.rendered_landmarks import make_landmarks
@@ -68,15 +61,15 @@ def test_what_is_out_of_sight_is_not_looked_for(plant: GaussianModel) -> None:
     camera = small_view(plant, 1.0)
     away = moved(camera, np.array([0.0, np.pi, *np.zeros(7)]), 1.0)
     assert Window.around(plant, away, busy(plant, camera)) is None
-    assert look_closer(plant, busy(plant, camera), away) is None
+    assert match_closer(plant, busy(plant, camera), away) is None
 
 
 @pytest.mark.parametrize("zoom", [0.4, 0.55])
 def test_a_small_model_among_other_things_is_found_from_nearly_there(plant: GaussianModel, zoom: float) -> None:
     true = small_view(plant, zoom)
-    grey = busy(plant, true)
+    gray = busy(plant, true)
     rough = moved(true, OFF, 2.0)
-    found = look_closer(plant, grey, rough)
+    found = match_closer(plant, gray, rough)
     assert found is not None
     assert found.support >= 30
     points = plant.means[::500].astype(np.float64)
@@ -94,14 +87,14 @@ def test_a_glance_tells_what_is_worth_a_look(plant: GaussianModel) -> None:
         "steps washed out": smooth(seen, 30.0),
         "over white": seen + nothing,
     }
-    for name, grey in like.items():
-        window = Window.around(plant, rough, grey)
+    for name, gray in like.items():
+        window = Window.around(plant, rough, gray)
         assert window is not None, name
         assert window.resemblance > 0.6, name
     for other in (wall(true), busy(plant, true)[:, ::-1]):
-        assert look_near(plant, other, rough) is not None
-        assert look_near(plant, other, rough, LEAST_RESEMBLANCE) is None
-        assert look_closer(plant, other, rough) is None
+        assert match_near(plant, other, rough) is not None
+        assert match_near(plant, other, rough, CONFIG.keypoints.least_resemblance) is None
+        assert match_closer(plant, other, rough) is None
 
 
 def test_a_camera_that_enough_agree_on_is_tried_before_another_is_sought(
@@ -109,17 +102,17 @@ def test_a_camera_that_enough_agree_on_is_tried_before_another_is_sought(
 ) -> None:
     camera = make_rig(plant, 1, 640, 480)[0]
     bank = make_landmarks(plant, [camera])
-    look = Look.of(keypoints_of(luma(render_depth(plant, camera)[0])), bank, (640, 480))
+    look = MatchedKeypoints.of(keypoints_of(luma(render_depth(plant, camera)[0])), bank, (640, 480))
     asked: list[int] = []
-    kept = Look.agreed
+    kept = MatchedKeypoints.agreed
 
-    def counted(self: Look, *pairs: Any) -> Any:
+    def counted(self: MatchedKeypoints, *pairs: Any) -> Any:
         asked.append(len(pairs[0]))
         return kept(self, *pairs)
 
-    monkeypatch.setattr(Look, "agreed", counted)
+    monkeypatch.setattr(MatchedKeypoints, "agreed", counted)
     found = look.hypotheses((1.0, 1.1))
-    assert next(found).support >= ENOUGH
+    assert next(found).support >= CONFIG.keypoints.enough
     assert len(asked) == 1
-    assert next(found).support >= LEAST_INLIERS
+    assert next(found).support >= CONFIG.keypoints.least_inliers
     assert len(asked) == len(look.matches) == 2

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, Float32, GaussianModel
-from engine.pictures.camera import camera_search as camera_finding
 from engine.pictures.camera import camera_trial, pose_refinement
 from engine.pictures.camera.camera_motion import moved
 from engine.pictures.camera.camera_search import find_camera
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.pose_refinement import Refined, refine_level
 from engine.pictures.landmarks.keypoints import luma
 from engine.pictures.landmarks.landmark_set import Landmarks
@@ -32,7 +32,7 @@ def test_what_is_known_of_a_camera_is_not_forgotten_at_the_next_size(
     refine, draw = camera_trial.refine_level, pose_refinement.render_depth
 
     def noted(model: GaussianModel, picture: Float32, camera: Camera, *how: Any, **more: Any) -> Refined | None:
-        asked.append((camera.width, more["off"]))
+        asked.append((camera.width, more["max_error"]))
         return refine(model, picture, camera, *how, **more)
 
     def counted(model: GaussianModel, camera: Camera, **settings: RasterSettings) -> tuple[Float32, Float32, Float32]:
@@ -54,8 +54,8 @@ def test_a_camera_known_to_be_near_is_spared_wide_blurs(plant: GaussianModel) ->
     picture = luma(render(plant, true))
     near = moved(true, np.array([2e-4, -2e-4, 0, 0, 0, 0, 0, 0, 0]), 1.0)
     for off, iterations in ((0.3, 2), (np.inf, 3)):  # of the blurs 3, 1.5 and 0.8 only the last ends it
-        few = refine_level(plant, picture, near, iterations, 0.5, off=off)
-        enough = refine_level(plant, picture, near, 9, 0.5, off=off)
+        few = refine_level(plant, picture, near, iterations, 0.5, max_error=off)
+        enough = refine_level(plant, picture, near, 9, 0.5, max_error=off)
         assert few is not None
         assert enough is not None
         assert few.rms == enough.rms
@@ -70,4 +70,4 @@ def test_what_freeing_the_middle_of_a_picture_moves_tells_whether_it_was_cropped
     wrong = refine_level(plant, picture, Camera(true.viewmat, K, true.width, true.height), 30, 0.005)
     assert own is not None
     assert wrong is not None
-    assert max(own.shift, own.step, wrong.step) < 0.01 < camera_finding.SHIFTED < wrong.shift
+    assert max(own.shift, own.step, wrong.step) < 0.01 < CONFIG.principal_point_step < wrong.shift

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from engine.model import GaussianModel
-from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera import camera_search
 from engine.pictures.camera.camera_proposals import Candidate
 from engine.pictures.camera.camera_search import follow_camera
 from engine.pictures.camera.camera_trial import Picture
-from engine.pictures.camera.found_camera import OWN
+from engine.pictures.camera.config import Level
+from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
 from engine.pictures.camera.pose_refinement import Refined
 from engine.raster import RasterSettings, render
 from tests.pictures.plant_views import around
@@ -37,30 +38,32 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     drawn = RasterSettings(by_distance=by_distance)
     image = np.clip(render(veiled, camera, settings=drawn), 0.0, 1.0)
     picture = Picture(veiled, image)
-    weigh, weighed = picture.worth, []
+    weigh, weighed = picture.score, []
 
-    def noted(refined: Refined, mirrored: bool, how: RasterSettings = OWN) -> float:
+    def noted(refined: Refined, mirrored: bool, how: RasterSettings = DEFAULT_SETTINGS) -> float:
         weighed.append(how)
         return weigh(refined, mirrored, how)
 
     with monkeypatch.context() as watched:
-        watched.setattr(picture, "worth", noted)
-        best = camera_finding._best(picture, [Candidate(camera, False, 0)])
+        watched.setattr(picture, "score", noted)
+        best = camera_search._best_candidate(picture, [Candidate(camera, False, 0)])
     assert best is not None
-    assert best.drawn == drawn
+    assert best.settings == drawn
     assert best.correlation > 0.999
-    found = camera_finding._finish(picture, best)
+    found = camera_search._refine_to_full_size(picture, best)
     assert found is not None
-    assert found.drawn == drawn
+    assert found.settings == drawn
     np.testing.assert_array_equal(found.camera.K[:2, 2], [240.0, 180.0])  # no other place of the middle makes up for it
     assert found.correlation > 0.999
-    wrong = picture.refined(camera, False, 480, 8, 0.05, RasterSettings(by_distance=not by_distance))
+    wrong = picture.refined(
+        camera, Level(480, 8, 0.05), mirrored=False, settings=RasterSettings(by_distance=not by_distance)
+    )
     assert wrong is not None
     assert wrong.correlation < 0.99
-    right = picture.refined(camera, False, best.size, 8, 0.05, drawn)
+    right = picture.refined(camera, Level(best.side, 8, 0.05), mirrored=False, settings=drawn)
     assert right is not None
     other = RasterSettings(by_distance=not by_distance)
-    assert picture.worth(right, False, drawn) > 1.01 * picture.worth(right, False, other)
+    assert picture.score(right, False, drawn) > 1.01 * picture.score(right, False, other)
     assert weighed == [drawn]
     kept, asked = Picture.refined, []
 
@@ -71,7 +74,7 @@ def test_a_picture_is_explained_in_the_order_it_was_drawn_in(
     monkeypatch.setattr(Picture, "refined", counted)
     assert follow_camera(veiled, image, found) is not None
     in_order = len(asked)
-    following = follow_camera(veiled, image, replace(found, drawn=RasterSettings()))
+    following = follow_camera(veiled, image, replace(found, settings=RasterSettings()))
     assert following is not None
-    assert following.drawn.by_distance is by_distance, "the next frame is asked anew"
+    assert following.settings.by_distance is by_distance, "the next frame is asked anew"
     assert by_distance is (len(asked) - in_order > in_order), "which costs more than beginning in the order of the last"

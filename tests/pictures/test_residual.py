@@ -72,10 +72,10 @@ def test_chroma_alone_is_what_is_left_without_brightness() -> None:
     shown = case.image + np.float32(0.01) * np.random.default_rng(0).standard_normal(case.image.shape, dtype=np.float32)
     whole = image_cotangent(case.plain, shown, mask, toned)
     chroma = image_cotangent(case.plain, shown, mask, toned, chroma_alone=True)
-    grey = np.ones(3, np.float32)  # Y of grey is its level, Cb and Cr are nothing
-    assert np.abs(chroma @ grey).max() < 1e-4 * np.abs(whole @ grey).max()
+    gray = np.ones(3, np.float32)  # Y of grey is its level, Cb and Cr are nothing
+    assert np.abs(chroma @ gray).max() < 1e-4 * np.abs(whole @ gray).max()
     rest = whole - chroma
-    np.testing.assert_allclose(rest, (rest @ grey)[..., None] * LUMA, atol=1e-4 * np.abs(whole).max())
+    np.testing.assert_allclose(rest, (rest @ gray)[..., None] * LUMA, atol=1e-4 * np.abs(whole).max())
     assert np.abs(chroma).max() > 0.05 * np.abs(whole).max()
 
 

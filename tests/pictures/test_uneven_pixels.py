@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from engine.model import Camera, GaussianModel
-from engine.pictures.camera import camera_search as camera_finding
+from engine.pictures.camera import camera_search
 from engine.pictures.camera.camera_motion import UNEVEN, project
 from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_search import find_camera
@@ -137,13 +137,13 @@ def test_a_shape_must_explain_more_than_square_pixels_do_in_the_end(
     plant: GaussianModel, bank: Landmarks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rough look at a wide lens took a guitar's perspective for a slant, which was kept: half of its evidence."""
-    kept, slanted = camera_finding._best, PixelShape(1.0, 0.02)
+    kept, slanted = camera_search._best_candidate, PixelShape(1.0, 0.02)
 
     def rough(*asked: Any) -> Candidate | None:
         best = kept(*asked)
         return None if best is None else replace(best, correlation=0.8)
 
-    monkeypatch.setattr(camera_finding, "_best", rough)
+    monkeypatch.setattr(camera_search, "_best_candidate", rough)
     monkeypatch.setattr(Candidates, "shape", lambda *asked: slanted)
     found = find_camera(bank, plant, jpeg(render(plant, around(plant, 48, 33, 1.1, 0.8)), 80))
     assert found is not None

@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from engine.flows.views.camera_rig import make_rig
 from engine.model import Camera, Float32, GaussianModel, look_at
-from engine.pictures.camera import camera_proposals as camera_candidates
-from engine.pictures.camera.camera_proposals import LOUD, Candidates
+from engine.pictures.camera import camera_proposals
+from engine.pictures.camera.camera_proposals import Candidates
 from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.picture_edges import COLORED, PictureEdges
-from engine.pictures.camera.view_climb import KEPT, ROUNDS, Climbed, _distinct, climb
+from engine.pictures.camera.view_climb import Climbed, _distinct, climb
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 from engine.pictures.camera.view_scores import SIDE
 from engine.pictures.camera.voted_views import VotedView
@@ -77,19 +78,20 @@ def test_cameras_that_are_nearly_one_are_one(plant: GaussianModel) -> None:
     each = [Climbed(float(k), one, 0) for k, one in enumerate((far, near, camera))]
     assert [found.score for found in _distinct(each, 3)] == [2.0, 0.0]
     assert [found.score for found in _distinct([*each, Climbed(1.5, near, 1)], 2)] == [2.0, 1.5], "another picture's"
-    assert sorted(kept for *_, kept in ROUNDS) == [kept for *_, kept in reversed(ROUNDS)], "never more than before"
+    kept = [each.kept for each in CONFIG.edges.rounds]
+    assert kept == sorted(kept)[::-1], "never more than before"
 
 
-@pytest.mark.parametrize(("loudness", "climbed"), [(LOUD + 0.1, True), (LOUD - 0.1, False)])
+@pytest.mark.parametrize(("excess", "climbed"), [(0.1, True), (-0.1, False)])
 def test_what_is_voted_for_loudly_climbs(
-    plant: GaussianModel, monkeypatch: pytest.MonkeyPatch, loudness: float, climbed: bool
+    plant: GaussianModel, monkeypatch: pytest.MonkeyPatch, excess: float, climbed: bool
 ) -> None:
     """Without a single view that outlines and edges are sought in."""
     true = around(plant, 40.0, 25.0, 6.0)
     none = Landmarks(np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8), np.zeros(0, np.int32))
     pairs = np.zeros(0, np.int64), np.zeros(0, np.int64)
-    voted = VotedView(loudness, around(plant, 56.0, 15.0, 5.0, 5.0 / 6.0), *pairs)
-    monkeypatch.setattr(camera_candidates, "vote_for_views", lambda *asked: [voted])
+    voted = VotedView(CONFIG.votes.least_loudness + excess, around(plant, 56.0, 15.0, 5.0, 5.0 / 6.0), *pairs)
+    monkeypatch.setattr(camera_proposals, "vote_for_views", lambda *asked: [voted])
     monkeypatch.setattr(Candidates, "_closer", lambda *asked: None)  # keypoints alone do not find home
     candidates = Candidates(Picture(plant, photographed(plant, true, 0.7)), none, (), ())
     assert list(candidates.by_votes([])) == []
@@ -113,7 +115,7 @@ def test_parts_are_looked_at_where_nothing_fits(plant: GaussianModel, monkeypatc
     whole.__dict__["parts"] = []
     assert all(each.mirrored or off(each.camera, true) > 10.0 for each in candidates.by_edges(whole))
     found = list(candidates.by_edges(far))
-    assert len(found) == KEPT
+    assert len(found) == CONFIG.edges.rounds[-1].kept
     assert not found[0].mirrored
     assert off(found[0].camera, true) < 4.0
     fitting = FarViews(plant, away)

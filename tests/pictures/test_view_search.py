@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from engine.flows.views.camera_rig import make_rig
 from engine.model import GaussianModel
 from engine.pictures.camera import picture_edges, view_search
 from engine.pictures.camera.camera_motion import project
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.view_points import POINTS
@@ -104,7 +106,7 @@ def test_a_first_glance_spares_most_of_the_search(plant: GaussianModel, monkeypa
     monkeypatch.setattr(view_search, "score_views", counted)
     found = search_views(views, picture, 5)
     every = len(views) * ROLLS * len(RADII)
-    assert asked == [(every, POINTS // 2, 4), (int(view_search.PROMISING * every), POINTS, 2)]
-    monkeypatch.setattr(view_search, "PROMISING", 1.0)
+    assert asked == [(every, POINTS // 2, 4), (int(CONFIG.edges.promising * every), POINTS, 2)]
+    monkeypatch.setattr(view_search, "_CONFIG", replace(CONFIG.edges, promising=1.0))
     whole = search_views(views, picture, 5)
     assert [score for score, _ in found] == [score for score, _ in whole]

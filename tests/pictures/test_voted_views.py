@@ -80,7 +80,7 @@ def test_a_camera_is_found_by_votes_where_no_match_stands_out(monkeypatch: pytes
     landmarks = make_landmarks(plant, cameras)
     true = rolled(make_rig(plant, 1, 640, 480, jitter=np.full((1, 4), 0.3))[0], 0.7)
     picture = np.clip(render(plant, true), 0.0, 1.0)
-    monkeypatch.setattr(keypoint_cameras.Look, "hypotheses", lambda look, focals: [])
+    monkeypatch.setattr(keypoint_cameras.MatchedKeypoints, "hypotheses", lambda look, focals: [])
     assert find_camera(landmarks, plant, picture) is None
     found = find_camera(landmarks, plant, picture, bank=lambda: cameras)
     assert found is not None
@@ -96,8 +96,8 @@ def test_landmarks_that_agree_on_a_camera_a_little_off_are_looked_at_closer(monk
     picture = np.clip(render(plant, true), 0.0, 1.0)
     off = moved(true, np.array([0.02, -0.03, 0.05, 0.03, 0.03, 0.1, 0.15, 0.0, 0.0]), 1.0)
     start = Hypothesis(off, np.ones(20, dtype=np.bool_), 1.0)
-    monkeypatch.setattr(keypoint_cameras.Look, "hypotheses", lambda look, focals: [start])
-    monkeypatch.setattr(keypoint_cameras.Look, "at_other_focals", lambda look, start, factors: iter(()))
+    monkeypatch.setattr(keypoint_cameras.MatchedKeypoints, "hypotheses", lambda look, focals: [start])
+    monkeypatch.setattr(keypoint_cameras.MatchedKeypoints, "at_other_focals", lambda look, start, factors: iter(()))
     found = find_camera(landmarks, plant, picture)
     assert found is not None
     assert found.inliers > 100

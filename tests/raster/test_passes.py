@@ -59,7 +59,7 @@ def test_lists_hold_every_gaussian_that_shows_and_few_more(seed: int, grow: floa
     model = model.with_(log_scales=model.log_scales + np.float32(grow))
     geometry = prepare_view(model, view_from).geometry
     p = twin.parameters(model, view_from)
-    centres, covariances, depths, drawn = twin.project(p, 83, 61, RasterSettings())
+    centers, covariances, depths, drawn = twin.project(p, 83, 61, RasterSettings())
     conics = torch.linalg.inv(covariances)
     rows, columns = np.mgrid[:61, :83] + 0.5
     opacities = torch.sigmoid(p["opacity_logits"])
@@ -67,7 +67,7 @@ def test_lists_hold_every_gaussian_that_shows_and_few_more(seed: int, grow: floa
     for i in range(300):
         if not drawn[i]:
             continue
-        c, q = centres[i].detach().numpy(), conics[i].detach().numpy()
+        c, q = centers[i].detach().numpy(), conics[i].detach().numpy()
         dx, dy = columns - c[0], rows - c[1]
         power = q[0, 0] * dx * dx + 2 * q[0, 1] * dx * dy + q[1, 1] * dy * dy
         shown = float(opacities[i].detach()) * np.exp(-0.5 * power) >= 1.0001 / 255
@@ -89,7 +89,7 @@ def test_lists_hold_every_gaussian_that_shows_and_few_more(seed: int, grow: floa
 def test_records() -> None:
     model, view_from = random_model(300, 3, 1), camera()
     view = prepare_view(model, view_from)
-    centres, covariances, depths, drawn = twin.project(
+    centers, covariances, depths, drawn = twin.project(
         twin.parameters(model, view_from), view_from.width, view_from.height, RasterSettings()
     )
     seen = view.visible
@@ -100,8 +100,8 @@ def test_records() -> None:
     expected = np.stack([conics[:, 0, 0], 2 * conics[:, 0, 1], conics[:, 1, 1]], 1)
     error = np.abs(records[:, 2:5] - expected).max(1) / np.abs(expected).max(1)
     assert error.max() < 1e-4
-    size = np.abs(centres.detach().numpy()[seen]).max(1) + 1.0
-    assert (np.abs(records[:, :2] - centres.detach().numpy()[seen]).max(1) / size).max() < 1e-5
+    size = np.abs(centers.detach().numpy()[seen]).max(1) + 1.0
+    assert (np.abs(records[:, :2] - centers.detach().numpy()[seen]).max(1) / size).max() < 1e-5
     log2_opacity = np.log2(model.opacities[seen].astype(np.float64))
     assert np.abs(records[:, 5] - log2_opacity).max() < 2 * TOLERANCE["log2"]
     np.testing.assert_allclose(view.depths, depths.detach().numpy()[seen], rtol=1e-5)

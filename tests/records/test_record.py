@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
 import pytest
-import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import InputError, MalformedRecordError, RecordTooNewError, WrongKeyError
+from engine.formats import zstd
 from engine.model import GaussianModel
 from engine.records import file as record_file
 from engine.records.codec import pack, unpack
@@ -56,7 +57,7 @@ def test_a_record_of_the_first_version_opens_without_what_nobody_reads() -> None
 def test_same_record_same_bytes() -> None:
     made = golden_record().to_bytes(KEY)
     assert made == golden_record().to_bytes(KEY) == Record.from_bytes(made, KEY).to_bytes(KEY)
-    if zstandard.ZSTD_VERSION == (1, 5, 7):  # another zstd may pack tighter; the content is compared above
+    if zstd.zstd_version_info == (1, 5, 7):  # another zstd may pack tighter; the content is compared above
         assert made == GOLDEN
 
 
@@ -113,6 +114,30 @@ def test_an_altered_record_with_a_mended_checksum_is_refused() -> None:
         length = struct.unpack_from("<I", body, 12)[0] + len(text) - len(body)
         with pytest.raises(MalformedRecordError, match="header"):
             read_header(with_checksum(text[:12] + struct.pack("<I", length) + text[16:]))
+
+
+@pytest.mark.parametrize(
+    "change", [lambda text: text[:-1] + b',"zzz":1}', lambda text: text.replace(b'"record_id"', b'"record_ie"')]
+)
+def test_a_header_has_exactly_the_known_fields(change: Callable[[bytes], bytes]) -> None:
+    """Fields in canonical order: nothing but their names is wrong."""
+    length = struct.unpack_from("<I", GOLDEN, 12)[0]
+    text = change(GOLDEN[32 : 32 + length])
+    data = GOLDEN[:12] + struct.pack("<I", len(text)) + GOLDEN[16:32] + text + GOLDEN[32 + length : -32]
+    with pytest.raises(MalformedRecordError, match="the record's header is malformed"):
+        read_header(with_checksum(data))
+
+
+def test_a_body_may_unpack_to_so_many_times_its_length_and_no_more() -> None:
+    sealed = struct.unpack_from("<Q", GOLDEN, 24)[0]
+    most = record_file.MOST_UNPACKING * sealed + (1 << 20)
+
+    def claiming(length: int) -> bytes:
+        return with_checksum(GOLDEN[:16] + struct.pack("<Q", length) + GOLDEN[24:-32])
+
+    assert read_header(claiming(most)) == golden_record().header
+    with pytest.raises(MalformedRecordError, match=f"would unpack to {most + 1}, over 64 times"):
+        read_header(claiming(most + 1))
 
 
 def test_a_bomb_is_refused_before_it_goes_off() -> None:

@@ -28,8 +28,8 @@ def scene(seed: int, n: int = 8_000, degree: int = 1) -> GaussianModel:
     rng = np.random.default_rng(seed)
     k = 40
     label = rng.integers(k, size=n)
-    centres = rng.normal(size=(k, 3)) * [4, 1, 4]
-    means = centres[label] + rng.normal(size=(n, 3)) * rng.uniform(0.2, 1, (k, 3))[label]
+    centers = rng.normal(size=(k, 3)) * [4, 1, 4]
+    means = centers[label] + rng.normal(size=(n, 3)) * rng.uniform(0.2, 1, (k, 3))[label]
     size = rng.normal(-4, 0.6, k)[label] + rng.normal(0, 0.5, n)
     log_scales = size[:, None] + rng.normal(0, 0.8, (n, 3)) * [1, 1, 1]
     quats = rng.normal(size=(n, 4))

@@ -7,7 +7,7 @@ import pytest
 
 from engine.model import GaussianModel
 from engine.numerics.umeyama import Similarity
-from engine.registration import agreement as judge
+from engine.registration import agreement
 from engine.registration import registration_search as registering
 from engine.registration.agreement import STRAYS, same_order
 from engine.registration.looks_index import ReferenceIndex
@@ -47,7 +47,7 @@ def test_large_ones_are_trusted_and_nothing_is_searched_again(monkeypatch: pytes
         raise AssertionError("the reference was laid out for another search")
 
     monkeypatch.setattr(registering, "by_size", never)
-    monkeypatch.setattr(judge, "Matcher", never)
+    monkeypatch.setattr(agreement, "Matcher", never)
     got = register(model, suspect)
     np.testing.assert_array_equal(got.matches, np.arange(len(model)))
     largest = np.argsort(model.log_scales.max(axis=1))[-len(model) // 100 :]

@@ -43,14 +43,14 @@ def test_likeliest_wholes_are_the_twins(compiled: bool) -> None:
     near = np.tile(np.arange(len(suspect)), (len(model), 1))
     function = likeliest_wholes if compiled else likeliest_wholes.py_func
     found = owner, distance2 = np.full(len(model), -1, np.int32), np.full(len(model), np.inf)
-    whole = (wholes.centres, wholes.precision, wholes.log_det, wholes.colors)
+    whole = (wholes.centers, wholes.precision, wholes.log_det, wholes.colors)
     function(parts.means, parts.sigma, parts.colors, near, *whole, found)
     for i in range(len(model)):
         best, expected = twin.likeliest_whole(
             parts.means[i],
             parts.sigma[i],
             parts.colors[i],
-            wholes.centres,
+            wholes.centers,
             covariances(suspect),
             wholes.colors,
             color_std=COLOR_STD,

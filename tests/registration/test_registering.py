@@ -125,8 +125,8 @@ def test_recoloured():
     model = marked(scene(0))
     tint = model.with_dc(model.sh[:, 0] * [1.3, 0.9, 0.7] + 0.15)
     tuned = model.with_dc(model.sh[:, 0] + rng.normal(0, 0.5, (len(model), 3)))
-    grey = model.with_dc(rng.normal(0, 1, (len(model), 3)))
-    for suspect in (tint, tuned, grey):
+    gray = model.with_dc(rng.normal(0, 1, (len(model), 3)))
+    for suspect in (tint, tuned, gray):
         check(register(scene(0), moved(suspect.take(order))), order, exact=0.99)
 
 

@@ -36,6 +36,28 @@ def test_where_nothing_is_missed_amplitudes_are_usual() -> None:
     assert (plan.layout.amplitudes > 0).all()
 
 
+def test_keyed_jitter_multiplies_amplitudes() -> None:
+    """Who knows the public plan alone must not know the amplitudes: every chip has a factor of its own."""
+    stages, impact = scene()
+    factors = np.random.default_rng(9).uniform(0.5, 2.0, 3 * len(stages[0].codebook))
+    plain, shaken = make_plan(stages, impact), make_plan(stages, impact, jitter=lambda chips: factors[:chips])
+    ratio = shaken.layout.amplitudes / plain.layout.amplitudes / factors
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
+    energy = shaken.energies / plain.energies / factors**2
+    np.testing.assert_allclose(energy, energy[0, 0], rtol=1e-5)
+
+
+def test_colors_that_are_hard_to_guess_carry_more_within_limits() -> None:
+    stages, impact = scene()
+    off = np.array([1.0, 2.0, 1.0, 0.5, 1.0, 100.0, 1.0, 0.001])[np.arange(len(stages[0].codebook)) % 8]
+    missed = np.square(off)[:, None, None] * np.eye(3)
+    config = PlanConfig(surprise_exponent=0.5)
+    plain, guessed = make_plan(stages, impact, config), make_plan(stages, impact, config, missed=missed)
+    ratio = (guessed.layout.amplitudes / plain.layout.amplitudes).reshape(-1, 3)
+    expected = np.sqrt([1.0, 2.0, 1.0, 0.5, 1.0, 4.0, 1.0, 0.2])  # the last two at the limits
+    np.testing.assert_allclose(ratio[:8] / ratio[0], np.repeat(expected[:, None], 3, axis=1), rtol=1e-5)
+
+
 def test_views_get_about_the_same_energy() -> None:
     stages, impact = scene()
     energy = make_plan(stages, impact).energies.sum(axis=1)

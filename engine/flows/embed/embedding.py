@@ -18,6 +18,7 @@ import numpy as np
 from engine.catalogue.entry import SeenPoints
 from engine.compress.hvq import group_means
 from engine.errors import InputError
+from engine.extras import load_extra
 from engine.flows.embed.asset import BANK, Asset, bank_of, known_landmarks
 from engine.flows.embed.auto_profile import Choice, ChoiceReport, choose
 from engine.flows.embed.copy_mark import Committed, Copy, make_mark
@@ -146,6 +147,8 @@ def _prepare(model: GaussianModel, key: OwnerKey, terms: MarkTerms, clock: Clock
     else:
         settings = config or EmbedConfig()
     variant.check(model, keeps_rows=settings.keeps_rows, refines=settings.refine.steps > 0)
+    if settings.refine.steps > 0:  # said now, not when the work is half done
+        load_extra("torch", "train", "refinement (refine.steps > 0)")
 
     with clock.stage("look"):  # 1
         # What was rehearsed on is gone on from: nothing is looked at twice.

@@ -157,7 +157,7 @@ def read_known(image: Float32, camera: Camera, reference: ReferenceViews) -> tup
 def read_found(image: Float32, found: FoundCamera, reference: ReferenceViews) -> PictureEvidence | None:
     """Evidence of a picture (h, w, 3) whose camera was found, whatever it shows behind the model, and of a model that
     was bent, part by part."""
-    view = reference.at(found.camera, found.drawn)
+    view = reference.at(found.camera, found.settings)
     whole, bent = _read_whole(view, image, found, reference), align_locally(view.plain, view.alpha, image)
     if bent is None:
         return whole
@@ -172,7 +172,7 @@ def _read_whole(
     laid = _lay_over_background(view, image)
     if laid is None:
         return None
-    laid = _carried(laid, image, reference, found.drawn, True)
+    laid = _carried(laid, image, reference, found.settings, True)
     alignment, behind = laid.alignment, laid.behind
     if behind is None:
         return laid.view.read(alignment.warped, alignment.mask)

@@ -23,7 +23,7 @@ from engine.numerics.similarity import transform_model
 from engine.numerics.tables import look_up
 from engine.pictures.alignment.planar import align_image
 from engine.pictures.camera.far_views import FarViews
-from engine.pictures.camera.keypoint_cameras import Look, keypoints_of
+from engine.pictures.camera.keypoint_cameras import MatchedKeypoints, keypoints_of
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.pose_refinement import refine_level
 from engine.pictures.camera.view_agreement import agreement_of_views
@@ -132,7 +132,7 @@ def _alignment() -> None:
     camera = look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 100.0, 96, 96)
     seen = np.clip(raster.render(model, camera), 0.0, 1.0)
     # The parts of `find_camera`: whole, it would look for this picture everywhere, for three seconds.
-    Look.of(keypoints_of(luma(seen)), make_landmarks(model, [camera]), (96, 96)).guided(camera)
+    MatchedKeypoints.of(keypoints_of(luma(seen)), make_landmarks(model, [camera]), (96, 96)).guided(camera)
     search_views(FarViews(model, [camera]).views, PictureEdges.of(seen), 1)
     agreement_of_views(np.zeros(2, np.int64), 9.0 * np.eye(2), 9.0 * np.eye(2), np.ones(2))
     refine_level(model, luma(seen), camera, 1, 1.0)

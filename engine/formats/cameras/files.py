@@ -1,4 +1,4 @@
-"""Cameras from the files of other programs, told by what is in them; INRIA's JSON is written."""
+"""Cameras from the files of other programs, recognized by their content; INRIA's JSON is written."""
 
 import json
 import os

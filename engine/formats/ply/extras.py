@@ -1,4 +1,4 @@
-"""What a PLY's vertices have beside the properties of a Gaussian: what moves them, what widens them, what is nobody's.
+"""Vertex properties of a PLY beyond those of a Gaussian: motion, filters, and unknown ones.
 
 Names as public code writes them: Spacetime Gaussians (``trbf_*``, ``motion_*``, ``omega_*``, ``f_t_*``), 4-D Gaussians
 (Yang et al., ICLR 2024, and those built on it: ``t``, ``mu_t``, ``scale_t*``, ``t_scale``, ``rot_l_*``, ``rot_r_*``),

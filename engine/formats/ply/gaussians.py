@@ -21,7 +21,7 @@ from engine.model import DISC_THICKNESS, Float32, GaussianModel
 REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
 """Number of f_rest properties -> coefficients a channel, degrees 0 to 3."""
 
-_NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, nobody reads them
+_NORMALS = ("nx", "ny", "nz")  # INRIA writes zeros there, viewers ignore them
 _ROWS_AT_ONCE = 4096  # 1 MB of records: stays in the second-level cache while its columns are spread
 
 

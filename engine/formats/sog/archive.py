@@ -1,4 +1,4 @@
-"""Where the parts of a SOG scene lie: a zip archive or a folder. Only parts asked for by name are read."""
+"""Where the parts of a SOG scene lie: a zip archive or a folder. Only parts requested by name are read."""
 
 import io
 import struct

@@ -41,15 +41,15 @@ def learn_codebook(values: npt.NDArray[Any], weights: npt.NDArray[Any] | None = 
     bounds = np.concatenate([starts, [len(x)]])
     cuts = _best_cuts(mass[bounds], moment[bounds], _prefix(w * y * y)[bounds], levels)
     split = bounds[cuts]
-    centres = np.zeros(levels)
+    centers = np.zeros(levels)
     for _ in range(_ROUNDS):
         held = np.diff(mass[split])
-        centres = np.sort(np.where(held > 0, np.diff(moment[split]) / np.where(held > 0, held, 1.0), centres))
-        moved = np.concatenate([[0], np.searchsorted(y, _edges(centres)), [len(y)]])
+        centers = np.sort(np.where(held > 0, np.diff(moment[split]) / np.where(held > 0, held, 1.0), centers))
+        moved = np.concatenate([[0], np.searchsorted(y, _edges(centers)), [len(y)]])
         if (moved == split).all():
             break
         split = moved
-    return (centres + np.mean(x, dtype=np.float64)).astype(np.float32)
+    return (centers + np.mean(x, dtype=np.float64)).astype(np.float32)
 
 
 def nearest_codes(values: npt.NDArray[Any], codebook: Float32) -> npt.NDArray[np.uint8]:
@@ -58,8 +58,8 @@ def nearest_codes(values: npt.NDArray[Any], codebook: Float32) -> npt.NDArray[np
     return np.searchsorted(edges, values.astype(np.float32)).astype(np.uint8)
 
 
-def _edges(centres: Float64) -> Float64:
-    middle: Float64 = 0.5 * (centres[1:] + centres[:-1])
+def _edges(centers: Float64) -> Float64:
+    middle: Float64 = 0.5 * (centers[1:] + centers[:-1])
     return middle
 
 

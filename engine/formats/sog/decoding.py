@@ -34,7 +34,7 @@ def decode_scene(meta: SogMeta, archive: Archive, *, file: str) -> tuple[Gaussia
 
 
 class _Scene:
-    """Images are decoded when they are asked for, each once; all of one Gaussian a pixel have one size."""
+    """Images are decoded at first use, each once; all of one Gaussian a pixel have one size."""
 
     def __init__(self, meta: SogMeta, archive: Archive, file: str) -> None:
         self._meta, self._archive, self._file = meta, archive, file

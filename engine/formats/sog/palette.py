@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.kernels.thread_crew import thread_count
 from engine.model import Float32, Float64, Int64
 
@@ -84,13 +84,13 @@ def _groups(vectors: Float32, count: int) -> Int64:
     """(N,) group of each row: k-means learnt on a sample."""
     rng = np.random.default_rng(_SEED)
     sample = vectors[np.sort(rng.choice(len(vectors), min(_SAMPLE, len(vectors)), replace=False))]
-    centres = sample[rng.choice(len(sample), min(count, len(sample)), replace=False)]
+    centers = sample[rng.choice(len(sample), min(count, len(sample)), replace=False)]
     for _ in range(_GROUP_ROUNDS):
-        labels = _nearest(sample, centres)
-        held = np.bincount(labels, minlength=len(centres))[:, None]
-        means = _group_sums(sample, labels, len(centres)) / np.maximum(held, 1)
-        centres = np.where(held > 0, means, centres).astype(np.float32)
-    return _nearest(vectors, centres)
+        labels = _nearest(sample, centers)
+        held = np.bincount(labels, minlength=len(centers))[:, None]
+        means = _group_sums(sample, labels, len(centers)) / np.maximum(held, 1)
+        centers = np.where(held > 0, means, centers).astype(np.float32)
+    return _nearest(vectors, centers)
 
 
 def _group_sums(values: npt.NDArray[Any], labels: Int64, count: int) -> Float64:
@@ -105,18 +105,18 @@ def _group_errors(vectors: Float32, groups: Int64, held: npt.NDArray[Any]) -> Fl
     return np.asarray(np.maximum(squares - (sums**2).sum(axis=1) / np.maximum(held, 1), 0.0))
 
 
-def _nearest(vectors: Float32, centres: Float32) -> Int64:
+def _nearest(vectors: Float32, centers: Float32) -> Int64:
     labels = np.empty(len(vectors), dtype=np.int64)
-    half = (0.5 * (centres.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
+    half = (0.5 * (centers.astype(np.float64) ** 2).sum(axis=1)).astype(np.float32)
     scores = np.empty((thread_count(), len(half)), dtype=np.float32)
-    _nearest_kernel(vectors, np.ascontiguousarray(centres.T), half, scores, labels)
+    _nearest_kernel(vectors, np.ascontiguousarray(centers.T), half, scores, labels)
     return labels
 
 
 @parallel_kernel
-def _nearest_kernel(vectors, centres, half, scores, labels, call):
+def _nearest_kernel(vectors, centers, half, scores, labels, call):
     """argmin |c|^2 / 2 - x.c for each row; centres (d, P), so that the innermost loop runs over lanes."""
-    dims, count = centres.shape
+    dims, count = centers.shape
     score = scores[call[0]]
     for i in share_of(len(vectors), call):
         for j in range(count):
@@ -124,7 +124,7 @@ def _nearest_kernel(vectors, centres, half, scores, labels, call):
         for k in range(dims):
             v = vectors[i, k]
             for j in range(count):
-                score[j] -= v * centres[k, j]
+                score[j] -= v * centers[k, j]
         best = 0
         for j in range(1, count):
             if score[j] < score[best]:
@@ -138,6 +138,53 @@ def _room(dims: int, members: int, codes: int) -> tuple[npt.NDArray[Any], ...]:
     books, scores = np.empty((threads, dims, codes), np.float32), np.empty((threads, 2, codes), np.float32)
     errors, sums = np.empty((threads, members), np.float32), np.empty((threads, codes, dims))
     return books, scores, errors, sums, np.empty((threads, members), np.int64), np.empty((threads, codes), np.int64)
+
+
+@inlined
+def _assign_codes(vectors, first, book, half, score, own, error):
+    """Nearest code `own` (M,) of each of the vectors from `first` on, and its squared `error` (n,); book (d, P)."""
+    dims, count = book.shape
+    half[:] = 0.0
+    for k in range(dims):
+        for j in range(count):
+            half[j] += np.float32(0.5) * book[k, j] * book[k, j]
+    for i in range(len(error)):
+        for j in range(count):
+            score[j] = half[j]
+        square = np.float32(0.0)
+        for k in range(dims):
+            v = vectors[first + i, k]
+            square += v * v
+            for j in range(count):
+                score[j] -= v * book[k, j]
+        best = 0
+        for j in range(1, count):
+            if score[j] < score[best]:
+                best = j
+        own[i], error[i] = best, square + np.float32(2.0) * score[best]
+
+
+@inlined
+def _update_codes(vectors, first, book, own, error, sums, held):
+    """Moves each code to the mean of its vectors; an idle one to the vector with the largest error."""
+    dims, count = book.shape
+    for j in range(count):
+        held[j] = 0
+        for k in range(dims):
+            sums[j, k] = 0.0
+    for i in range(len(error)):
+        held[own[i]] += 1
+        for k in range(dims):
+            sums[own[i], k] += vectors[first + i, k]
+    for j in range(count):
+        if held[j] > 0:
+            for k in range(dims):
+                book[k, j] = sums[j, k] / held[j]
+        elif len(error) > 0:
+            worst = np.argmax(error)
+            error[worst] = 0.0
+            for k in range(dims):
+                book[k, j] = vectors[first + worst, k]
 
 
 @parallel_kernel
@@ -154,43 +201,9 @@ def _refine_groups(vectors, rows, codes, slots, labels, rounds, scratch, call):
             for k in range(dims):
                 book[k, j] = vectors[first + j * n // count, k] if n > 0 else np.float32(0.0)
         for step in range(rounds + 1):
-            half[:] = 0.0
-            for k in range(dims):
-                for j in range(count):
-                    half[j] += np.float32(0.5) * book[k, j] * book[k, j]
-            for i in range(n):
-                for j in range(count):
-                    score[j] = half[j]
-                square = np.float32(0.0)
-                for k in range(dims):
-                    v = vectors[first + i, k]
-                    square += v * v
-                    for j in range(count):
-                        score[j] -= v * book[k, j]
-                best = 0
-                for j in range(1, count):
-                    if score[j] < score[best]:
-                        best = j
-                own[i], error[i] = best, square + np.float32(2.0) * score[best]
-            if step == rounds:
-                break
-            for j in range(count):
-                held[j] = 0
-                for k in range(dims):
-                    sums[j, k] = 0.0
-            for i in range(n):
-                held[own[i]] += 1
-                for k in range(dims):
-                    sums[own[i], k] += vectors[first + i, k]
-            for j in range(count):
-                if held[j] > 0:
-                    for k in range(dims):
-                        book[k, j] = sums[j, k] / held[j]
-                elif n > 0:  # an idle code takes over the vector that is served worst
-                    worst = np.argmax(error)
-                    error[worst] = 0.0
-                    for k in range(dims):
-                        book[k, j] = vectors[first + worst, k]
+            _assign_codes(vectors, first, book, half, score, own, error)
+            if step < rounds:
+                _update_codes(vectors, first, book, own, error, sums, held)
         for i in range(n):
             labels[first + i] = slot + own[i]
         for j in range(count):

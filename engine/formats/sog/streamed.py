@@ -81,7 +81,9 @@ def _rows(model: GaussianModel, kept: npt.NDArray[np.bool_], file: str, name: st
     if kept.all():
         return model
     if len(model) != len(kept):  # a dropped row has moved all behind it
-        message = f"{len(kept) - len(model)} rows are unusable, so that a part of it cannot be told"
+        message = (
+            f"{len(kept) - len(model)} rows are unusable, so rows of a part cannot be counted: read the whole scene"
+        )
         raise FormatError(message, file=file, element=name)
     return model.take(kept)
 

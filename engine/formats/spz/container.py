@@ -5,9 +5,8 @@ import zlib
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
-import zstandard
-
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.formats import zstd
 from engine.formats.guards import check_count
 
 MAGIC = 0x5053474E
@@ -165,12 +164,10 @@ def _unpack_zstd(data: bytes, *, file: str) -> Payload:
 def _unzstd(stream: bytes, size: int, *, file: str, element: str) -> bytes:
     """Exactly `size` bytes of one zstd frame; refused before any allocation where that cannot be."""
     try:
-        claimed = zstandard.get_frame_parameters(stream).content_size
-        if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN) or size > _ZSTD_RATIO * len(stream):
+        if zstd.content_size(stream) not in (size, None) or size > _ZSTD_RATIO * len(stream):
             raise FormatError(f"{len(stream)} bytes cannot hold {size}", file=file, element=element)
-        decompressor = zstandard.ZstdDecompressor()
-        body = decompressor.decompress(stream, max_output_size=size, allow_extra_data=False)
-    except (zstandard.ZstdError, MemoryError) as fault:
+        body = zstd.decompress(stream, size)
+    except (zstd.ZstdError, MemoryError) as fault:
         raise FormatError(f"damaged zstd stream ({fault})", file=file, element=element) from None
     if len(body) != size:
         raise FormatError(f"unpacks to {len(body)} bytes, expected {size}", file=file, element=element)
@@ -189,9 +186,8 @@ def pack(header: Header, sections: tuple[bytes, ...], extensions: bytes) -> byte
         deflater = zlib.compressobj(ZLIB_LEVEL, zlib.DEFLATED, 31)  # 31: gzip with an empty date
         parts = [deflater.compress(part) for part in (_HEADER.pack(*fields, header.flags, 0), *sections)]
         return b"".join([*parts, deflater.flush()])
-    compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
     filled = [section for section in sections if section]
-    streams = [compressor.compress(section) for section in filled]
+    streams = [zstd.compress(section, ZSTD_LEVEL) for section in filled]
     flags = header.flags | (HAS_EXTENSIONS if extensions else 0)
     head = _HEADER_V4.pack(*fields, flags, len(streams), _HEADER_V4.size + len(extensions))
     pairs = zip(streams, filled, strict=True)

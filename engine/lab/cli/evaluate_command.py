@@ -1,5 +1,7 @@
 """`mark3dgs evaluate`: measurements, figures and a report, resumable."""
 
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,36 +11,61 @@ from engine.cli.console import Console
 from engine.cli.kernel_progress import prepare_kernels
 from engine.cli.models import shipped_scene
 from engine.cli.options import Json, Seed
-from engine.errors import InputError
+from engine.errors import InputError, Mark3DGSError
+
+TRIALS_HELP = (
+    "Trials: screenshots (50), foreign pictures (200), wrong keys (100,000), innocent copies (10,000), assets (1,000) "
+    "or questions to an oracle (300)."
+)
 
 
 def _list_suites(wanted: bool) -> None:
     if not wanted:
         return
-    from engine.lab.evaluate.studies import STUDIES
+    from engine.lab.evaluate.suites import summaries
 
-    for name, (_, summary) in STUDIES.items():
+    for name, summary in summaries().items():
         typer.echo(f"  {name:<14} {summary}")
     raise typer.Exit()
 
 
 def evaluate(
-    suite: Annotated[str, typer.Option("--suite", metavar="NAME", help="What to find out; see --list.")],
+    suite: Annotated[str, typer.Option("--suite", metavar="NAME", help="What to measure; see --list.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder for cells, figures and report; a run goes on where it stopped.")
-    ],
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for cells, figures and report; a run goes on where it stopped. Suites that only print rows "
+            "work without it.",
+        ),
+    ] = None,
     scene: Annotated[
         list[Path] | None, typer.Option("--scene", help="Model to measure on; repeatable (default: the shipped one).")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A few cells only: does everything run?")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A few cells only: does everything run? (studies)")] = False,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--setting", metavar="NAME", help="A part of the suite; repeatable. (tables: table1, fig6, ...)"),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option("--profile", metavar="P", help="fast (default), balanced or strong. (measurements)")
+    ] = None,
+    repeats: Annotated[
+        int | None,
+        typer.Option("--repeats", min=1, help="Timed runs (3); the median is reported. (raster, embed, verify, life)"),
+    ] = None,
+    trials: Annotated[int | None, typer.Option("--trials", min=1, help=TRIALS_HELP)] = None,
+    size: Annotated[
+        tuple[int, int] | None, typer.Option("--size", metavar="W H", help="Pixels of the image. (raster)")
+    ] = None,
+    lpips_weights: Annotated[
+        Path | None, typer.Option("--lpips-weights", help="File with the weights of LPIPS. (perceptual)")
+    ] = None,
     workers: Annotated[
         int, typer.Option("--workers", min=1, help="Local processes. Timings want 1, on a quiet machine.")
     ] = 1,
     dask: Annotated[
         str | None, typer.Option("--dask", metavar="ADDRESS", help="Run on an existing Dask cluster instead.")
-    ] = None,
-    lpips_weights: Annotated[
-        Path | None, typer.Option("--lpips-weights", help="perceptual: file with the weights of LPIPS.")
     ] = None,
     list_all: Annotated[
         bool, typer.Option("--list", callback=_list_suites, is_eager=True, help="List all suites.")
@@ -48,38 +75,73 @@ def evaluate(
 ) -> int:
     """Measure, draw, report: results.json, figures (SVG, PNG) and report.html.
 
-    Stop it with Ctrl-C at any time; the same command goes on where it stopped.
+    Stop it with Ctrl-C at any time; with --out the same command goes on where it
+    stopped.
 
     Examples:
 
       mark3dgs evaluate --list
       mark3dgs evaluate --suite pareto --out out/pareto
-      mark3dgs evaluate --suite stability --out out/s --scene a.sog --scene b.ply --workers 4
+      mark3dgs evaluate --suite tables --setting table2 --out out/tables
+      mark3dgs evaluate --suite embed --scene city.sog --repeats 5
     """
     console = Console(json)
-    if out.exists() and not out.is_dir():
+    if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"{str(out)!r} is a file; --out names a folder")
+    from engine.kernels.machine import machine_info
     from engine.lab.evaluate.cell_runner import run_cells
+    from engine.lab.evaluate.measurements import MEASUREMENTS
     from engine.lab.evaluate.report import cell_text, write_report
-    from engine.lab.evaluate.studies import find_study
     from engine.lab.evaluate.study import Options
+    from engine.lab.evaluate.suites import find_study
 
     study = find_study(suite)
+    if out is None and suite not in MEASUREMENTS:
+        raise InputError(f"the suite {suite!r} writes figures and a report: name a folder with --out")
     scenes = tuple(str(path.resolve()) for path in scene or [shipped_scene()])
     for path in scenes:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")
-    options = Options(scenes, quick, seed, None if lpips_weights is None else str(lpips_weights))
+    given: dict[str, Any] = {
+        "quick": quick or None,
+        "settings": tuple(setting) if setting else None,
+        "profile": profile,
+        "repeats": repeats,
+        "trials": trials,
+        "size": size,
+        "lpips_weights": None if lpips_weights is None else str(lpips_weights),
+    }
+    given = {name: value for name, value in given.items() if value is not None}
+    for name in given:
+        if name not in study.knows:
+            option = {"settings": "setting"}.get(name, name.replace("_", "-"))
+            raise InputError(f"the suite {suite!r} has no option --{option}")
+    options = replace(Options(scenes, seed=seed, spare=str(shipped_scene())), **given)
     cells = study.cells(options)
-    with console.progress() as progress:
+    report: dict[str, Any] = {"suite": suite, "cells": len(cells), "machine": machine_info()}
+    with console.progress() as progress, tempfile.TemporaryDirectory() as spare:
         prepare_kernels(console, progress, "everything")
-        rows = run_cells(cells, out / "cells", workers=workers, dask=dask, tell=progress)
+        try:
+            rows = run_cells(cells, (out or Path(spare)) / "cells", workers=workers, dask=dask, tell=progress)
+        except InputError as error:  # of a user's own file: the cell's name says nothing more
+            raise error.__cause__ if isinstance(error.__cause__, Mark3DGSError) else error from None
         progress("report", 0.0)
-        report: dict[str, Any] = {"suite": suite, "cells": len(cells)}
-        report |= write_report(study, rows, options, out)
-    for bar in report["bars"]:
+        if out is not None:
+            report |= write_report(study, rows, options, out)
+    if suite in MEASUREMENTS:
+        rows = [{name: value for name, value in row.items() if name != "cell"} for row in rows]
+        for row in rows:
+            told = (f"{name}={_text(value)}" for name, value in row.items() if not isinstance(value, dict))
+            console.say("  ".join(told))
+        report |= MEASUREMENTS[suite].conditions(options) | {"rows": rows}
+    for bar in report.get("bars", ()):
         word = {True: "met", False: "MISSED", None: "not measured"}[bar["met"]]
         console.say(f"{word:<13} {bar['what']}: {cell_text(bar['measured'])} (wanted {bar['wanted']})")
-    console.say(f"\n{len(cells)} cells; report: {report['report']}")
+    if out is not None:
+        console.say(f"\n{len(cells)} cells; report: {report['report']}")
     console.emit(report)
     return 0
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

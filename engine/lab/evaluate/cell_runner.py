@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError, Mark3DGSError
+from engine.extras import load_extra
 from engine.kernels.machine import machine_info, peak_memory_mb
 from engine.lab.evaluate.study import Cell, Row
 from engine.numerics.plain import plain
@@ -107,10 +108,7 @@ def _executor(workers: int, dask: str | None) -> Iterator[Executor]:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             yield pool
         return
-    try:
-        from distributed import Client
-    except ModuleNotFoundError:
-        raise InputError("--dask needs the package distributed: pip install 'mark3dgs[dask]'") from None
+    Client = load_extra("distributed", "dask", "--dask").Client
     try:
         client = Client(dask, timeout=10)
     except OSError as error:

@@ -23,12 +23,18 @@ __all__ = ["Bar", "Cell", "Drawing", "Options", "Report", "Row", "Section", "Stu
 
 @dataclass(frozen=True)
 class Options:
-    """What a study may be asked for."""
+    """What a suite is run with; which of the optional ones it knows stands in `Study.knows`."""
 
     scenes: tuple[str, ...]  # paths of models; the first one is the study's main scene
     quick: bool = False  # a few cells of each kind: tells in a minute or so that everything runs, not how well
     seed: int = 0
-    lpips_weights: str | None = None  # file with the weights of LPIPS, for studies that can use them
+    lpips_weights: str | None = None  # file with the weights of LPIPS
+    settings: tuple[str, ...] = ()  # parts of the suite by name; empty: all
+    profile: str = "fast"
+    repeats: int = 3  # timed runs; the median is reported
+    trials: int | None = None  # None: the suite's own number
+    size: tuple[int, int] = (1297, 840)  # pixels of an image, width and height
+    spare: str = ""  # a model beside the only one given, for suites that need two
 
 
 @dataclass(frozen=True)
@@ -117,10 +123,11 @@ class Report:
 
 @dataclass(frozen=True)
 class Study:
-    """One of `mark3dgs evaluate`'s suites; it answers one question."""
+    """One suite of `mark3dgs evaluate`; it answers one question."""
 
     name: str
     title: str
     question: str
     cells: Callable[[Options], list[Cell]]  # in the order they are best run
     report: Callable[[list[Row], Options], Report]  # rows are those of all cells, each with its "cell"
+    knows: frozenset[str] = frozenset({"quick"})  # optional fields of `Options` that it takes into account

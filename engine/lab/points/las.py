@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.extras import load_extra
 from engine.formats.guards import FREE_COUNT
 from engine.formats.repairs import Repair
 from engine.lab.points.cloud import PointCloud, clean_points, unit_colors
-from engine.lab.points.packages import load_package
 from engine.model import Float64
 
 _HEADER_BYTES = 227  # bytes of the shortest header, that of LAS 1.0 to 1.2
@@ -44,7 +44,7 @@ def read_points_las(data: bytes, *, file: str) -> tuple[PointCloud, tuple[Repair
     (or, for LAZ, lazrs) is not installed.
     """
     _check_layout(data, file)
-    laspy = load_package("laspy", "laspy", "reading LAS")
+    laspy = load_extra("laspy", "capture", "reading LAS")
     try:
         reader = laspy.LasReader(io.BytesIO(data), read_evlrs=False)
     except Exception as error:  # laspy has no check of its own for most broken headers
@@ -60,7 +60,7 @@ def read_points_las(data: bytes, *, file: str) -> tuple[PointCloud, tuple[Repair
 
 def _unpacked(data: bytes, header: Any, file: str) -> bytes:
     """The point records of a LAZ file."""
-    load_package("lazrs", "lazrs", "reading LAZ (compressed LAS)")
+    load_extra("lazrs", "capture", "reading LAZ (compressed LAS)")
     size = header.point_count * header.point_format.size
     program = [sys.executable, str(Path(__file__).with_name("laz_process.py")), str(_LAZ_MEMORY + 3 * size)]
     done = subprocess.run(program, input=data, capture_output=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})

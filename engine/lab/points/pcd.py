@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import FormatError, UnsupportedFormatError
+from engine.extras import load_extra
 from engine.formats.ply.body import read_tables
 from engine.formats.ply.header import MAX_HEADER_BYTES, Element, Header, Property
 from engine.formats.repairs import Repair
 from engine.lab.points.cloud import PointCloud, cloud_of_columns
-from engine.lab.points.packages import load_package
 
 _TYPES = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 _KEYWORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -56,7 +56,7 @@ def read_points_pcd(data: bytes | memoryview, *, file: str) -> tuple[PointCloud,
 
 def _compressed_columns(data: bytes | memoryview, header: _PcdHeader, file: str) -> dict[str, npt.NDArray[Any]]:
     """One column after the other, LZF over all."""
-    lzf = load_package("lzf", "python-neo-lzf", "reading compressed PCD")
+    lzf = load_extra("lzf", "capture", "reading compressed PCD")
     body = memoryview(data)[header.size :]
     if len(body) < 8:
         raise FormatError(f"{len(body)} bytes follow the header, too few for two sizes", file=file)

@@ -1,4 +1,4 @@
-"""What a picture shows behind a model: nobody knows whose viewer, page or photograph it was taken over (DESIGN 4.8).
+"""What a picture shows behind a model: an unknown viewer, page or photograph (DESIGN 4.8).
 
 A pixel of a suspect is what the model adds, and what lies behind times what the model lets through. Where the render of
 the reference is clear, the picture shows what lies behind; elsewhere it is filled in from there, coarser the farther

@@ -120,11 +120,11 @@ def robust_line(r: Float32, w: Float32) -> tuple[float, float]:
 def _steepest(image: Float32, level: int, homography: bool) -> tuple[Float64, Float32, Float32]:
     """Points (P, 2), brightness (P,) and motion columns (P, 4 or 8) of the steepest pixels."""
     gy, gx = np.gradient(image)
-    grey = image[::level, ::level]
+    gray = image[::level, ::level]
     gy, gx = np.asarray(gy)[::level, ::level], np.asarray(gx)[::level, ::level]
     energy = (gx * gx + gy * gy).ravel()
     chosen = np.nonzero(energy > max(1e-8, float(np.quantile(energy, max(0.5, 1 - _SAMPLES / energy.size)))))[0]
-    rows, cols = np.divmod(chosen, grey.shape[1])
+    rows, cols = np.divmod(chosen, gray.shape[1])
     points = np.stack([cols, rows], axis=1) * float(level) + 0.5  # (P, 2)
     unit = max(image.shape) / 2.0
     u = ((points[:, 0] - image.shape[1] / 2) / unit).astype(np.float32)
@@ -135,7 +135,7 @@ def _steepest(image: Float32, level: int, homography: bool) -> tuple[Float64, Fl
         columns = [gx * u, gx * v, gx, gy * u, gy * v, gy, -radial * u, -radial * v]
     else:
         columns = [gx * u + gy * v, gy * u - gx * v, gx, gy]
-    return points, grey.ravel()[chosen], np.stack(columns, axis=1).astype(np.float32)
+    return points, gray.ravel()[chosen], np.stack(columns, axis=1).astype(np.float32)
 
 
 def _motion(delta: Float64, center: Float64, unit: float) -> Float64:

@@ -3,6 +3,8 @@
 Nothing here sees a key or a chip.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from engine.model import Bool, Camera, Float32
@@ -55,9 +57,15 @@ def uncovered(residual: Float32, used: Bool, spread: float) -> Bool:
     )
 
 
-def compare_detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> tuple[float, float]:
-    """Correlation of the details of render and picture (H, W) that do not follow from its opacity `cover`, and in
-    standard deviations."""
+class DetailAgreement(NamedTuple):
+    """How well details of a picture agree with those of a render."""
+
+    correlation: float  # -1..1
+    z: float  # in standard deviations of the correlation of unrelated details
+
+
+def compare_detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, camera: Camera) -> DetailAgreement:
+    """Agreement of the details of render and picture (H, W) that do not follow from its opacity `cover`."""
     small = camera.with_side(min(DETAIL_SIZE, max(used.shape)))
     inside, *planes = (
         resized(np.where(used, each, 0.0).astype(np.float32), small.width, small.height)
@@ -65,14 +73,15 @@ def compare_detail(toned: Float32, seen: Float32, cover: Float32, used: Bool, ca
     )
     shown = inside > LEAST_COVER
     if not shown.any():
-        return 0.0, 0.0
+        return DetailAgreement(0.0, 0.0)
     fine, coarse = (share * max(small.width, small.height) for share in DETAIL)
     around = smooth(inside, fine)[shown], smooth(inside, coarse)[shown]
     a, b, c = (smooth(each, fine)[shown] / around[0] - smooth(each, coarse)[shown] / around[1] for each in planes)
     alike = correlation(_beyond(a, c), _beyond(b, c))
     # As many independent values as areas of the blur; Fisher (1915) for their correlation.
     independent = shown.sum() / (4.0 * np.pi * fine * fine)
-    return alike, float(np.arctanh(np.clip(alike, -0.999, 0.999)) * np.sqrt(independent))
+    z = float(np.arctanh(np.clip(alike, -0.999, 0.999)) * np.sqrt(independent))
+    return DetailAgreement(alike, z)
 
 
 def _beyond(values: Float32, cover: Float32) -> Float32:

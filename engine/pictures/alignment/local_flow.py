@@ -78,12 +78,12 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
     shown = alpha > OPAQUE
     if not shown.any():
         return None
-    grey, seen = luma(reference_image), luma(picture)
-    rough = _rough(*(_halved(each) for each in (grey, seen, alpha)))
+    gray, seen = luma(reference_image), luma(picture)
+    rough = _rough(*(_halved(each) for each in (gray, seen, alpha)))
     if rough is None:
         return None
-    flow, agreed = (_doubled(each, grey.shape) for each in rough)
-    expected = predict_brightness(grey, seen, shown)
+    flow, agreed = (_doubled(each, gray.shape) for each in rough)
+    expected = predict_brightness(gray, seen, shown)
     before = _correlation(expected, seen, shown, AROUND)[shown] > FITS
     used = (shown & (agreed > 0.5)).astype(np.float32)
     flow = _filled(flow, used, FILLED)
@@ -91,7 +91,7 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
         flow = flow + _step(expected, picture, flow, used)
     warped, inside = remap(picture, _positions(flow))
     there = luma(warped)
-    expected = predict_brightness(grey, there, inside & shown)
+    expected = predict_brightness(gray, there, inside & shown)
     alike = _correlation(expected, there, shown & inside, AROUND)
     after = alike[shown] > FITS
     if after.mean() - before.mean() < CLEAR:
@@ -99,20 +99,20 @@ def align_locally(reference_image: Float32, alpha: Float32, picture: Float32) ->
     return LocalAlignment(warped, _fitting(expected, there, alike, shown & inside), flow)
 
 
-def _rough(grey: Float32, seen: Float32, alpha: Float32) -> tuple[Float32, Float32] | None:
+def _rough(gray: Float32, seen: Float32, alpha: Float32) -> tuple[Float32, Float32] | None:
     """(H, W, 2) flow from a render to a picture, brightness (H, W), in pixels, and (H, W) 1 where it leads back; None
     where the picture fits as it is, or hardly better."""
     shown = alpha > OPAQUE
     if not shown.any():
         return None
-    expected = predict_brightness(grey, seen, shown)
+    expected = predict_brightness(gray, seen, shown)
     before = (_correlation(expected, seen, shown, AROUND / 2)[shown] > FITS).mean()
     if before > WELL:
         return None
     flow, agreed = _dense(expected, seen)
     near = _filled(flow, (shown & agreed).astype(np.float32), FILLED / 2)
     there, inside = remap(seen[..., None], _positions(near))
-    expected = predict_brightness(grey, there[..., 0], inside & shown)
+    expected = predict_brightness(gray, there[..., 0], inside & shown)
     after = (_correlation(expected, there[..., 0], shown & inside, AROUND / 2)[shown] > FITS).mean()
     better = after - before > BETTER or max(seen.shape) < TELLING
     return (flow, agreed.astype(np.float32)) if better else None

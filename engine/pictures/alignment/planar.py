@@ -75,34 +75,34 @@ def align_image(reference_image: Float32, suspect_image: Float32) -> Alignment |
     None when nothing fits. InputError if either is not a finite (H, W, 3) image.
     """
     reference, suspect = (_checked(image) for image in (reference_image, suspect_image))
-    grey, suspect_grey = luma(reference), luma(suspect)
+    gray, suspect_gray = luma(reference), luma(suspect)
     best: Fit | None = None
-    for matrix in _hypotheses(grey, suspect_grey):
-        coarse = fit_warp(grey, suspect_grey, matrix, levels=(8, 4), homography=False)
+    for matrix in _hypotheses(gray, suspect_gray):
+        coarse = fit_warp(gray, suspect_gray, matrix, levels=(8, 4), homography=False)
         if coarse is not None and (best is None or coarse.correlation > best.correlation):
             best = coarse
         if best is not None and best.correlation > SURE_CORRELATION:
             break
     if best is None or best.correlation < LEAST_CORRELATION:
         return None
-    fit = fit_warp(grey, suspect_grey, best.matrix, levels=(4, 2, 1), homography=False) or best
+    fit = fit_warp(gray, suspect_gray, best.matrix, levels=(4, 2, 1), homography=False) or best
     return _laid_over(reference, suspect, fit)
 
 
 def _laid_over(reference: Float32, suspect: Float32, fit: Fit) -> Alignment:
     """The suspect in the reference's pixels by a fit, bent where that fits better."""
-    grey, suspect_grey = luma(reference), luma(suspect)
-    bent = fit_warp(grey, suspect_grey, fit.matrix, levels=(2, 1), homography=True)
+    gray, suspect_gray = luma(reference), luma(suspect)
+    bent = fit_warp(gray, suspect_gray, fit.matrix, levels=(2, 1), homography=True)
     if bent is not None and bent.rms < PERSPECTIVE_GAIN * fit.rms:
         fit = bent
-    still = grey.shape == suspect_grey.shape and _is_still(grey, suspect_grey, fit)
+    still = gray.shape == suspect_gray.shape and _is_still(gray, suspect_gray, fit)
     return _resampled(reference, suspect, fit, np.eye(3) if still else fit.matrix)
 
 
 def _resampled(reference: Float32, suspect: Float32, fit: Fit, matrix: Float64) -> Alignment:
-    grey = luma(reference)
-    warped, inside = _resample(suspect, matrix, *grey.shape)
-    mask = _evidence_mask(grey, luma(warped), inside, fit)
+    gray = luma(reference)
+    warped, inside = _resample(suspect, matrix, *gray.shape)
+    mask = _evidence_mask(gray, luma(warped), inside, fit)
     mirrored = bool(np.linalg.det(matrix[:2, :2]) < 0)
     return Alignment(matrix, warped, mask, fit.inliers, fit.rms, fit.correlation, mirrored, suspect)
 
@@ -169,20 +169,20 @@ def _checked(image: Float32) -> Float32:
     return np.clip(image, 0.0, 1.0)
 
 
-def _hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
+def _hypotheses(gray: Float32, suspect: Float32) -> Iterator[Float64]:
     """Motions to try, cheapest first."""
-    sy, sx = suspect.shape[0] / grey.shape[0], suspect.shape[1] / grey.shape[1]
+    sy, sx = suspect.shape[0] / gray.shape[0], suspect.shape[1] / gray.shape[1]
     if abs(sx / sy - 1.0) < 0.02:
         yield np.diag([sx, sy, 1.0])
-    yield from _sift_hypotheses(grey, suspect)
+    yield from _sift_hypotheses(gray, suspect)
     if abs(sx / sy - 1.0) >= 0.02:  # squeezed, or a crop without a single good keypoint
         yield np.diag([sx, sy, 1.0])
 
 
-def _sift_hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
+def _sift_hypotheses(gray: Float32, suspect: Float32) -> Iterator[Float64]:
     import cv2
 
-    a, b = detect_keypoints(grey, KEYPOINTS), detect_keypoints(suspect, KEYPOINTS)
+    a, b = detect_keypoints(gray, KEYPOINTS), detect_keypoints(suspect, KEYPOINTS)
     from_suspect, to_reference = match_within(b.descriptors, a.descriptors, RATIO)
     if len(from_suspect) < LEAST_MATCHES:
         return
@@ -201,11 +201,11 @@ def _sift_hypotheses(grey: Float32, suspect: Float32) -> Iterator[Float64]:
         yield np.asarray(bent, dtype=np.float64)
 
 
-def _is_still(grey: Float32, suspect: Float32, fit: Fit) -> bool:
-    largest = _largest_motion(fit.matrix, *grey.shape)
+def _is_still(gray: Float32, suspect: Float32, fit: Fit) -> bool:
+    largest = _largest_motion(fit.matrix, *gray.shape)
     if largest < SNAP_PIXELS:
         return True
-    return largest < SNAP_FAR and fit.rms > PERSPECTIVE_GAIN * still_rms(grey, suspect, fit)
+    return largest < SNAP_FAR and fit.rms > PERSPECTIVE_GAIN * still_rms(gray, suspect, fit)
 
 
 def _largest_motion(matrix: Float64, height: int, width: int) -> float:
@@ -222,13 +222,13 @@ def _resample(suspect: Float32, matrix: Float64, height: int, width: int) -> tup
     return warp(prefiltered, matrix, height, width)
 
 
-def _evidence_mask(grey: Float32, warped: Float32, inside: Bool, fit: Fit) -> Bool:
+def _evidence_mask(gray: Float32, warped: Float32, inside: Bool, fit: Fit) -> Bool:
     """Inside the suspect, and not where a whole neighbourhood contradicts the reference (fill, captions)."""
     import cv2
 
-    wrong = _contradicted(np.clip(fit.gain * grey + fit.offset, 0.0, 1.0), warped, inside)
+    wrong = _contradicted(np.clip(fit.gain * gray + fit.offset, 0.0, 1.0), warped, inside)
     if np.mean(wrong) > SUSPICIOUS:  # captions, or a tone curve or light that gain and offset do not describe
-        again = _contradicted(predict_brightness(grey, warped, inside), warped, inside)
+        again = _contradicted(predict_brightness(gray, warped, inside), warped, inside)
         wrong = again if again.sum() < wrong.sum() else wrong
     bad = (wrong | ~inside).astype(np.uint8)
     size = 2 * MARGIN + 1

@@ -3,7 +3,7 @@ they cause.
 
 A motion d = (turn x, y, z in radians; shift x, y, z in units of a scene depth; logarithm of the zoom; x, y of the
 principal point in focal lengths) acts in the camera's own frame: X' = exp([turn]) X + depth * shift, f' = f exp(zoom),
-c' = c + f (x, y). The last two are for pictures of which somebody cut off a part; from afar they look like a turn.
+c' = c + f (x, y). The last two are for cropped pictures; from afar they look like a turn.
 """
 
 import numpy as np

@@ -1,78 +1,70 @@
 """Find the camera of a screenshot of a known model: position, direction and focal length (DESIGN 4.8).
 
-1. Keypoints of the picture, matched to the landmarks of the record; PnP-RANSAC over a ladder of focal lengths, then a
-   render from there matched once more. Where that does not settle it, the same for the picture turned over left to
-   right. Where its pixels are not square (`uneven_pixels`), or a page is around what shows the model
-   (`viewer_frame`), all begins anew without that.
-2. Where no camera is well supported, keypoints vote for views of the bank (`voted_views`); then outlines, edges and
-   colours of many views are held against both hands (`view_search`), and cameras climb from the best (`view_climb`).
-3. Each candidate is refined on a small picture; the one that explains it best, in brightness and in its edges, goes on.
-4. Robust Gauss-Newton on brightness against fresh renders, coarse to fine, to about a hundredth of a pixel.
+`find_camera` takes these steps, and ends as soon as one gives a camera that needs no further search:
 
-The picture of another scene fails at the correlation with the render, or at that of their details (`Refined.alike`).
-Nothing here sees a key or a chip.
+1. Strongest keypoint candidates. Keypoints of the picture are matched to landmarks of the record; PnP-RANSAC over a
+   ladder of focal lengths gives a camera, which is refined on a small picture. If that does not settle it, the
+   candidate of the picture's mirror image competes.
+2. Full size at once, for a settled candidate that nearly explains the small picture.
+3. Pixels that are not square (`uneven_pixels`): the search begins again with square ones.
+4. A page around the viewer (`viewer_frame`): the search begins again within the frame.
+5. The camera of step 2 or 4, if there is one, is the result.
+6. All other keypoint candidates.
+7. Views of the bank that keypoints vote for (`voted_views`).
+8. Outlines, edges and colors of many views (`view_search`), and a climb from the best (`view_climb`).
+9. The best candidate is refined to full size: robust Gauss-Newton on brightness against fresh renders, to about a
+   hundredth of a pixel.
+
+A picture of another scene fails at the correlation with the render, or at the correlation of their details
+(`Refined.alike`). Nothing here sees a key or a chip.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from engine.errors import InputError
 from engine.model import Camera, Float32, GaussianModel
 from engine.pictures.camera.camera_motion import PARAMETERS
-from engine.pictures.camera.camera_proposals import QUICK_ITERATIONS, QUICK_STEP, SUPPORTED, Candidate, Candidates
+from engine.pictures.camera.camera_proposals import Candidate, Candidates
 from engine.pictures.camera.camera_trial import Picture
+from engine.pictures.camera.config import CONFIG, Level
 from engine.pictures.camera.far_views import FarViews
 from engine.pictures.camera.found_camera import FoundCamera
-from engine.pictures.camera.pose_ransac import LADDER
 from engine.pictures.camera.pose_refinement import Refined
 from engine.pictures.landmarks.landmark_set import Landmarks
 from engine.raster import RasterSettings
 
 __all__ = ["CameraConfig", "FoundCamera", "find_camera", "follow_camera"]
 
-LEAST_SIDE = 16  # of a picture, pixels
-SURE_CORRELATION = 0.9
-"""Correlation of brightness with the render above which a camera that enough keypoints agree on is the one."""
-ALIKE = 0.96
-"""The same, without what lies over the model, below which a picture may have been scaled unevenly, or a page be around
-it: renders with square pixels came to 0.975 and more, others mostly to 0.7 to 0.95."""
-UNCOVERED = 0.8
-"""The same with it, below which a page may be around all the same: what lies over right cameras leaves 0.83 and more,
-but for one picture in fifty, and the page around the photograph of a screen 0.7."""
-NEARLY = 0.93
-"""The same of a small picture, above which that is asked of the picture at its own size: of eight that had less, none
-came to `ALIKE` there, of four that had more three."""
-SIZES = (256, 640, 1600)
-"""Longer sides of the levels of the refinement, pixels; the last is the picture's own, if smaller."""
-ITERATIONS, STEP = 12, 0.005
-"""Renders at most of the last level, and the step at which it ends, pixels."""
-WITHIN = 4.0
-"""A refined camera is at most so many times as far off as its last step was long: what is left is slow to show."""
-SHIFTED = 0.05
-"""Pixels by which freeing the principal point must move a refined picture for it to be tried: of pictures that it
-explained 3 % better it was 0.07 and more, of those not cropped mostly up to 0.04."""
-CLEARLY = 1.03
-"""How much more a picture drawn in the other way must be explained by it; of either way, the wrong one came to 1.02."""
-GLANCED = 1.02
-"""The same at a glance, within about 1 % of what it is once refined."""
-
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """How hard `find_camera` tries."""
+    """How hard `find_camera` tries; what it is tuned with stands in `config`."""
 
-    focals: tuple[float, ...] = LADDER
-    """Focal lengths the pose from keypoints is sought at, in widths of the picture; it is refined after."""
-    other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)
-    """Focal lengths to start from where the refinement from the keypoints' own fails, in those."""
-    framed: bool = True
-    """Whether the picture may show something else around what shows the model."""
-    uneven: bool = True
-    """Whether it may have been scaled unevenly, or be the photograph of a screen."""
+    focals: tuple[float, ...] = CONFIG.focals  # at which poses from keypoints are sought, widths of the picture
+    other_focals: tuple[float, ...] = CONFIG.other_focals  # tried where refinement from these fails, in those
+    framed: bool = True  # the picture may show something else around the viewer
+    uneven: bool = True  # it may have been scaled unevenly, or be the photograph of a screen
+
+
+@dataclass(frozen=True, eq=False)
+class _FirstLook:
+    """Result of steps 1 and 2."""
+
+    strongest: Candidate | None  # of the first keypoint candidates, the one with most inliers, as proposed
+    best: Candidate | None  # of these, the one that explains the small picture best, refined on it
+    full: FoundCamera | None = None  # the best one at full size, if step 2 refined it
+
+    @property
+    def explained(self) -> bool:
+        """Whether the picture is explained, on the largest size it was tried at."""
+        latest = self.full or self.best
+        return latest is not None and _explained(latest)
 
 
 def find_camera(
@@ -86,174 +78,213 @@ def find_camera(
     """Camera from which a picture (h, w, 3), 0..1, shows the unmarked reference; None when no view of it was
     recognised.
 
-    `landmarks` are those of its record; `bank` gives the views they were seen from, and `far` what it looks like from
-    afar: both are asked only where keypoints do not do.
+    `landmarks` are those of its record; `bank` gives the views they were seen from, and `far` the model from afar:
+    both are called only where keypoints do not suffice.
     InputError if the picture is not a finite (h, w, 3) image.
     """
-    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < LEAST_SIDE:
-        raise InputError(f"a picture is (h, w, 3) and at least {LEAST_SIDE} pixels a side, got {image.shape}")
+    if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < CONFIG.least_side:
+        raise InputError(f"a picture is (h, w, 3) and at least {CONFIG.least_side} pixels a side, got {image.shape}")
     if not np.isfinite(image).all():
-        raise InputError("the picture holds values that are not finite")
+        raise InputError("the picture holds values that are not finite: save it again as 8-bit RGB")
     picture = Picture(reference_model, np.asarray(image, dtype=np.float32))
     candidates = Candidates(picture, landmarks, config.focals, config.other_focals)
-    hands = {mirrored: candidates.by_keypoints(mirrored) for mirrored in (False, True)}
-    first = next(hands[False], None)
-    best = None if first is None else _best(picture, [first])
-    if best is None or not _settled(best):  # what is symmetric finds many keypoints that agree in the wrong hand, too
-        turned = next(hands[True], None)
-        if turned is not None:
-            best = _best(picture, [turned], best)
-            first = turned if first is None or turned.support > first.support else first
-    done, explained = None, best is not None and _explained(best)
-    if best is not None and _settled(best) and best.clear > NEARLY and not explained:  # at its own size it may be
-        done = _finish(picture, best)
-        explained = done is not None and _explained(done)
-    uneven = config.uneven and not explained
-    shape = candidates.shape(first) if uneven else None
-    if shape is not None:
-        asked = replace(config, uneven=False)
-        bent = find_camera(landmarks, reference_model, shape.undo(image), asked)
-        # Something flat, near a wide lens, looks slanted until all of its perspective is found.
-        plain = None
-        if bent is not None and best is not None and best.sure:
-            plain = find_camera(landmarks, reference_model, image, asked)
-        if bent is not None and (plain is None or bent.correlation > plain.correlation):
-            return replace(bent, shape=shape)
-        if plain is not None:
-            return plain
-    framed = config.framed and not explained
-    frame = candidates.frame(first) if framed and first is not None and first.support >= SUPPORTED else None
-    if frame is not None and min(image[frame].shape[:2]) >= LEAST_SIDE:
-        part, asked = np.ascontiguousarray(image[frame]), replace(config, framed=False, uneven=False)
-        found = find_camera(landmarks, reference_model, part, asked, far, bank)
-        if found is not None and not _explained(found) and done is None and best is not None:
-            done = _finish(picture, best)  # a frame may be wrong
-        if found is not None and (done is None or found.gain > done.gain):
-            return replace(found, frame=frame)
-    if done is not None:
-        return done
-    likelier = first is not None and first.mirrored
-    best = _best(picture, hands[likelier], best)
-    if first is None or first.support < SUPPORTED:
-        best = _best(picture, hands[not likelier], best)
-    if bank is not None and (best is None or not best.sure):
-        best = _best(picture, candidates.by_votes(bank()), best)
-    if far is not None and (best is None or not best.sure):
-        best = _best(picture, candidates.by_edges(far()), best)
-    return None if best is None else _finish(picture, best)
+    keypoint_candidates = {mirrored: candidates.by_keypoints(mirrored) for mirrored in (False, True)}
+    look = _first_look(picture, keypoint_candidates)  # 1, 2
+    if config.uneven and not look.explained:  # 3
+        search = partial(find_camera, landmarks, reference_model, config=replace(config, uneven=False))
+        squared = _with_square_pixels(look, candidates, image, search)
+        if squared is not None:
+            return squared
+    found = look.full
+    if config.framed and not look.explained:  # 4
+        inner = replace(config, framed=False, uneven=False)
+        search = partial(find_camera, landmarks, reference_model, config=inner, far=far, bank=bank)
+        found = _within_frame(look, picture, candidates, image, search)
+    if found is not None:  # 5
+        return found
+    strongest = look.strongest
+    mirrored = strongest is not None and strongest.mirrored
+    best = _best_candidate(picture, keypoint_candidates[mirrored], look.best)  # 6
+    if strongest is None or not strongest.supported:
+        best = _best_candidate(picture, keypoint_candidates[not mirrored], best)
+    if bank is not None and (best is None or not best.sure):  # 7
+        best = _best_candidate(picture, candidates.by_votes(bank()), best)
+    if far is not None and (best is None or not best.sure):  # 8
+        best = _best_candidate(picture, candidates.by_edges(far()), best)
+    return None if best is None else _refine_to_full_size(picture, best)  # 9
 
 
 def follow_camera(reference_model: GaussianModel, image: Float32, last: FoundCamera) -> FoundCamera | None:
-    """Camera of a picture (h, w, 3), 0..1, that was taken soon after the one `last` was found in, as the frames of a
-    video are; None where it is not near that one, or explains this picture less well than a found one must.
+    """Camera of a picture (h, w, 3), 0..1, that was taken soon after the picture of `last`, as the frames of a video
+    are; None where it is not near that camera, or explains this picture less well than a found camera must.
 
-    It starts from there and is refined as every found camera is, so it does not add up what the last was off by.
+    The refinement starts from `last` and ends where that of every found camera ends, so errors do not add up.
     """
-    if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE or not np.isfinite(image).all():
-        return None  # the search says what is wrong with it
+    if image.ndim != 3 or min(image.shape[:2]) < CONFIG.least_side or not np.isfinite(image).all():
+        return None  # `find_camera` says what is wrong with it
     face = last.face(np.asarray(image, dtype=np.float32))
     if face.shape != (last.camera.height, last.camera.width, 3):
         return None
     picture = Picture(reference_model, face)
-    near = _best(picture, [Candidate(last.camera, False, 0, drawn=replace(last.drawn, antialiased=None))])
-    found = None if near is None else _finish(picture, near)
-    if found is None or found.correlation < min(SURE_CORRELATION, last.correlation):
+    start = Candidate(last.camera, False, 0, settings=replace(last.settings, antialiased=None))
+    near = _best_candidate(picture, [start])
+    found = None if near is None else _refine_to_full_size(picture, near)
+    if found is None or found.correlation < min(CONFIG.settled_correlation, last.correlation):
         return None
     return replace(found, mirrored=last.mirrored, shape=last.shape, frame=last.frame)
 
 
-def _best(picture: Picture, candidates: Iterable[Candidate], best: Candidate | None = None) -> Candidate | None:
-    """The candidate that explains a small picture best, refined on it; the first that is sure ends the search.
-    `best` is the best so far."""
-    for candidate in () if best is not None and _settled(best) else candidates:
-        # Where many keypoints agree the camera is right within a pixel, and a small picture would lead it astray.
-        for size in SIZES[candidate.support >= SUPPORTED : 2]:
-            refined = picture.refined(
-                candidate.camera, candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP, candidate.drawn
-            )
-            if refined is not None and (refined.alike or not refined.hopeful):
-                break
-        if refined is None:
+def _first_look(picture: Picture, keypoint_candidates: Mapping[bool, Iterator[Candidate]]) -> _FirstLook:
+    """Steps 1 and 2, from the keypoint candidates by whether they mirror the picture."""
+    strongest = next(keypoint_candidates[False], None)
+    best = None if strongest is None else _best_candidate(picture, [strongest])
+    if best is None or not best.settled:  # keypoints of a symmetric model support the wrong hand, too
+        mirrored = next(keypoint_candidates[True], None)
+        if mirrored is not None:
+            best = _best_candidate(picture, [mirrored], best)
+            strongest = mirrored if strongest is None or mirrored.support > strongest.support else strongest
+    look = _FirstLook(strongest, best)
+    if best is None or not best.settled or look.explained or best.uncovered_correlation <= CONFIG.nearly_explained:
+        return look
+    return replace(look, full=_refine_to_full_size(picture, best))
+
+
+def _with_square_pixels(
+    look: _FirstLook, candidates: Candidates, image: Float32, search: Callable[[Float32], FoundCamera | None]
+) -> FoundCamera | None:
+    """Step 3: what `search` finds in the picture with square pixels, or in the picture as it is, if that is better."""
+    shape = candidates.shape(look.strongest)
+    squared = None if shape is None else search(shape.undo(image))
+    if squared is None:
+        return None
+    # Something flat, near a wide lens, looks slanted until all of its perspective is found.
+    plain = search(image) if look.best is not None and look.best.sure else None
+    if plain is not None and squared.correlation <= plain.correlation:
+        return plain
+    return replace(squared, shape=shape)
+
+
+def _within_frame(
+    look: _FirstLook,
+    picture: Picture,
+    candidates: Candidates,
+    image: Float32,
+    search: Callable[[Float32], FoundCamera | None],
+) -> FoundCamera | None:
+    """Step 4: what `search` finds within a frame, or the camera of the whole picture if that explains more."""
+    whole = look.full
+    frame = candidates.frame(look.strongest) if look.strongest is not None and look.strongest.supported else None
+    if frame is None or min(image[frame].shape[:2]) < CONFIG.least_side:
+        return whole
+    inner = search(np.ascontiguousarray(image[frame]))
+    if inner is None:
+        return whole
+    if whole is None and look.best is not None and not _explained(inner):
+        whole = _refine_to_full_size(picture, look.best)  # the frame may be wrong
+    return replace(inner, frame=frame) if whole is None or inner.gain > whole.gain else whole
+
+
+def _best_candidate(
+    picture: Picture, candidates: Iterable[Candidate], best: Candidate | None = None
+) -> Candidate | None:
+    """The candidate that explains a small picture best, refined on it; `best` is the best so far. The first that is
+    settled ends the search, and no other is drawn from `candidates`."""
+    if best is not None and best.settled:
+        return best
+    for proposed in candidates:
+        tried = _refine_small(picture, proposed)
+        if tried is None:
             continue
-        drawn = candidate.drawn
-        if refined.hopeful:
-            asked = candidate.mirrored, size, QUICK_ITERATIONS, QUICK_STEP
-            other = replace(drawn, by_distance=not drawn.by_distance)
-            refined, drawn = _likelier(picture, refined, drawn, other, *asked)
-        full, off = picture.full(refined.camera), WITHIN * refined.step / size
-        tried = replace(
-            candidate,
-            camera=full,
-            correlation=refined.correlation,
-            clear=refined.clear,
-            size=size,
-            off=off,
-            hopeful=refined.hopeful,
-            drawn=drawn,
-        )
-        if best is None and _settled(tried):  # nothing it need be worth more than
-            return tried
-        worth = picture.worth(refined, candidate.mirrored, drawn) * (SIZES[0] / size) ** 2
-        if best is None or worth > best.worth:
-            best = replace(tried, worth=worth)
-            if _settled(best):
+        candidate, refined = tried
+        if best is None and candidate.settled:  # no other to compare its score with
+            return candidate
+        side = candidate.side
+        score = picture.score(refined, candidate.mirrored, candidate.settings)
+        score *= (CONFIG.small_levels[0].side / side) ** 2
+        if best is None or score > best.score:
+            best = replace(candidate, score=score)
+            if best.settled:
                 break
     return best
 
 
-def _likelier(
-    picture: Picture,
-    refined: Refined,
-    drawn: RasterSettings,
-    other: RasterSettings,
-    mirrored: bool,
-    size: int,
-    iterations: int,
-    step: float,
+def _refine_small(picture: Picture, proposed: Candidate) -> tuple[Candidate, Refined] | None:
+    """A candidate refined on the smallest picture that can tell whether it is right, in either order of blending."""
+    settings = proposed.settings
+    # Where many keypoints agree the camera is right within a pixel, and the smallest picture would lead it astray.
+    for level in CONFIG.small_levels[1:] if proposed.supported else CONFIG.small_levels:
+        refined = picture.refined(proposed.camera, level, mirrored=proposed.mirrored, settings=settings)
+        if refined is not None and (refined.alike or not refined.hopeful):
+            break
+    if refined is None:
+        return None
+    if refined.hopeful:
+        other = replace(settings, by_distance=not settings.by_distance)
+        refined, settings = _with_better_settings(picture, refined, level, proposed.mirrored, settings, other)
+    candidate = replace(
+        proposed,
+        camera=picture.full(refined.camera),
+        correlation=refined.correlation,
+        uncovered_correlation=refined.uncovered_correlation,
+        side=level.side,
+        max_error=CONFIG.error_per_step * refined.step / level.side,
+        hopeful=refined.hopeful,
+        settings=settings,
+    )
+    return candidate, refined
+
+
+def _with_better_settings(
+    picture: Picture, refined: Refined, level: Level, mirrored: bool, settings: RasterSettings, other: RasterSettings
 ) -> tuple[Refined, RasterSettings]:
-    """What was refined on renders drawn in one way, or the same on those drawn in another where that explains the
-    picture clearly better; and the way."""
-    camera, off = picture.full(refined.camera), WITHIN * refined.step / min(size, max(picture.size))
-    glance = picture.refined(camera, mirrored, size, 1, step, other, off=off)
-    if glance is not None and glance.gain > GLANCED * refined.gain:
-        again = picture.refined(camera, mirrored, size, iterations, step, other, off=off)
-        if again is not None and again.gain > CLEARLY * refined.gain:
+    """The camera refined on renders with these settings, or with the `other` ones where that explains the picture
+    clearly better; and the settings of the better."""
+    camera = picture.full(refined.camera)
+    max_error = CONFIG.error_per_step * refined.step / min(level.side, max(picture.size))
+    attempt = partial(picture.refined, camera, mirrored=mirrored, settings=other, max_error=max_error)
+    glance = attempt(replace(level, iterations=1))
+    if glance is not None and glance.gain > CONFIG.glance_better * refined.gain:
+        again = attempt(level)
+        if again is not None and again.gain > CONFIG.clearly_better * refined.gain:
             return again, other
-    return refined, drawn
+    return refined, settings
 
 
 def _explained(camera: Candidate | FoundCamera) -> bool:
     """Whether nothing is left for another shape of pixels, or a frame, to explain."""
-    return camera.clear >= ALIKE and camera.correlation >= UNCOVERED
+    uncovered = camera.uncovered_correlation >= CONFIG.explained_uncovered
+    return uncovered and camera.correlation >= CONFIG.explained
 
 
-def _settled(best: Candidate) -> bool:
-    return best.correlation > SURE_CORRELATION and best.support >= SUPPORTED
-
-
-def _finish(picture: Picture, candidate: Candidate) -> FoundCamera | None:
-    """The camera refined up to the picture's own size; None where that does not look like the picture, or has no hope
-    to."""
+def _refine_to_full_size(picture: Picture, candidate: Candidate) -> FoundCamera | None:
+    """The camera refined level by level up to the picture's own size; None where its render does not look like the
+    picture, or the small picture showed that it will not."""
     if not candidate.hopeful:
         return None
-    own, drawn = max(picture.size), candidate.drawn
-    camera, refined, off = candidate.camera, None, candidate.off
-    for size in [*(size for size in SIZES[:-1] if candidate.size < size < own), min(own, SIZES[-1])]:
-        last = size >= min(own, SIZES[-1])
-        limits = (ITERATIONS, STEP) if last else (QUICK_ITERATIONS, QUICK_STEP)
-        refined = picture.refined(camera, candidate.mirrored, size, *limits, drawn, off=off)
+    own, full_level = max(picture.size), CONFIG.full_level
+    full_side = min(own, full_level.side)
+    camera, settings, max_error = candidate.camera, candidate.settings, candidate.max_error
+    between = [level for level in CONFIG.small_levels if candidate.side < level.side < own]
+    for level in [*between, replace(full_level, side=full_side)]:
+        refined = picture.refined(camera, level, mirrored=candidate.mirrored, settings=settings, max_error=max_error)
         if refined is None or not refined.alike:
             return None
-        camera, off = picture.full(refined.camera), WITHIN * refined.step / size
-    assert refined is not None
-    asked = candidate.mirrored, SIZES[-1], ITERATIONS, STEP
-    if refined.shift > SHIFTED:  # and then by far: without its principal point a camera is wrong in all else
-        shifted = picture.refined(camera, *asked, drawn, free=PARAMETERS)
-        if shifted is not None and shifted.gain > CLEARLY * refined.gain:
-            refined, camera = shifted, picture.full(shifted.camera)
-    softer = replace(drawn, antialiased=not picture.model.antialiased)
-    refined, drawn = _likelier(picture, refined, drawn, softer, *asked)
-    camera = picture.full(refined.camera)
-    gain = refined.gain * (own / min(own, SIZES[-1])) ** 2
-    told = refined.rms, refined.correlation, refined.step, gain, refined.clear
-    return FoundCamera(camera, candidate.support, *told, candidate.mirrored, drawn)
+        camera, max_error = picture.full(refined.camera), CONFIG.error_per_step * refined.step / level.side
+    assert refined is not None  # there is always a last level
+    if refined.shift > CONFIG.principal_point_step:  # without its principal point a camera is wrong in all else
+        shifted = picture.refined(camera, full_level, mirrored=candidate.mirrored, settings=settings, free=PARAMETERS)
+        if shifted is not None and shifted.gain > CONFIG.clearly_better * refined.gain:
+            refined = shifted
+    other = replace(settings, antialiased=not picture.model.antialiased)
+    refined, settings = _with_better_settings(picture, refined, full_level, candidate.mirrored, settings, other)
+    return FoundCamera(
+        camera=picture.full(refined.camera),
+        inliers=candidate.support,
+        rms=refined.rms,
+        correlation=refined.correlation,
+        step=refined.step,
+        gain=refined.gain * (own / full_side) ** 2,
+        uncovered_correlation=refined.uncovered_correlation,
+        mirrored=candidate.mirrored,
+        settings=settings,
+    )

@@ -1,4 +1,4 @@
-"""A picture held against renders of a model: how well a camera explains it, and the same camera made better."""
+"""A picture compared with renders of a model: how well a camera explains it, and refinement of the camera."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.background import fill_background
 from engine.pictures.camera.camera_motion import CENTERED
-from engine.pictures.camera.found_camera import OWN
-from engine.pictures.camera.keypoint_cameras import look_closer
+from engine.pictures.camera.config import Level
+from engine.pictures.camera.found_camera import DEFAULT_SETTINGS
+from engine.pictures.camera.keypoint_cameras import match_closer
 from engine.pictures.camera.pose_ransac import Hypothesis
 from engine.pictures.camera.pose_refinement import Refined, refine_level
 from engine.pictures.landmarks.keypoints import luma
@@ -26,9 +27,9 @@ class Picture:
 
     def __init__(self, model: GaussianModel, image: Float32) -> None:
         self.model, self.image = model, image
-        grey = luma(image)
-        self.greys = (grey, np.ascontiguousarray(grey[:, ::-1]))  # as it is, and turned over
-        self.size = grey.shape[1], grey.shape[0]
+        gray = luma(image)
+        self.grays = (gray, np.ascontiguousarray(gray[:, ::-1]))  # as it is, and turned over
+        self.size = gray.shape[1], gray.shape[0]
 
     def turned(self, mirrored: bool) -> Float32:
         """The picture (h, w, 3), turned over if it is mirrored."""
@@ -36,40 +37,40 @@ class Picture:
 
     def closer(self, camera: Camera, mirrored: bool) -> Hypothesis | None:
         """What the picture and a render from this camera agree on."""
-        return look_closer(self.model, self.greys[mirrored], camera)
+        return match_closer(self.model, self.grays[mirrored], camera)
 
     def refined(
         self,
         camera: Camera,
+        level: Level,
+        *,
         mirrored: bool,
-        size: int,
-        iterations: int,
-        step: float,
-        drawn: RasterSettings = OWN,
+        settings: RasterSettings = DEFAULT_SETTINGS,
         free: int = CENTERED,
-        off: float = np.inf,
+        max_error: float = np.inf,
     ) -> Refined | None:
-        """The camera refined on the picture reduced to this longer side; see `refine_level`. `off` is in longer sides
-        of the picture."""
-        grey = self.greys[mirrored]
-        small = camera.with_side(min(size, max(grey.shape)))
-        picture = resized(grey, small.width, small.height)
+        """The camera refined on the picture reduced to a level; see `refine_level`. `max_error` is in longer sides of
+        the picture."""
+        gray = self.grays[mirrored]
+        small = camera.with_side(min(level.side, max(gray.shape)))
+        picture = resized(gray, small.width, small.height)
+        max_pixels = max_error * max(small.width, small.height)
         return refine_level(
-            self.model, picture, small, iterations, step, drawn, free=free, off=off * max(small.width, small.height)
+            self.model, picture, small, level.iterations, level.tolerance, settings, free=free, max_error=max_pixels
         )
 
     def full(self, camera: Camera) -> Camera:
-        """The same camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
+        """The camera at the picture's size: square pixels, which rounding of a level's size may have bent."""
         width, height = self.size
         K = camera.resized(width, height).K.copy()
         K[0, 0] = K[1, 1] = float(np.sqrt(K[0, 0] * K[1, 1]))
         return Camera(camera.viewmat, K, width, height)
 
-    def worth(self, refined: Refined, mirrored: bool, drawn: RasterSettings = OWN) -> float:
+    def score(self, refined: Refined, mirrored: bool, settings: RasterSettings = DEFAULT_SETTINGS) -> float:
         """How much likelier the render makes the picture, times how well its edges are the picture's."""
         camera = refined.camera
-        picture = resized(self.greys[mirrored], camera.width, camera.height)
-        image, alpha, _ = render_depth(self.model, camera, settings=drawn)
+        picture = resized(self.grays[mirrored], camera.width, camera.height)
+        image, alpha, _ = render_depth(self.model, camera, settings=settings)
         behind = fill_background(picture, alpha)
         composed = luma(image) + (0.0 if behind is None else (1.0 - alpha) * behind)
         shown, seen = (_edges(smooth(np.asarray(each, dtype=np.float32), 1.0)) for each in (composed, picture))
@@ -77,8 +78,8 @@ class Picture:
         return refined.gain * max(float((shown * seen).sum()) / max(both, 1e-9), 0.0)
 
 
-def _edges(grey: Float32) -> Float32:
+def _edges(gray: Float32) -> Float32:
     """(2, H, W) gradient of brightness, strong ones counted alike."""
-    gy, gx = np.gradient(grey)
+    gy, gx = np.gradient(gray)
     gradient = np.stack([np.asarray(gy), np.asarray(gx)])
     return np.asarray(gradient / np.sqrt(np.square(gradient).sum(axis=0) + _EDGE**2), dtype=np.float32)

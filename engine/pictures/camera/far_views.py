@@ -25,19 +25,19 @@ its 30,000 most visible (21 to 26, 14), and are drawn in 1.4 ms instead of 3.3."
 COEFFICIENTS = 4
 """Of the spherical harmonics, that are drawn: what light does beyond them is seen from near."""
 NEAR = 0.5
-"""The distance, in that of the views given, from which they are taken again: through a wide lens what is near has
+"""Distance of additional views, in the distance of those given: through a wide lens what is near has
 another shape, to which no search from afar leads (of five pictures that were missed two are found)."""
 PARTS, NEARER = 3, 0.35
 """Places of a view, as far from each other as can be, at which a camera so much nearer is aimed: close-ups whose middle
 is elsewhere (of eleven that were missed two are found; at six places one more, for twice the time)."""
 _SAMPLE = 200_000
-"""Gaussians that tell how many voxels are in use, at least half as many."""
+"""Gaussians on which voxels in use are counted, at least half as many."""
 _AXIS = 21
 """Bits that number the voxels of an axis."""
 
 
 class FarViews:
-    """A model seen by cameras all around it, each reduced to `SIDE` pixels; drawn when they are asked for."""
+    """A model seen by cameras all around it, each reduced to `SIDE` pixels; rendered at first use."""
 
     def __init__(self, model: GaussianModel, cameras: Sequence[Camera]) -> None:
         self._whole, self._cameras = model, cameras

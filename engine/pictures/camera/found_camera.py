@@ -8,10 +8,10 @@ from engine.model import Camera, Float32
 from engine.pictures.camera.pixel_shape import PixelShape
 from engine.raster import RasterSettings
 
-__all__ = ["OWN", "FoundCamera"]
+__all__ = ["DEFAULT_SETTINGS", "FoundCamera"]
 
-OWN = RasterSettings()
-"""How viewers draw: most as we do, some as they are told to."""
+DEFAULT_SETTINGS = RasterSettings()
+"""How most viewers draw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +23,10 @@ class FoundCamera:
     rms: float  # robust standard deviation of the brightness residual, 0..1
     correlation: float  # of picture and render, -1..1
     step: float  # root mean square flow of the last step of the refinement, pixels
-    gain: float = 0.0  # how much likelier its render makes the picture than a flat colour does, as a logarithm
-    clear: float = 0.0  # the correlation without what lies over the model
+    gain: float = 0.0  # how much likelier its render makes the picture than a flat colour does, natural logarithm
+    uncovered_correlation: float = 0.0  # of picture and render where nothing lies over the model
     mirrored: bool = False  # it is the camera of the picture turned over left to right
-    drawn: RasterSettings = OWN  # how the reference is drawn most like it
+    settings: RasterSettings = DEFAULT_SETTINGS  # with which the render of the reference is most like it
     shape: PixelShape | None = None  # of the picture's pixels, where these are not square
     frame: tuple[slice, slice] | None = None  # rows and columns in which that picture shows it, where not in all
 

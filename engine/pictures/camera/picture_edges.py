@@ -50,8 +50,7 @@ class PictureEdges:
 
     @cached_property
     def maps(self) -> tuple[Float32, Float32]:
-        """What it says for each direction of an edge, to those who look at every second row and column, and to those
-        who look at every fourth; see `apart`."""
+        """Responses for each direction of an edge, split for steps of two pixels, and of four; see `apart`."""
         maps, _ = _responses(self.small, REACH)
         return apart(maps, 2), apart(maps, 4)
 
@@ -94,8 +93,8 @@ class PictureEdges:
         )
         both = np.sqrt(np.square(seen).sum(axis=(1, 2)) * np.square(drawn).sum(axis=(1, 2)))
         alike = (seen * drawn).sum(axis=(1, 2)) / np.maximum(both, 1e-6)
-        told = np.where(count[:, 0] >= _LEAST_INSIDE, np.clip(alike, -_MOST_ALIKE, _MOST_ALIKE), 0.0)
-        return np.arctanh(told).astype(np.float32)
+        clipped = np.where(count[:, 0] >= _LEAST_INSIDE, np.clip(alike, -_MOST_ALIKE, _MOST_ALIKE), 0.0)
+        return np.arctanh(clipped).astype(np.float32)
 
     def camera(self, view: ViewPoints, pose: Float64) -> Camera:
         """The camera of the small picture that stands where the view's did and shows it at this pose (4,), with a lens

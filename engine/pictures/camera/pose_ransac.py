@@ -11,12 +11,11 @@ import numpy as np
 from engine.kernels.jit import side_by_side
 from engine.model import Bool, Camera, Float64
 from engine.pictures.camera.camera_motion import CENTERED, PARAMETERS, UNEVEN, moved, normalized, point_columns
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.pixel_shape import SQUARE, PixelShape
 
 __all__ = ["Hypothesis", "at_other_focal", "fit_camera", "hypothesize"]
 
-LADDER: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 5))
-"""Focal lengths tried, in widths of the picture; 41 % apart. With nine, of 80 pictures as many are found."""
 POSE = 6
 """Parameters of a motion without zoom."""
 RANSAC_TRIALS = 1000
@@ -26,7 +25,7 @@ RANSAC_SEED = 0
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """A camera, which of the M matches agree with it, and the reprojection error of these, pixels; and the shape of the
-    pixels, if it was asked for."""
+    pixels, if that was fitted."""
 
     camera: Camera
     inliers: Bool
@@ -46,7 +45,7 @@ def hypothesize(
     height: int,
     tolerance: float,
     least: int,
-    ladder: tuple[float, ...] = LADDER,
+    ladder: tuple[float, ...] = CONFIG.focals,
 ) -> Hypothesis | None:
     """Camera with square pixels and a central principal point that most matches agree with, at least `least`; None if
     there is none.

@@ -36,7 +36,7 @@ overlaps with itself."""
 TRUSTED = 0.1
 """Residuals below this are no outliers before the blur is down: a part that does not fit yet is not given up."""
 LEAST_ALPHA = 0.5
-"""Pixels more transparent than this show a background nobody knows."""
+"""Pixels more transparent than this show an unknown background."""
 CLIPPED = 0.985
 """Brighter pixels of the picture say nothing about position."""
 FARTHEST = 2.0
@@ -47,10 +47,10 @@ LEAST_PIXELS = 150
 """Fewer usable pixels than this cannot carry so many unknowns."""
 LEAST_CORRELATION = 0.75
 """Correlation of brightness below which a picture shows something else."""
-LEAST_DETAIL = 0.5  # the same of detail
+LEAST_DETAIL = 0.5  # correlation of detail below which it does
 HOPEFUL_CORRELATION, HOPEFUL_DETAIL = 0.5, 0.25
 """What a small picture must show of both for a larger one to be looked at; right cameras came to 0.9 and 0.8."""
-LEAST_TELLING = 7.0
+LEAST_DETAIL_Z = 7.0
 """Standard deviations by which detail must correlate: a few strokes of a drawing, on a small piece of a model, came to
 5 with a correlation of 0.65, right cameras of pictures of viewers to 19 and more."""
 ACCELERATE_BELOW = 0.5
@@ -64,36 +64,28 @@ _UNKNOWNS = PARAMETERS + 2
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A camera of the level's size and how well its render explains the picture.
-
-    `rms`: robust standard deviation of the brightness residual, 0..1. `correlation` of picture and render on the pixels
-    used, -1..1; `clear` the same without what something lies over (`uncovered`), and there `detail`, that of their
-    detail and of what a flat colour of the render's opacity does not explain; `telling`: that in standard deviations of
-    what chance does where so much is seen.
-    `step`: root mean square flow of the last motion, pixels of the level; `shift`: what it would have been with the
-    principal point free. `pixels`: how many were used.
-    """
+    """A camera of the level's size and how well its render explains the picture."""
 
     camera: Camera
-    rms: float
-    correlation: float
-    clear: float
-    detail: float
-    telling: float
-    step: float
-    shift: float
-    pixels: int
+    rms: float  # robust standard deviation of the brightness residual, 0..1
+    correlation: float  # of picture and render on the pixels used, -1..1
+    uncovered_correlation: float  # of both where nothing lies over the model (`uncovered`)
+    detail: float  # correlation there of the details that opacity does not explain (`compare_detail`)
+    detail_z: float  # the same in standard deviations of chance on so many pixels
+    step: float  # root mean square flow of the last motion, pixels of the level
+    shift: float  # root mean square flow of a motion with the principal point free, pixels of the level
+    pixels: int  # used
 
     @property
     def alike(self) -> bool:
         """Whether the picture shows what the render does, and not something else."""
-        alike = self.clear > LEAST_CORRELATION and self.detail > LEAST_DETAIL
-        return alike and self.telling > LEAST_TELLING
+        alike = self.uncovered_correlation > LEAST_CORRELATION and self.detail > LEAST_DETAIL
+        return alike and self.detail_z > LEAST_DETAIL_Z
 
     @property
     def hopeful(self) -> bool:
         """Whether a larger picture may show it: of what is thin or small, too little is left in this."""
-        return self.clear > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
+        return self.uncovered_correlation > HOPEFUL_CORRELATION and self.detail > HOPEFUL_DETAIL
 
     @property
     def gain(self) -> float:
@@ -141,17 +133,17 @@ def refine_level(
     settings: RasterSettings = RasterSettings(),
     *,
     free: int = CENTERED,
-    off: float = np.inf,
+    max_error: float = np.inf,
 ) -> Refined | None:
     """Refine a camera, right within a few pixels, on one level of resolution; None where too little of the model is in
     the picture.
 
     `picture` (H, W) is its brightness, 0..1, at the camera's size. It takes `iterations` renders at most and stops when
     the motion's root mean square flow is below `tolerance` pixels. `settings` are those of the renders; so many
-    parameters of the motion are `free`, by default all but the principal point. A camera known to be no more than `off`
-    pixels wrong is spared the wider blurs.
+    parameters of the motion are `free`, by default all but the principal point. A camera known to be off by at most
+    `max_error` pixels is spared the wider blurs.
     """
-    gain, offset, step, blur = 1.0, 0.0, off, 2.0 * min(off, WIDEST_BLUR)
+    gain, offset, step, blur = 1.0, 0.0, max_error, 2.0 * min(max_error, WIDEST_BLUR)
     memory = Acceleration()
     for iteration in range(iterations):
         image, alpha, depth = render_depth(model, camera, settings=settings)
@@ -208,9 +200,18 @@ def refine_level(
     freed = _solve(system, PARAMETERS)[0]
     shift = float(np.sqrt(max(float(freed @ flow @ freed), 0.0)))
     clear = uncovered(residual, used, spread)
-    alike = correlation(toned[used], seen[used]), correlation(toned[clear], seen[clear])
     detail = compare_detail(toned, seen, cover, clear, camera)
-    return Refined(camera, spread, *alike, *detail, step, shift, int(used.sum()))
+    return Refined(
+        camera=camera,
+        rms=spread,
+        correlation=correlation(toned[used], seen[used]),
+        uncovered_correlation=correlation(toned[clear], seen[clear]),
+        detail=detail.correlation,
+        detail_z=detail.z,
+        step=step,
+        shift=shift,
+        pixels=int(used.sum()),
+    )
 
 
 class Acceleration:
@@ -264,12 +265,12 @@ def _symmetric(upper: Float64) -> Float64:
 def _solve(system: Float64, free: int) -> tuple[Float64, Float64]:
     """Motion (9,), zero beyond so many parameters, and change of gain and offset (2,) from the summed upper triangle
     and right side."""
-    asked = np.r_[:free, PARAMETERS:_UNKNOWNS]
-    normal = _symmetric(system[:, :_UNKNOWNS])[np.ix_(asked, asked)]
+    unknowns = np.r_[:free, PARAMETERS:_UNKNOWNS]
+    normal = _symmetric(system[:, :_UNKNOWNS])[np.ix_(unknowns, unknowns)]
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
     # Distance and focal length are nearly one number in a view from afar: the damping keeps what the picture
     # cannot tell where it was.
-    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(len(asked))
+    damped = normal * scale[:, None] * scale + 1e-7 * np.eye(len(unknowns))
     solution = np.zeros(_UNKNOWNS)
-    solution[asked] = scale * np.linalg.solve(damped, scale * system[asked, _UNKNOWNS])
+    solution[unknowns] = scale * np.linalg.solve(damped, scale * system[unknowns, _UNKNOWNS])
     return solution[:PARAMETERS], solution[PARAMETERS:]

@@ -1,8 +1,8 @@
-"""From about the right view to the right one: cameras nearby are drawn, small, and the best of them is gone to, again
-and again in smaller steps (DESIGN 4.8).
+"""Hill climbing from about the right view to the right one: small renders of neighboring cameras are scored, and the
+best replaces the camera, in ever smaller steps (DESIGN 4.8).
 
-A search over views ends ten to thirty degrees off, from where neither keypoints nor a refinement by brightness find
-home. Outlines, edges and colours change with every step; of all starts most are given up on the way.
+A search over views ends ten to thirty degrees off, from where neither keypoints nor a refinement by brightness
+converges. Outlines, edges and colors change with every step; most starts are dropped on the way.
 
 Nothing here sees a key or a chip.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -18,24 +19,13 @@ import scipy
 from engine.kernels.jit import side_by_side
 from engine.model import Camera, GaussianModel
 from engine.pictures.camera.camera_motion import farther
+from engine.pictures.camera.config import CONFIG, ClimbRound
 from engine.pictures.camera.picture_edges import PictureEdges
 from engine.pictures.camera.view_points import ViewPoints, describe_view
 
-__all__ = ["KEPT", "Climbed", "climb"]
+__all__ = ["Climbed", "climb"]
 
-ROUNDS = (
-    (12.0, (0.4, 0.6, 1.6), 6),
-    (12.0, (0.7, 1.4), 4),
-    (6.0, (0.8, 1.25), 3),
-    (6.0, (0.8, 1.25), 3),
-    (3.0, (0.9, 1.1), 3),
-    (3.0, (0.9, 1.1), 3),
-)
-"""Of each: degrees of a step, how much farther away others go, and how many of the cameras go on after it."""
-KEPT = ROUNDS[-1][2]
-"""Cameras that arrive."""
-SAME = np.radians(5.0)
-"""Two cameras of one hand that differ by less are one."""
+_CONFIG = CONFIG.edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,26 +38,23 @@ class Climbed:
 
 
 def climb(model: GaussianModel, pictures: Sequence[PictureEdges], starts: Sequence[Climbed]) -> list[Climbed]:
-    """The cameras that those who start end up with, of whom few are left, by falling score.
+    """The best cameras reached from the starts, by falling score.
 
-    `model` is what is looked at, merged; `pictures` are those that the starts are of, such as one and its mirror
-    image.
+    `model` is merged for small renders; `pictures` are a picture and its mirror image, which the starts index.
     """
     climbing = list(starts)
-    for degrees, away, kept in ROUNDS:
-        gone = side_by_side(lambda start: _step(model, pictures, start, degrees, away), climbing)  # noqa: B023
-        climbing = _distinct([step for step in gone if step is not None], kept)
+    for round_ in _CONFIG.rounds:
+        moved = side_by_side(partial(_step, model, pictures, round_), climbing)
+        climbing = _distinct([step for step in moved if step is not None], round_.kept)
     return climbing
 
 
-def _step(
-    model: GaussianModel, pictures: Sequence[PictureEdges], start: Climbed, degrees: float, away: Sequence[float]
-) -> Climbed | None:
+def _step(model: GaussianModel, pictures: Sequence[PictureEdges], round_: ClimbRound, start: Climbed) -> Climbed | None:
     """The best camera near the start's, itself among them; None where nothing is seen from it."""
     here = describe_view(model, start.camera)
     if here is None:
         return None
-    near = [view for camera in _around(here, degrees, away) if (view := describe_view(model, camera)) is not None]
+    near = [view for camera in _around(here, round_) if (view := describe_view(model, camera)) is not None]
     views, picture = [here, *near], pictures[start.picture]
     poses = np.array([(0.0, view.spread, *(view.middle - 0.5)) for view in views])
     scores, poses = picture.scored(views, np.arange(len(views)), poses)
@@ -75,16 +62,16 @@ def _step(
     return Climbed(float(scores[best]), picture.camera(views[best], poses[best]), start.picture)
 
 
-def _around(view: ViewPoints, degrees: float, away: Sequence[float]) -> Iterator[Camera]:
+def _around(view: ViewPoints, round_: ClimbRound) -> Iterator[Camera]:
     """Cameras a step up, down, left and right of a view's, around what it shows; nearer and farther, other lenses."""
-    camera, angle = view.camera, np.radians(degrees)
+    camera, angle = view.camera, np.radians(round_.degrees)
     pivot = view.depth * np.linalg.solve(camera.K, np.array([*view.middle, 1.0]))
     for turn in ((angle, 0.0, 0.0), (-angle, 0.0, 0.0), (0.0, angle, 0.0), (0.0, -angle, 0.0)):
         motion = np.eye(4)
         motion[:3, :3] = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
         motion[:3, 3] = pivot - motion[:3, :3] @ pivot
         yield Camera(motion @ camera.viewmat, camera.K, camera.width, camera.height)
-    for factor in away:
+    for factor in round_.distances:
         yield farther(camera, view.depth, factor)
 
 
@@ -94,7 +81,8 @@ def _distinct(found: Sequence[Climbed], count: int) -> list[Climbed]:
     for each in sorted(found, key=lambda one: -one.score):
         if len(chosen) == count:
             break
-        if not any(other.picture == each.picture and _turned(other.camera, each.camera) < SAME for other in chosen):
+        rivals = (other.camera for other in chosen if other.picture == each.picture)
+        if all(_turned(rival, each.camera) >= _CONFIG.same_direction for rival in rivals):
             chosen.append(each)
     return chosen
 

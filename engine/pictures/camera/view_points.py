@@ -54,7 +54,7 @@ def describe_view(model: GaussianModel, camera: Camera) -> ViewPoints | None:
         return None
     middle = points.mean(axis=0)
     spread = float(np.sqrt(np.square(points - middle).sum(axis=1).mean()))
-    filled = np.arange(POINTS) % len(points)  # few points are asked twice
+    filled = np.arange(POINTS) % len(points)  # few points are repeated
     # Spread over what is solid by the golden ratio: a stride would run along a column.
     chosen = solid[(np.arange(COLORS) * 0.618033988749895 % 1.0 * len(solid)).astype(np.int64)]
     rows, columns = np.divmod(chosen, alpha.shape[1])

@@ -1,5 +1,5 @@
-"""Kernels of the search over views: which points a view is told by, and what a picture's edges say for every view,
-roll, size and place."""
+"""Kernels of the search over views: which points describe a view, and how well a picture's edges fit every view, roll,
+size and place."""
 
 # mypy: allow-untyped-defs
 
@@ -17,7 +17,7 @@ __all__ = ["BEYOND", "BINS", "PAD", "ROLLS", "SIDE", "look_again", "score_views"
 SIDE = 96
 """Longer side of the picture that is searched, and of the views, pixels."""
 BINS = 8
-"""Directions of edges told apart, in half a turn."""
+"""Bins of edge directions, in half a turn."""
 ROLLS = 24
 """Rolls tried in a whole turn."""
 BEYOND = SIDE // 4

@@ -3,8 +3,8 @@ sizes and places at once (DESIGN 4.8).
 
 A view is a few dozen points on its silhouette and on the edges inside, each with the direction of its edge, as in
 LINE-2D (Hinterstoisser et al. 2012, "Gradient Response Maps"), and colours within it. A place scores what the picture's
-edges say there, in standard deviations of what they say anywhere; the best are looked at again, colours and all. They
-become cameras, to be made better by those who ask.
+edges say there, in standard deviations of what they say anywhere; the best are scored again with colors, and become
+cameras.
 
 Nothing here sees a key or a chip.
 """
@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.model import Camera, Float32, Float64, Int64
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.picture_edges import PictureEdges, stacked
 from engine.pictures.camera.view_points import ViewPoints
 from engine.pictures.camera.view_scores import ROLLS, SIDE, score_views
@@ -23,14 +24,8 @@ __all__ = ["LARGE", "RADII", "search_views"]
 RADII = tuple(0.125 * SIDE * 1.25**k for k in range(11))
 """Sizes tried: how far, root mean square, the points lie from their middle, pixels."""
 LARGE = RADII[4:]
-"""Those of a part that fills a picture."""
-PROMISING = 0.15
-"""Share of views, rolls and sizes that are tried at every place with every point, after a first glance at every second
-of both: 99 % of the best twelve are among them (39 viewers' pictures; of views of parts 94 %)."""
-AGAIN = 1500
-"""Finds that are looked at again, in finer steps of roll, size and place."""
-_SAME_ROLL, _SAME_SIZE, _SAME_PLACE = np.radians(18.0), 0.25, 6.0
-"""Radians, share of the size, and pixels within which two finds of a view are one."""
+"""Sizes of a part that fills a picture."""
+_CONFIG = CONFIG.edges
 
 
 def search_views(
@@ -55,9 +50,9 @@ def search_views(
     maps, coarse = picture.maps
     jobs = np.indices((len(views), ROLLS, len(radii))).reshape(3, -1).T.copy()
     glance, _ = best_places(coarse, slice(None, None, 2), jobs)
-    jobs = jobs[np.argsort(-glance, kind="stable")[: max(AGAIN, int(PROMISING * len(jobs)))]]
+    jobs = jobs[np.argsort(-glance, kind="stable")[: max(_CONFIG.rescored, int(_CONFIG.promising * len(jobs)))]]
     scores, found = best_places(maps, slice(None), jobs)
-    ranked = np.argsort(-scores, kind="stable")[:AGAIN]
+    ranked = np.argsort(-scores, kind="stable")[: _CONFIG.rescored]
     finds, found = jobs[ranked], found[ranked]
     turns = finds[:, 1] * (2.0 * np.pi / ROLLS)
     starts = np.stack([turns, sizes[finds[:, 2]].astype(np.float64), *found.T], axis=1)
@@ -75,7 +70,8 @@ def _distinct(views: Int64, poses: Float64, scores: Float32, count: int) -> list
         others = [other for other in chosen if views[other] == views[find]]
         turned, size, x, y = (np.abs(poses[find] - poses[others])).T
         turned = np.minimum(turned, 2.0 * np.pi - turned)
-        alike = (turned < _SAME_ROLL) & (size < _SAME_SIZE * poses[find, 1]) & (np.maximum(x, y) < _SAME_PLACE)
+        alike = (turned < _CONFIG.same_roll) & (size < _CONFIG.same_size * poses[find, 1])
+        alike &= np.maximum(x, y) < _CONFIG.same_place
         if not alike.any():
             chosen.append(int(find))
     return chosen

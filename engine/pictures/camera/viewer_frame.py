@@ -1,4 +1,4 @@
-"""Where in a picture somebody's viewer ends: a page around it, black bars, a player's edge (DESIGN 4.8).
+"""Where in a picture the model's viewer ends: a page around it, black bars, a player's edge (DESIGN 4.8).
 
 A model that is larger than the viewer goes on, in a render, where the picture shows the page. Sides are cut off as
 long as what they should show of the model is mostly not there; what is left is a picture that was cropped.
@@ -12,39 +12,29 @@ import numpy as np
 
 from engine.model import Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render_depth
 
 __all__ = ["find_frame"]
 
-SIDE = 320
-"""Longer side of the picture that is looked at, pixels."""
-SOLID = 0.7
-"""Opacity of the render from which its pixels must be in the picture."""
-BLUR, WINDOW = 1.0, 3.0
-"""Of both before they are compared, and of the surroundings in which they are, pixels: the camera is not right yet."""
-TEXTURE, ALIKE = 0.005, 0.5
-"""Standard deviation of brightness from which surroundings can tell, and the correlation from which they are alike."""
-LEAST_GONE, LEAST_LEFT = 0.03, 0.2
-"""Share of the model's pixels that must lie beyond the frame, for there to be one, and within it."""
-ROUNDS = 2
-"""Of cutting off sides: what one leaves is seen better without the others."""
+_CONFIG = CONFIG.frame
 
 
-def find_frame(model: GaussianModel, grey: Float32, camera: Camera) -> tuple[slice, slice] | None:
+def find_frame(model: GaussianModel, gray: Float32, camera: Camera) -> tuple[slice, slice] | None:
     """Rows and columns of a picture's brightness (H, W) within which it shows what this camera sees; None where that is
     everywhere, or hardly anywhere."""
     import cv2
 
-    small = camera.with_side(SIDE)
+    small = camera.with_side(_CONFIG.side)
     image, alpha, _ = render_depth(model, small)
     # What lies behind the model is not in the render: only what is well within its outline is compared.
-    solid = cv2.erode((alpha > SOLID).astype(np.float32), np.ones((5, 5), np.uint8))
+    solid = cv2.erode((alpha > _CONFIG.solid).astype(np.float32), np.ones((5, 5), np.uint8))
     if not solid.any():
         return None
-    weight = _wrong(luma(image), resized(grey, small.width, small.height), solid) * solid
+    weight = _wrong(luma(image), resized(gray, small.width, small.height), solid) * solid
     top, bottom, left, right = 0, small.height, 0, small.width
-    for _ in range(ROUNDS):
+    for _ in range(_CONFIG.rounds):
         rows = weight[:, left:right].sum(axis=1)
         top, bottom = _cut(rows), small.height - _cut(rows[::-1])
         if bottom - top < 2:
@@ -54,31 +44,31 @@ def find_frame(model: GaussianModel, grey: Float32, camera: Camera) -> tuple[sli
         if right - left < 2:
             return None
     within = float(solid[top:bottom, left:right].sum() / solid.sum())
-    if not LEAST_LEFT < within < 1.0 - LEAST_GONE:
+    if not _CONFIG.least_inside < within < 1.0 - _CONFIG.least_outside:
         return None
     across = slice(*_enlarged(left, right, small.width, camera.width))
     return slice(*_enlarged(top, bottom, small.height, camera.height)), across
 
 
 def _enlarged(low: int, high: int, small: int, large: int) -> tuple[int, int]:
-    """A range of small pixels in large ones, one inside: which of these its edge runs through, nobody knows."""
+    """A range of small pixels in large ones, one inside: its edge runs through an unknown one."""
     scale = large / small
     return math.ceil((low + (low > 0)) * scale), math.floor((high - (high < small)) * scale)
 
 
 def _wrong(shown: Float32, seen: Float32, solid: Float32) -> Float32:
-    """(H, W) 1 where the picture's brightness is not that of the render, whatever its tone, -1 where it is, 0 where the
-    render shows nothing that could tell; only what is solid is asked."""
-    share = np.maximum(smooth(solid, WINDOW), np.float32(1e-3))
+    """(H, W) 1 where the picture's brightness does not correlate with the render's, -1 where it does, 0 where the
+    render has no texture; over solid pixels only."""
+    share = np.maximum(smooth(solid, _CONFIG.window), np.float32(1e-3))
 
     def mean(values: Float32) -> Float32:
-        return np.asarray(smooth(values * solid, WINDOW) / share, dtype=np.float32)
+        return np.asarray(smooth(values * solid, _CONFIG.window) / share, dtype=np.float32)
 
-    a, b = smooth(shown, BLUR), smooth(seen, BLUR)
+    a, b = smooth(shown, _CONFIG.blur), smooth(seen, _CONFIG.blur)
     a, b = a - mean(a), b - mean(b)
     vary, varied, both = mean(a * a), mean(b * b), mean(a * b)
-    alike = both > ALIKE * np.sqrt(np.maximum(vary * varied, np.float32(1e-12)))
-    return np.where(vary > TEXTURE**2, np.where(alike, -1.0, 1.0), 0.0).astype(np.float32)
+    alike = both > _CONFIG.alike * np.sqrt(np.maximum(vary * varied, np.float32(1e-12)))
+    return np.where(vary > _CONFIG.texture**2, np.where(alike, -1.0, 1.0), 0.0).astype(np.float32)
 
 
 def _cut(weights: np.ndarray) -> int:

@@ -1,4 +1,4 @@
-"""Where in a picture a camera shows a model, and whether it does so at a glance (DESIGN 4.8)."""
+"""Where in a picture a camera sees a model, and how well a reduced render correlates with it there (DESIGN 4.8)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ import numpy as np
 from engine.model import Bool, Camera, Float32, GaussianModel
 from engine.numerics.resampling import resized, smooth
 from engine.pictures.alignment.detail import correlation
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.landmarks.keypoints import luma
 from engine.raster import render_depth
 
-__all__ = ["CLOSER_SIZE", "Window"]
+__all__ = ["Window"]
 
-CLOSER_SIZE = 640
-"""Longer side of a part of a picture, and of the render from a view that looks alike, whose keypoints are matched,
-pixels."""
 GLANCE, VISIBLE = 160, 0.3
 """Longer side of the render that tells where in the picture the model is, pixels, and the opacity that counts."""
 SURROUNDINGS = 0.15
@@ -37,7 +35,7 @@ class Window:
     resemblance: float  # of picture and render there, -1 to 1
 
     @classmethod
-    def around(cls, model: GaussianModel, camera: Camera, grey: Float32) -> Window | None:
+    def around(cls, model: GaussianModel, camera: Camera, gray: Float32) -> Window | None:
         """Where a camera sees the model, in a picture of this brightness (H, W); None where it does not."""
         import cv2
 
@@ -54,8 +52,8 @@ class Window:
         shown = near[low[0] : high[0], low[1] : high[1]]
         scale = np.array([camera.height / small.height, camera.width / small.width])
         (top, left), (bottom, right) = np.floor(low * scale).astype(int), np.ceil(high * scale).astype(int)
-        factor = max(1.0, CLOSER_SIZE / max(bottom - top, right - left))
-        alike = _resemblance(resized(grey, small.width, small.height), luma(image), alpha)
+        factor = max(1.0, CONFIG.keypoints.closer_side / max(bottom - top, right - left))
+        alike = _resemblance(resized(gray, small.width, small.height), luma(image), alpha)
         return cls(slice(int(top), int(bottom)), slice(int(left), int(right)), camera, float(factor), shown, alike)
 
     def of(self, camera: Camera) -> Camera:

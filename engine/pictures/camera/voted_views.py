@@ -1,7 +1,8 @@
 """Views of a model that a picture's keypoints vote for, where too few stand out to make a camera (DESIGN 4.8).
 
-Each keypoint speaks for the landmarks that look most like it, by how much more they do than the next; votes for one
-view count as far as they lie as they lay there. A dozen right ones among a thousand are enough.
+Each keypoint votes for the landmarks most like it, with a weight: how much nearer their descriptors are than the
+next nearest. Votes for a view count if one similarity maps their keypoints to where the view saw the landmarks. A dozen
+right ones among a thousand are enough.
 """
 
 from __future__ import annotations
@@ -10,19 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from engine.model import Camera, Float32, Float64, Int64
+from engine.model import Camera, Float64, Int64
 from engine.pictures.camera.camera_motion import project, swung
+from engine.pictures.camera.config import CONFIG
 from engine.pictures.camera.view_agreement import TOLERANCE, agreement_of_views
 from engine.pictures.landmarks.keypoints import Keypoints
 from engine.pictures.landmarks.landmark_set import Landmarks
 
 __all__ = ["VotedView", "vote_for_views"]
 
-NEAREST = 8
-"""Landmarks that a keypoint speaks for; the next one is the yardstick."""
-AROUND = 1.5
-"""Votes count as agreeing so many times as far as those that were counted: what they agree on is a rough map."""
+_CONFIG = CONFIG.votes
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +41,10 @@ def vote_for_views(
     """The views that a picture of this size (width, height) is voted to show, the loudest first. `cameras` are those
     that the landmarks were seen from.
     """
-    if len(landmarks) <= NEAREST or not len(keypoints):
+    if len(landmarks) <= _CONFIG.nearest or not len(keypoints):
         return []
-    nearest, gain = _neighbours(keypoints.descriptors.astype(np.float32), landmarks.descriptors.astype(np.float32))
-    spots = np.repeat(keypoints.points, NEAREST, axis=0)
+    nearest, gain = _neighbors(keypoints.descriptors, landmarks.descriptors)
+    spots = np.repeat(keypoints.points, _CONFIG.nearest, axis=0)
     views = landmarks.views[nearest].astype(np.int64)
     places = np.empty((len(nearest), 2))
     for view, camera in enumerate(cameras):
@@ -55,23 +55,22 @@ def vote_for_views(
     for n in np.argsort(-loudness, kind="stable")[: int((loudness > 0).sum())]:
         a, b, c, d = maps[n]
         off = (spots @ (1, 1j)) * complex(a, b) + complex(c, d) - places @ (1, 1j)
-        reach = AROUND * TOLERANCE * min(1.0, np.hypot(a, b)) ** 0.5
+        reach = _CONFIG.reach * TOLERANCE * min(1.0, np.hypot(a, b)) ** 0.5
         agreeing = np.flatnonzero((views == names[n]) & (np.abs(off) < reach))
         camera = _camera(cameras[names[n]], maps[n], size)
-        found.append(VotedView(float(loudness[n]), camera, agreeing // NEAREST, nearest[agreeing]))
+        found.append(VotedView(float(loudness[n]), camera, agreeing // _CONFIG.nearest, nearest[agreeing]))
     return found
 
 
-def _neighbours(queries: Float32, targets: Float32) -> tuple[Int64, Float64]:
-    """The NEAREST of each query, one behind the other, and how much nearer each is than the next one, 0 to 1."""
-    import faiss
+def _neighbors(queries: npt.NDArray[np.uint8], targets: npt.NDArray[np.uint8]) -> tuple[Int64, Float64]:
+    """The nearest targets of each query, in one row, and how much nearer each is than the next one, 0 to 1."""
+    import cv2
 
-    index = faiss.IndexFlatL2(targets.shape[1])
-    index.add(targets)
-    distance, near = index.search(queries, NEAREST + 1)
+    # Squares of whole numbers: exact, whatever the machine.
+    distance, near = cv2.batchDistance(queries, targets, cv2.CV_32S, normType=cv2.NORM_L2SQR, K=_CONFIG.nearest + 1)
     away = np.sqrt(distance, dtype=np.float64)
-    gains = 1.0 - away[:, :NEAREST] / np.maximum(away[:, NEAREST:], 1e-12)
-    return near[:, :NEAREST].reshape(-1), gains.reshape(-1)
+    gains = 1.0 - away[:, : _CONFIG.nearest] / np.maximum(away[:, _CONFIG.nearest :], 1e-12)
+    return near[:, : _CONFIG.nearest].reshape(-1).astype(np.int64), gains.reshape(-1)
 
 
 def _camera(view: Camera, carried: Float64, size: tuple[int, int]) -> Camera:

@@ -1,6 +1,6 @@
-"""Where a JPEG coder's blocks lie in a picture, and at what quality it was saved: told from the pixels alone.
+"""Where a JPEG coder's blocks lie in a picture, and at what quality it was saved, from the pixels alone.
 
-A coder works on blocks of 8x8 pixels that begin at a corner of what it was given. Whoever cuts the decoded picture
+A coder works on blocks of 8x8 pixels that begin at a corner of what it was given. A cut through the decoded picture
 moves that corner: the blocks then begin at any of 64 places. On the right one, and on no other, coefficients sit on the
 multiples of a table.
 """

@@ -24,7 +24,8 @@ def inverse_transform(coefficients: Float64) -> Float64:
 
 
 def _turned(blocks: npt.NDArray[np.floating], waves: Float64) -> Float64:
-    """waves @ block @ waves.T of each, as two products of everything: SciPy's takes a fifth of a second to import."""
+    """waves @ block @ waves.T of each, as two products over all blocks. Importing `scipy.fft` instead takes 0.16 of the
+    1.8 CPU seconds in which a picture is verified."""
     rows = np.asarray(blocks, dtype=np.float64).reshape(-1, 8) @ waves.T
     columns = rows.reshape(-1, 8, 8).swapaxes(1, 2).reshape(-1, 8) @ waves.T
     return np.ascontiguousarray(columns.reshape(-1, 8, 8).swapaxes(1, 2)).reshape(blocks.shape)

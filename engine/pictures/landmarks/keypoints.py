@@ -53,25 +53,25 @@ def luma(image: Float32) -> Float32:
     return np.clip(image, 0.0, 1.0) @ LUMA
 
 
-def noise_level(grey: Float32) -> float:
+def noise_level(gray: Float32) -> float:
     """Standard deviation of white noise, from the median of the finest diagonal band (Donoho 1994)."""
-    if min(grey.shape) < 2:
+    if min(gray.shape) < 2:
         return 0.0
-    return float(np.median(np.abs(dwt2(grey, 1)[1][0][2])) / 0.6745)
+    return float(np.median(np.abs(dwt2(gray, 1)[1][0][2])) / 0.6745)
 
 
-def detect_keypoints(grey: Float32, count: int, mask: npt.NDArray[Any] | None = None) -> Keypoints:
+def detect_keypoints(gray: Float32, count: int, mask: npt.NDArray[Any] | None = None) -> Keypoints:
     """At most `count` SIFT keypoints of a grey image (H, W), strongest first, where `mask` allows them.
 
     It is stretched to its own range first, so that brightness does not decide what is found.
     """
     import cv2
 
-    noise = noise_level(grey)
+    noise = noise_level(gray)
     if noise > 0.02:
-        grey = smooth(grey, min(_LARGEST_BLUR, _NOISE_TO_BLUR * noise))
-    low, high = float(grey.min()), float(np.quantile(grey[::4, ::4], 0.995)) if grey.size else 0.0
-    stretched = np.clip((grey - low) / max(high - low, 1e-3), 0.0, 1.0)
+        gray = smooth(gray, min(_LARGEST_BLUR, _NOISE_TO_BLUR * noise))
+    low, high = float(gray.min()), float(np.quantile(gray[::4, ::4], 0.995)) if gray.size else 0.0
+    stretched = np.clip((gray - low) / max(high - low, 1e-3), 0.0, 1.0)
     # Without precise upscaling every point lies a quarter of a pixel too far right and down.
     sift = cv2.SIFT_create(  # type: ignore[attr-defined]  # missing in OpenCV's stubs
         nfeatures=count, contrastThreshold=0.02, enable_precise_upscale=True

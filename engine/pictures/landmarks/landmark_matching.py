@@ -10,7 +10,7 @@ camera is roughly known, by where the landmarks project.
 
 import numpy as np
 
-from engine.kernels.jit import parallel_kernel, share_of
+from engine.kernels.jit import inlined, parallel_kernel, share_of
 from engine.model import Camera, Float32, Float64, Int64
 from engine.numerics.tables import first_at_least
 from engine.pictures.camera.camera_motion import project
@@ -26,20 +26,27 @@ MOST_UNLIKE = 0.55 * 512.0
 """Largest distance of descriptors (of length 512) of a landmark and what lies where it projects."""
 
 
+@inlined
+def _two_nearest(products, squares, k, begin, end):
+    """Nearest landmark of [begin, end) to keypoint k, its distance, and the second least distance."""
+    place, low, high = begin, np.float32(np.inf), np.float32(np.inf)
+    for n in range(begin, end):
+        d = squares[n] - np.float32(2.0) * products[k, n]
+        if d < high:
+            if d < low:
+                place, low, high = n, d, low
+            else:
+                high = d
+    return place, low, high
+
+
 @parallel_kernel
 def _rank(products, squares, points, starts, radius, best, first, rival, in_view, call):
     """For each row: best landmark, its distance, the best distance elsewhere; and by view the best two."""
     for k in share_of(products.shape[0], call):
         nearest, distance = 0, np.float32(np.inf)
         for v in range(len(starts) - 1):
-            place, low, high = starts[v], np.float32(np.inf), np.float32(np.inf)
-            for n in range(starts[v], starts[v + 1]):
-                d = squares[n] - np.float32(2.0) * products[k, n]
-                if d < high:
-                    if d < low:
-                        place, low, high = n, d, low
-                    else:
-                        high = d
+            place, low, high = _two_nearest(products, squares, k, starts[v], starts[v + 1])
             in_view[k, v, 0], in_view[k, v, 1], in_view[k, v, 2] = place, low, high
             if low < distance:
                 nearest, distance = place, low

@@ -60,11 +60,11 @@ def _detect(
 ) -> tuple[Float32, npt.NDArray[np.uint8]]:
     """Points (P, 3) and descriptors (P, 128) of one render."""
     top, bottom, left, right = _bounds(alpha > LEAST_ALPHA)
-    grey = luma(image[top:bottom, left:right])
-    if min(grey.shape) < 16:
+    gray = luma(image[top:bottom, left:right])
+    if min(gray.shape) < 16:
         return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
     surface = _surface(alpha, depth)  # keypoints elsewhere are not described
-    keypoints = detect_keypoints(grey, DETECTED, surface[top:bottom, left:right])
+    keypoints = detect_keypoints(gray, DETECTED, surface[top:bottom, left:right])
     pixels = keypoints.points + np.array([left, top])
     column = np.clip(pixels[:, 0].astype(np.int64), 0, camera.width - 1)
     row = np.clip(pixels[:, 1].astype(np.int64), 0, camera.height - 1)

@@ -1,1 +1,1 @@
-"""What `mark3dgs bench` measures: a table of benches (`benches`) and the functions of their cells."""
+"""Functions of the suites that print rows (`measurements`)."""

@@ -44,7 +44,6 @@ def measure_fine_tuning(
     profile: str,
     epochs: int,
     *,
-    colors_only: bool = False,
     size: int = 400,
     changes: dict[str, Any] | None = None,
 ) -> list[Row]:
@@ -56,13 +55,12 @@ def measure_fine_tuning(
     marked, chosen = mark_scene(scene, configure(profile, changes or {}), seed=seed), SETTINGS[setting]
     cameras, images = pictures_of(chosen, marked.original, marked.marked, marked.opened.cameras, size=size, seed=seed)
     clean = [render(marked.original, camera) for camera in cameras]
-    trained: Any = "colors" if colors_only else "all"
     rows = []
-    stages = fine_tune_stages(marked.marked, cameras, images, stops_until(epochs), trained=trained, seed=seed)
+    stages = fine_tune_stages(marked.marked, cameras, images, stops_until(epochs), trained="all", seed=seed)
     for epoch, tuned in stages:
         result = verify_model(tuned, marked.opened, VerifyConfig(route="model"))
         worst = min(psnr(image, render(tuned, camera)) for image, camera in zip(clean, cameras, strict=True))
-        about = {"scene": marked.name, "setting": setting, "trained": trained, "epochs": epoch, "psnr_to_clean": worst}
+        about = {"scene": marked.name, "setting": setting, "trained": "all", "epochs": epoch, "psnr_to_clean": worst}
         rows.append({**about, **claim_row("fine-tuning", result)})
     return rows
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
+from engine.extras import load_extra
 from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
 from engine.lab.evaluate.bench.attacks import to_8_bit
@@ -89,10 +90,7 @@ def flip_map(a: Float32, b: Float32) -> Float32:
     0 where nothing is seen to differ, at most 1. The pictures, (H, W, 3) sRGB, are clipped to 0..1. An InputError where
     the package flip-evaluator is not installed.
     """
-    try:
-        import flip_evaluator
-    except ModuleNotFoundError:
-        raise InputError("FLIP needs the package flip-evaluator: pip install 'mark3dgs[evaluate]'") from None
+    flip_evaluator = load_extra("flip_evaluator", "lab", "FLIP")
     pair = [np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32) for image in (a, b)]
     errors: Float32 = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False, computeMeanError=False)[0][..., 0]
     return errors

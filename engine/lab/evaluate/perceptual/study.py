@@ -179,4 +179,5 @@ STUDY = Study(
     "Is the mark seen, and how does it compare with what a JPEG does?",
     cells,
     report,
+    frozenset({"quick", "lpips_weights"}),
 )

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from engine.errors import InputError
+from engine.extras import load_extra
 from engine.flows.embed.embedding import embed
 from engine.flows.embed.profiles import profile
 from engine.flows.views.camera_rig import make_rig
@@ -123,13 +124,12 @@ def _in_order(stored: GaussianModel, model: GaussianModel) -> GaussianModel:
 
 
 def _classifiers(seed: int) -> dict[str, Any]:
-    try:
-        from sklearn.ensemble import RandomForestClassifier
-        from sklearn.linear_model import LogisticRegression
-        from sklearn.pipeline import make_pipeline
-        from sklearn.preprocessing import StandardScaler
-    except ModuleNotFoundError:
-        raise InputError("the learned detector needs scikit-learn: pip install 'mark3dgs[evaluate]'") from None
+    load_extra("sklearn", "lab", "the learned detector")
+    from sklearn.ensemble import RandomForestClassifier
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
     return {
         "logistic regression": make_pipeline(
             StandardScaler(), LogisticRegression(C=0.1, max_iter=2_000, class_weight="balanced")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from engine.errors import InputError
+from engine.extras import load_extra
 from engine.flows.progress import Clock, Progress
-from engine.lab.points.packages import load_package
 from engine.lab.points.trajectory import Trajectory
 from engine.lab.sim.capture.scans import Scan
 from engine.model import Bool, Float64
@@ -68,7 +68,7 @@ def reconstruct(
     names = sorted(p.name for p in root.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
     if len(names) < _FEWEST:
         raise InputError(f"{root}: holds {len(names)} photos ({', '.join(PICTURES)}), at least {_FEWEST} needed")
-    pycolmap = load_package("pycolmap", "pycolmap", "structure from motion")
+    pycolmap = load_extra("pycolmap", "capture", "structure from motion")
     clock = Clock(progress)
     database, sparse = work / "database.db", work / "sparse"
     try:
@@ -121,12 +121,12 @@ def odometry(
 
     if len(scans) < 2:
         raise InputError(f"odometry needs at least two scans, got {len(scans)}")
-    kiss = load_package("kiss_icp.kiss_icp", "kiss-icp", "LiDAR odometry")
+    kiss = load_extra("kiss_icp.kiss_icp", "capture", "LiDAR odometry")
     reach = farthest or float(np.linalg.norm(scans[0].cloud.points, axis=1).max(initial=0.0))
     if not (np.isfinite(reach) and reach > 0.0):
         raise InputError(f"farthest is {reach}, expected a positive range")
     scale = USUAL_RANGE / reach
-    config = load_package("kiss_icp.config", "kiss-icp", "LiDAR odometry").KISSConfig()
+    config = load_extra("kiss_icp.config", "capture", "LiDAR odometry").KISSConfig()
     config.data.max_range, config.data.min_range = USUAL_RANGE, 0.0
     config.data.deskew = all(scan.cloud.times is not None for scan in scans)
     config.mapping.voxel_size = 0.01 * USUAL_RANGE

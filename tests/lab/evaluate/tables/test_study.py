@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from engine.errors import InputError
 from engine.formats import encode_model, read_model
 from engine.lab.evaluate.cell_runner import run_cells
 from engine.lab.evaluate.report import write_report
-from engine.lab.evaluate.studies import STUDIES, find_study
 from engine.lab.evaluate.study import Options
 from engine.lab.evaluate.tables.study import PARTS, STUDY
 
@@ -55,16 +55,14 @@ def test_quick_run_fills_every_table(tmp_path: Path) -> None:
 def test_single_suites_are_parts_of_the_whole(quick: bool) -> None:
     options = Options(("a/plant.splat", "b/plant.splat"), quick=quick)
     whole = {cell.name: cell.digest for cell in STUDY.cells(options)}
-    parts = [find_study(part.name) for part in PARTS]
-    every = [cell for study in parts for cell in study.cells(options)]
+    every = [cell for part in PARTS for cell in STUDY.cells(replace(options, settings=(part.name,)))]
     assert {cell.name: cell.digest for cell in every} == whole
     assert all(whole[cell.name] == cell.digest for cell in every), "cells of one name do one thing"
 
 
-def test_every_suite_is_listed_and_found() -> None:
-    assert {part.name for part in PARTS} <= set(STUDIES)
-    with pytest.raises(InputError, match="there is no suite 'table7'"):
-        find_study("table7")
+def test_an_unknown_part_is_refused() -> None:
+    with pytest.raises(InputError, match="no setting 'table7'"):
+        STUDY.cells(Options((PLANT,), settings=("table7",)))
 
 
 def test_report_without_rows_measures_nothing_and_breaks_nothing() -> None:

@@ -12,7 +12,7 @@ from engine.numerics.image_metrics import psnr
 from engine.numerics.similarity import quaternion_to_rotation, transform_model
 from engine.numerics.spherical_harmonics import sh_basis
 from engine.raster import render
-from tests.reference.deformation import deformed_color, deformed_covariance, nearest_rotation
+from tests.reference.deformation import deformed_colour, deformed_covariance, nearest_rotation
 from tests.reference.similarity import covariance
 from tests.threads import with_one_and_two_threads
 
@@ -50,7 +50,7 @@ def test_colors_match_the_twin(ball: GaussianModel) -> None:
     direction = np.array([0.36, -0.48, 0.8])
     seen = 0.5 + np.einsum("k,nkc->nc", sh_basis(direction, 3), moved.sh.astype(np.float64))
     for i in range(0, len(ball), 29):
-        np.testing.assert_allclose(seen[i], deformed_color(ball, i, F[element[i]], direction), atol=1e-5)
+        np.testing.assert_allclose(seen[i], deformed_colour(ball, i, F[element[i]], direction), atol=1e-5)
 
 
 def test_more_gradients_than_a_batch_are_each_their_own_gaussians(ball: GaussianModel) -> None:

@@ -50,7 +50,7 @@ def test_odometry_gives_the_path_in_scene_units(monkeypatch: pytest.MonkeyPatch)
     path = walk(5)
     kiss = Kiss(path)
     assert path.times is not None
-    monkeypatch.setattr(pose_estimation, "load_package", lambda module, package, purpose: kiss)
+    monkeypatch.setattr(pose_estimation, "load_extra", lambda module, extra, purpose: kiss)
     scans = [Scan(PointCloud(RANGES), f"{k}", float(time)) for k, time in enumerate(path.times)]
     found = pose_estimation.odometry(scans)
     home = np.linalg.inv(path.matrices[0])
@@ -61,11 +61,6 @@ def test_odometry_gives_the_path_in_scene_units(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(back.matrices, path.matrices, atol=1e-9)
     with pytest.raises(InputError, match="at least two"):
         pose_estimation.odometry(scans[:1])
-
-
-def test_a_missing_extra_is_named() -> None:
-    with pytest.raises(InputError, match=r"LiDAR odometry needs nothing-of-the-kind.*mark3dgs\[capture\]"):
-        pose_estimation.load_package("nothing_of_the_kind", "nothing-of-the-kind", "LiDAR odometry")
 
 
 def test_photos_without_poses_are_placed_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,8 @@
-"""Vectors of many assets, and whose lie nearest to those of a suspect.
+"""Vectors of many assets, and the assets whose vectors lie nearest to those of a suspect.
 
-Each vector of the suspect speaks for the assets among its nearest neighbours, by how much nearer they lie than the
-first one that is left out: local naive Bayes nearest neighbours (McCann and Lowe 2012). What lies everywhere speaks for
-nobody. The neighbours are FAISS's: all vectors compared while they are few, then those of the lists nearest.
+Each vector of the suspect votes for the assets among its nearest neighbors, by how much nearer they lie than the
+first one that is left out: local naive Bayes nearest neighbours (McCann and Lowe 2012). A common
+vector votes for none. The neighbors are FAISS's: all vectors are compared while they are few, then the nearest lists.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from engine.model import Float32, Float64, Int64
 
-__all__ = ["Growing", "Neighbours", "Votes"]
+__all__ = ["Growing", "Neighbors", "Votes"]
 
 NEAREST = 8
-"""Neighbours that are heard; the next one is the yardstick."""
+"""Neighbors that are counted; the next one is the yardstick."""
 FEW = 40_000
 """Vectors that are compared one by one."""
 PER_LIST = 39
@@ -58,7 +58,7 @@ class Growing:
         return self._parts[0]
 
 
-class Neighbours:
+class Neighbors:
     """Vectors (N, d) and the assets they belong to."""
 
     def __init__(self, index: Any, owner: npt.NDArray[np.int32]) -> None:
@@ -71,7 +71,7 @@ class Neighbours:
         return self._owner.whole
 
     @classmethod
-    def learnt(cls, sample: Float32, expected: int, codec: str) -> Neighbours:
+    def learnt(cls, sample: Float32, expected: int, codec: str) -> Neighbors:
         """An empty one for about `expected` vectors like those of the sample (S, d); `codec` is how FAISS keeps each
         where they are many."""
         dimensions = sample.shape[1]
@@ -100,10 +100,10 @@ class Neighbours:
             return Votes(none, none, np.zeros(0))
         squares, rows = self._index.search(np.ascontiguousarray(queries, dtype=np.float32), NEAREST + 1)
         distance = np.sqrt(np.maximum(squares, 0.0, dtype=np.float64))
-        heard = (rows >= 0).sum(axis=1)
-        yardstick = distance[np.arange(len(rows)), np.maximum(heard - 1, 0)]
+        counted = (rows >= 0).sum(axis=1)
+        yardstick = distance[np.arange(len(rows)), np.maximum(counted - 1, 0)]
         gain = 1.0 - distance[:, :NEAREST] / np.maximum(yardstick, 1e-12)[:, None]
-        gain = np.where(heard[:, None] == NEAREST + 1, gain, (distance[:, :NEAREST] == 0).astype(np.float64))
+        gain = np.where(counted[:, None] == NEAREST + 1, gain, (distance[:, :NEAREST] == 0).astype(np.float64))
         query, column = np.nonzero((rows[:, :NEAREST] >= 0) & (gain > 0))
         return Votes(query, rows[query, column].astype(np.int64), gain[query, column])
 
@@ -121,7 +121,7 @@ class Neighbours:
         np.save(path.with_suffix(".owner.npy"), self.owner)
 
     @classmethod
-    def load(cls, path: Path, *, growing: bool) -> Neighbours:
+    def load(cls, path: Path, *, growing: bool) -> Neighbors:
         """What `save` wrote; the vectors stay on disk until they are looked at, unless more are to come."""
         index: Any = faiss.read_index(str(path.with_suffix(".faiss")), 0 if growing else faiss.IO_FLAG_MMAP_IFC)
         if hasattr(index, "nprobe"):

@@ -18,11 +18,12 @@ def test_medians_and_extremes() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("what", ["embed", "verify"])
 def test_bench(what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    thin, out = tmp_path / "thin.splat", tmp_path / "report.json"
+    thin, out = tmp_path / "thin.splat", tmp_path / "out"
     assert ask(capsys, "attack", "prune_random", SCENE, thin, "--strength", "0.5")[0] == 0
-    code, report = ask(capsys, "bench", what, "--scene", thin, "--repeats", "1", "--out", out)
+    code, report = ask(capsys, "evaluate", "--suite", what, "--scene", thin, "--repeats", "1", "--out", out)
     assert code == 0
-    assert json.loads(out.read_text()) == report
+    stored = json.loads((out / "results.json").read_text())["rows"]
+    assert [{name: row[name] for name in row if name != "cell"} for row in stored] == report["rows"]
     assert report["machine"]["cores"] >= 1
     suspects = ["model", "picture", "screenshot"] if what == "verify" else [None]
     assert [row.get("suspect") for row in report["rows"]] == suspects

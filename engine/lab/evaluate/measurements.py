@@ -1,0 +1,132 @@
+"""Suites that print rows: a function of `bench` measured on every scene, without bars or figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from engine.lab.evaluate.study import Cell, Options, Report, Row, Section, Study, Table
+
+TRIALS = {"trials": 50, "keys": 100_000, "innocents": 10_000, "assets": 1_000, "questions": 300, "pictures": 200}
+"""What `--trials` counts in each suite, and its default."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One such suite: rows of a ``"module:function"`` of the package `bench`."""
+
+    summary: str
+    work: str
+    told: tuple[str, ...] = ("profile",)
+    """Options that the function takes and the report repeats; those in TRIALS take their number from `--trials`."""
+    untold: tuple[str, ...] = ()
+    """Options that the function takes and the report leaves to the rows."""
+    scenes: Literal["each", "together", "beside the next", "beside another"] = "each"
+    """A cell for each scene, or one for all; with `other`, the scene after it (None where it is alone), or with the
+    spare one in place of None."""
+
+    def study(self, name: str) -> Study:
+        """The suite as a study whose report is the table of its rows."""
+        options = {"trials" if option in TRIALS else option for option in (*self.told, *self.untold)}
+        return Study(
+            name,
+            self.summary[0].upper() + self.summary[1:],
+            f"{self.summary[0].upper()}{self.summary[1:]}?",
+            lambda given: self.cells(name, given),
+            lambda rows, given: Report((), [_section(rows)], summary=self.conditions(given)),
+            frozenset(options),
+        )
+
+    def conditions(self, options: Options) -> dict[str, Any]:
+        """Options that the report repeats, with their values."""
+        return {option: _value(option, options) for option in self.told}
+
+    def cells(self, name: str, options: Options) -> list[Cell]:
+        """One cell a scene, or one for all."""
+        shared = {option: _value(option, options) for option in (*self.told, *self.untold)} | {"seed": options.seed}
+        work, scenes = f"engine.lab.evaluate.bench.{self.work}", list(options.scenes)
+        if self.scenes == "together":
+            return [Cell(name, work, {"scenes": scenes, **shared})]
+        cells = []
+        for number, (scene, after) in enumerate(zip(scenes, [*scenes[1:], scenes[0]], strict=True)):
+            arguments = {"scene": scene, **shared}
+            if self.scenes in ("beside the next", "beside another"):
+                alone = options.spare if self.scenes == "beside another" else None
+                arguments["other"] = after if after != scene else alone
+            stem = "".join(letter if letter.isalnum() else "_" for letter in Path(scene).stem)
+            cells.append(Cell(f"{name}-{number}-{stem}", work, arguments))
+        return cells
+
+
+def _value(option: str, options: Options) -> Any:
+    if option in TRIALS:
+        return options.trials or TRIALS[option]
+    value = getattr(options, option)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _section(rows: Sequence[Row]) -> Section:
+    """All rows in a table; columns in the order in which they first appear."""
+    columns = list(dict.fromkeys(name for row in rows for name, value in row.items() if not isinstance(value, dict)))
+    return Section("Measured", tables=[Table(columns, [[row.get(name, "") for name in columns] for row in rows])])
+
+
+MEASUREMENTS = {
+    "raster": Measurement(
+        "milliseconds forward and backward, against a plain loop", "raster:measure_raster", ("repeats",), ("size",)
+    ),
+    "embed": Measurement("seconds by stage and peak memory", "timing:measure_embed", ("profile", "repeats")),
+    "verify": Measurement(
+        "seconds for a model, a picture, a screenshot of unknown camera",
+        "timing:measure_verify",
+        ("profile", "repeats"),
+    ),
+    "fidelity": Measurement(
+        "dB, SSIM and bits for every message length, compact output and pruning budgets", "marking:measure_fidelity"
+    ),
+    "attacks": Measurement("bits, z and claim after every attack of the bars", "attacks:measure_attacks"),
+    "screenshots": Measurement(
+        "claims from pictures of unknown camera, and from another scene's",
+        "attacks:measure_screenshots",
+        ("profile", "trials"),
+        scenes="beside the next",
+    ),
+    "foreign": Measurement(
+        "pictures of the unmarked asset, of another scene, of lumps and photographs: claims and recognitions",
+        "foreign:measure_foreign",
+        ("profile", "pictures"),
+        scenes="beside the next",
+    ),
+    "truth": Measurement(
+        "false claims among wrong keys, against the proven bound",
+        "truth:measure_truth",
+        ("profile", "keys"),
+        scenes="together",
+    ),
+    "suite": Measurement(
+        "every attack of the simulator, with what it costs the attacker; failures first",
+        "attacks:measure_suite",
+        scenes="beside another",
+    ),
+    "collusion": Measurement(
+        "buyers who put their copies together: who is named, and whether an innocent is",
+        "truth:measure_collusion",
+        ("innocents",),
+    ),
+    "screening": Measurement(
+        "which of many assets is it? ranks, seconds, bytes",
+        "screening:measure_screening",
+        ("assets",),
+        scenes="together",
+    ),
+    "removal": Measurement("what it costs to take the mark out without a key, in decibels", "removal:measure_removal"),
+    "oracle": Measurement(
+        "what it saves who takes it out to be told whether the mark is still there, so many times",
+        "oracle:measure_oracle",
+        ("profile", "questions"),
+    ),
+    "retrain": Measurement(
+        "claims from fresh models trained on renders of the marked one", "training:measure_retraining"
+    ),
+    "life": Measurement("speed of physics and of training", "timing:measure_life", (), ("repeats",)),
+}

@@ -1,0 +1,154 @@
+"""Tuned constants of the search for a picture's camera, a frozen config for each stage (DESIGN 4.8).
+
+"Supporting" keypoints are inliers of a candidate. Lengths without a unit are in longer sides of the picture.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+__all__ = ["CONFIG", "CameraSearchConfig", "ClimbRound", "Level"]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of the refinement."""
+
+    side: int  # longer side of the reduced picture, pixels
+    iterations: int  # renders at most
+    tolerance: float  # the refinement ends at a step below this, pixels of the level
+
+
+@dataclass(frozen=True)
+class ClimbRound:
+    """One round of the climb (`view_climb`)."""
+
+    degrees: float  # of a step around what the camera sees
+    distances: tuple[float, ...]  # of other cameras, in the camera's own distance
+    kept: int  # cameras that go on
+
+
+@dataclass(frozen=True)
+class KeypointConfig:
+    """Keypoints, their matches and the cameras these support (`keypoint_cameras`, `visible_window`)."""
+
+    count: int = 2000  # SIFT keypoints of a picture
+    detection_side: int = 1000  # longer side of the picture they are detected in, pixels
+    # Lowe's ratio of distances over the bank (few matches, mostly right), and within one view (many, mostly wrong)
+    ratios: tuple[float, float] = (0.8, 0.85)
+    views: int = 8  # of the bank, in which the second kind is sought: the views with most matches
+    same_place: float = 0.05  # landmarks nearer to each other are one place, radii of the bank
+    tolerance: float = 0.005  # reprojection error of an inlier
+    enough: int = 60  # inliers of a camera that is tried before any other is sought
+    least_start: int = 6  # matches that must agree before the camera is roughly known
+    least_inliers: int = 12  # keypoints that must agree once it is
+    guided: tuple[float, ...] = (1.0, 1.0, 0.5)  # rounds of guided matching from matches, inlier tolerances
+    guided_far: tuple[float, ...] = (4.0, 2.0, 1.0, 0.5)  # and from a view that only looks alike
+    closer_side: int = 640  # longer side of a part of a picture, and of the render it is matched to, pixels
+    # Correlation of picture and render, before they are matched: of 52 renders that found enough keypoints two had
+    # less, of 425 others half
+    least_resemblance: float = 0.15
+    least_off_center: int = 24  # matches needed to free the principal point
+    # Gain in inliers by error for which it is freed: uncropped pictures 0.99 to 1.02, cropped mostly above 1.1
+    off_center_gain: float = 1.1
+
+
+@dataclass(frozen=True)
+class VoteConfig:
+    """Votes of keypoints for views of the bank (`voted_views`)."""
+
+    nearest: int = 8  # landmarks a keypoint votes for; the next nearest is the yardstick
+    reach: float = 1.5  # votes agree up to so many tolerances of `view_agreement`: their map is rough
+    views: int = 4  # with most votes, that are rendered and matched to the picture
+    # Weight of votes: of five pictures that matches alone do not find, right views have 1.9 and more, wrong up to 1.2
+    least_loudness: float = 1.3
+
+
+@dataclass(frozen=True)
+class EdgeConfig:
+    """Search over views by outlines, edges and colors (`view_search`), and the climb from there (`view_climb`)."""
+
+    # Share of views, rolls and sizes that are scored at every place after a coarse pass: 99 % of the best twelve are
+    # among them (39 viewers' pictures; of views of parts 94 %)
+    promising: float = 0.15
+    rescored: int = 1500  # finds that are scored again in finer steps of roll, size and place
+    same_roll: float = float(np.radians(18.0))  # two finds of a view are one within this roll, radians,
+    same_size: float = 0.25  # this share of the size,
+    same_place: float = 6.0  # and this distance, pixels of the search
+    starts: int = 12  # cameras that climb
+    rounds: tuple[ClimbRound, ...] = (
+        ClimbRound(12.0, (0.4, 0.6, 1.6), 6),
+        ClimbRound(12.0, (0.7, 1.4), 4),
+        ClimbRound(6.0, (0.8, 1.25), 3),
+        ClimbRound(6.0, (0.8, 1.25), 3),
+        ClimbRound(3.0, (0.9, 1.1), 3),
+        ClimbRound(3.0, (0.9, 1.1), 3),
+    )
+    same_direction: float = float(np.radians(5.0))  # climbed cameras that differ by less are one, radians
+    # Score below which close-ups are searched, too: right cameras come to 8.5 and mostly to 12 to 16, wrong ones to 6
+    # to 8.5, and one picture in fifty to 9.1
+    fitting: float = 9.0
+
+
+@dataclass(frozen=True)
+class ShapeConfig:
+    """Pixels that are not square (`uneven_pixels`)."""
+
+    ratios: tuple[float, ...] = (0.75, 1.33)  # tried besides 1: 4:3 made of 16:9, and back; each serves others, too
+    rounds: tuple[float, ...] = (3.0, 2.0, 1.0, 0.5, 0.5)  # of matching and fitting, inlier tolerances
+    square: float = 0.006  # a shape nearer to square is taken as square: undoing it would only blur
+    ratio_range: tuple[float, float] = (0.4, 2.5)  # a hostile picture cannot ask for more memory than this
+    most_slant: float = 1.0
+
+
+@dataclass(frozen=True)
+class FrameConfig:
+    """A page or a player around the model's viewer (`viewer_frame`)."""
+
+    side: int = 320  # longer side of the reduced picture, pixels
+    solid: float = 0.7  # opacity of the render from which the picture must show it
+    blur: float = 1.0  # of picture and render, pixels: the camera is not right yet
+    window: float = 3.0  # blur of the surroundings that are compared, pixels
+    texture: float = 0.005  # standard deviation of brightness from which surroundings are compared
+    alike: float = 0.5  # correlation from which they agree
+    least_outside: float = 0.03  # share of the model's pixels beyond the frame, for there to be one
+    least_inside: float = 0.2  # and within it
+    rounds: int = 2  # of cutting off sides: what one leaves is seen better without the others
+
+
+@dataclass(frozen=True)
+class CameraSearchConfig:
+    """The search itself (`camera_search`), and its stages."""
+
+    least_side: int = 16  # of a picture, pixels
+    focals: tuple[float, ...] = tuple(np.geomspace(0.5, 2.0, 5))
+    """Focal lengths tried, in widths; 41 % apart: with nine, as many of 80 pictures are found."""
+    other_focals: tuple[float, ...] = (1.4, 0.75, 1.9)  # tried where refinement from that of keypoints fails, in that
+    supported: int = 30  # inliers of a camera that needs no second opinion, if its render looks like the picture
+    settled_correlation: float = 0.9  # of brightness with the render, with which a supported camera ends the search
+    # Correlation without covered parts from which pixels are square and no page is around: square pixels came to 0.975
+    # and more, others mostly to 0.7 to 0.95
+    explained_uncovered: float = 0.96
+    # Correlation of all, needed besides: overlays leave right cameras 0.83 and more, but for one picture in fifty; the
+    # page around the photograph of a screen leaves 0.7
+    explained: float = 0.8
+    # Uncovered correlation of a small picture from which full size is tried at once: of eight pictures below, none came
+    # to `explained_uncovered` there, of four above three
+    nearly_explained: float = 0.93
+    small_levels: tuple[Level, Level] = (Level(256, 8, 0.05), Level(640, 8, 0.05))
+    full_level: Level = Level(1600, 12, 0.005)  # or the picture's own size, if that is smaller
+    error_per_step: float = 4.0  # a refined camera is off by at most so many last steps: the rest shows slowly
+    # Step of the principal point from which freeing it is tried, pixels: pictures that it explained 3 % better moved by
+    # 0.07 and more, uncropped ones mostly by up to 0.04
+    principal_point_step: float = 0.05
+    clearly_better: float = 1.03  # gain in likelihood to believe another way of drawing; wrong ones came to 1.02
+    glance_better: float = 1.02  # the same after one iteration, which is within about 1 % of the end
+    keypoints: KeypointConfig = field(default_factory=KeypointConfig)
+    votes: VoteConfig = field(default_factory=VoteConfig)
+    edges: EdgeConfig = field(default_factory=EdgeConfig)
+    shape: ShapeConfig = field(default_factory=ShapeConfig)
+    frame: FrameConfig = field(default_factory=FrameConfig)
+
+
+CONFIG = CameraSearchConfig()
+"""What the search runs with."""
