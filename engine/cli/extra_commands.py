@@ -15,7 +15,7 @@ EXTRAS = ("lab", "service")
 
 
 def add_extra_commands(app: typer.Typer) -> None:
-    """Add every extra's commands; those whose packages are missing say so when they are called."""
+    """Add every extra's commands; those whose packages are missing are listed, and say so when called."""
     for extra in EXTRAS:
         found = entry_points(group=f"mark3dgs.commands.{extra}")
         missing = missing_packages(extra) if found else []
@@ -23,7 +23,7 @@ def add_extra_commands(app: typer.Typer) -> None:
             if missing:
                 context = {"allow_extra_args": True, "ignore_unknown_options": True}
                 app.command(
-                    entry.name, help=f"Needs mark3dgs[{extra}].", context_settings=context, add_help_option=False
+                    entry.name, help=rf"Needs mark3dgs\[{extra}].", context_settings=context, add_help_option=False
                 )(_refusal(entry.name, extra, missing))
                 continue
             command = entry.load()
