@@ -28,7 +28,7 @@ OF_AN_EXTRA = {
 """Rooms that are an extra's, the nearest counts; everything else is the core's."""
 LATER = {"torch": "train", "gsplat": "cuda"}
 """Imported inside functions or by modules that only such functions import, behind a message of their own."""
-STUDIES = {"distributed", "imwatermark", "kiss_icp", "laspy", "lpips", "onnxruntime", "pycolmap", "pypcd4"}
+STUDIES = {"distributed", "imwatermark", "kiss_icp", "laspy", "lazrs", "lpips", "lzf", "onnxruntime", "pycolmap"}
 """What single studies and the capture import, behind a message of their own."""
 
 
