@@ -102,7 +102,10 @@ def bound_names(tree: ast.Module) -> set[str]:
     names: set[str] = set()
     typed = [node.body for node in tree.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
     # What a package gathers for type checkers alone it loads on demand.
-    for node in [*tree.body, *(node for body in typed if exports(tree) for node in body)]:
+    versioned = [
+        node.body for node in tree.body if isinstance(node, ast.If) and "version_info" in ast.unparse(node.test)
+    ]
+    for node in [*tree.body, *(node for body in (*versioned, *(typed if exports(tree) else ())) for node in body)]:
         if isinstance(node, Function | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Import | ast.ImportFrom):

@@ -98,11 +98,7 @@ def evaluate(
     study = find_study(suite)
     if out is None and suite not in MEASUREMENTS:
         raise InputError(f"the suite {suite!r} writes figures and a report: name a folder with --out")
-    scenes = tuple(str(path.resolve()) for path in scene or [shipped_scene()])
-    for path in scenes:
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file")
-    given: dict[str, Any] = {
+    given = {
         "quick": quick or None,
         "settings": tuple(setting) if setting else None,
         "profile": profile,
@@ -111,12 +107,8 @@ def evaluate(
         "size": size,
         "lpips_weights": None if lpips_weights is None else str(lpips_weights),
     }
-    given = {name: value for name, value in given.items() if value is not None}
-    for name in given:
-        if name not in study.knows:
-            option = {"settings": "setting"}.get(name, name.replace("_", "-"))
-            raise InputError(f"the suite {suite!r} has no option --{option}")
-    options = replace(Options(scenes, seed=seed, spare=str(shipped_scene())), **given)
+    common = Options(_scenes(scene), seed=seed, spare=str(shipped_scene()))
+    options = replace(common, **_known(given, study.knows, suite))
     cells = study.cells(options)
     report: dict[str, Any] = {"suite": suite, "cells": len(cells), "machine": machine_info()}
     with console.progress() as progress, tempfile.TemporaryDirectory() as spare:
@@ -141,6 +133,24 @@ def evaluate(
         console.say(f"\n{len(cells)} cells; report: {report['report']}")
     console.emit(report)
     return 0
+
+
+def _scenes(asked: list[Path] | None) -> tuple[str, ...]:
+    scenes = tuple(str(path.resolve()) for path in asked or [shipped_scene()])
+    for path in scenes:
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file")
+    return scenes
+
+
+def _known(given: dict[str, Any], known: frozenset[str], suite: str) -> dict[str, Any]:
+    """The options that were given; InputError for one that the suite does not have."""
+    found = {name: value for name, value in given.items() if value is not None}
+    for name in found:
+        if name not in known:
+            option = {"settings": "setting"}.get(name, name.replace("_", "-"))
+            raise InputError(f"the suite {suite!r} has no option --{option}")
+    return found
 
 
 def _text(value: Any) -> str:
