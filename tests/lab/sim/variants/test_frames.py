@@ -77,7 +77,7 @@ def test_frames_that_do_not_belong_together_are_refused(sequence: FrameSequence,
     a, b, _ = sequence.frames
     with pytest.raises(InputError, match="same ones"):
         FrameSequence([a, b.take(np.arange(5))], [0, 1])
-    with pytest.raises(InputError, match="of frame 1 differ by 0.1"):
+    with pytest.raises(InputError, match="of frame 1 differ"):
         FrameSequence([a, b.with_(sh=b.sh + 0.1)], [0, 1])
     with pytest.raises(InputError, match="ascending"):
         FrameSequence([a, b], [1, 0])
